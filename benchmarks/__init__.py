@@ -1,1 +1,1 @@
-"""Run time and error together, for ours and for the peers that users would otherwise take."""
+"""Benchmarks that measure run time and error together, for MIRROR and for its peers."""

@@ -1,8 +1,8 @@
-"""What the toolkit gives, as one JSON file of names, types and hashes: two revisions that behave alike write the same.
+"""Records names, types and hashes of what the toolkit writes, to compare two revisions.
 
 ``python -m benchmarks behaviour --out before.json``, and after a refactoring ``--against before.json``. Times, free
 text and versions are left out. The model and scores depend on the processor and on the versions of torch and numpy, so
-both runs belong on one machine.
+both runs must use one machine.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _LEFT_OUT: Final = frozenset(
     | {"frames_per_second"}
 )
 _HASHED: Final = frozenset({".parquet", ".jpg", ".png", ".npy"})
-"""Tables and images. Documents hold the fingerprint of a recording, which knows when its files were written."""
+"""Tables and images. Documents are left out, because a recording's fingerprint depends on the times of its files."""
 _STEPS: Final = 40
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Record what the toolkit gives, or hold it against an earlier record."""
+    """Record what the toolkit writes, or compare it with an earlier record."""
 
     out: Path | None = None
     """File to write the record to."""

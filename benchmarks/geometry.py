@@ -1,9 +1,9 @@
-"""Poses and cameras: run time and error, ours and the peers', in one run.
+"""Measures time and error of poses and cameras, for MIRROR and its peers.
 
-``python -m benchmarks geometry [--size N]`` prints rows ``name, size, ms, error, peer`` and draws time against error.
-Errors are the largest of a sample against the same formulas in 80-bit floats: of a pose its matrix's entries
-(translations of about 100 m), of a pixel its distance in pixels, of a ray the distance in pixels between the pixel
-asked for and the one where the ray is imaged.
+``python -m benchmarks geometry [--size N]`` prints rows ``name, size, ms, error, peer`` and plots time against error.
+Errors are the largest of a sample, compared with the same formulas in 80-bit floats: for a pose of the matrix entries
+(translations of about 100 m), for a pixel the distance in pixels, for a ray the distance in pixels between the input
+pixel and the image of the ray.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def largest(values: AnyArray) -> float:
     return float(np.nanmax(np.abs(values)))
 
 
-def matrix_of(rotation: Float64, translation: Float64) -> Long:
-    """Homogeneous matrices of poses in 80 bits."""
+def to_matrices(rotation: Float64, translation: Float64) -> Long:
+    """Homogeneous matrices of poses in 80-bit floats."""
     w, x, y, z = rotation.astype(np.longdouble).T
     square = w * w + x * x + y * y + z * z
     matrix = np.zeros((len(rotation), 4, 4), dtype=np.longdouble)
@@ -75,7 +75,7 @@ def pose_rows(size: int) -> Iterator[Row]:
     first, second = random_poses(size, 0), random_poses(size, 1)
     points = np.random.default_rng(2).normal(size=(size, 3)) * 40.0
     few = slice(0, SAMPLE)
-    first_long, second_long = (matrix_of(one.rotation[few], one.translation[few]) for one in (first, second))
+    first_long, second_long = (to_matrices(one.rotation[few], one.translation[few]) for one in (first, second))
 
     def rigid(poses: Poses) -> RigidTransform:
         return RigidTransform.from_components(poses.translation, Rotation.from_quat(poses.rotation, scalar_first=True))
@@ -196,7 +196,7 @@ def interpolation_rows(size: int) -> Iterator[Row]:
 
 
 def project_long(camera: Camera, points: AnyArray) -> Long:
-    """The documented formulas of every model in 80 bits."""
+    """The documented formulas of every camera model in 80-bit floats."""
     x, y, z = points.astype(np.longdouble).T
     if camera.lens.forward_only:
         x, y = x / z, y / z
@@ -248,7 +248,7 @@ def camera_rows(size: int) -> Iterator[Row]:
 def opencv_peers(
     camera: Camera, points: Float64, seen: Float64, exact: Long
 ) -> tuple[tuple[Peer, ...], tuple[Peer, ...]]:
-    """OpenCV's time and error for the same points, and for the way back, as it comes and iterated to the end."""
+    """OpenCV's time and error for the same points: projection, and its inverse with few and with many iterations."""
     import cv2
 
     if camera.model == "f_theta":
@@ -293,7 +293,7 @@ def box_rows(count: int) -> Iterator[Row]:
     surface = grid[(np.abs(grid) == 0.5).any(axis=1)]
     for camera in CAMERAS:
         boxes = project_boxes(camera, poses, sizes)
-        # How far bounds fall short of what a dense sample of the surface reaches.
+        # The largest distance of a dense sample of the surface beyond the bounds.
         sample = camera.project(poses[:50].transform(surface * sizes[0]))
         inside = np.where(sample.valid[..., None], sample.uv_px, np.nan)
         seen = sample.valid.any(axis=1)

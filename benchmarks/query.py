@@ -1,12 +1,12 @@
-"""Opening, querying and decoding: time, exactness and memory, against reading everything with pandas.
+"""Measures time, exactness and memory of opening, querying and decoding, against pandas.
 
-``python -m benchmarks query [--rows N ...] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames a
+``python -m benchmarks query [--rows N ...] [--keep FOLDER]`` generates an index (10 scenes, 7 cameras, 400 frames in a
 traversal; no images), and one traversal of real JPEGs. Rows: ``name, size, ms, error, peer``; the error of a query is
 the number of rows that differ from brute force over all rows with PROJ's exact geodesic.
 
-The peers: pandas reading the same Parquet files and filtering; for py123d 0.7.0 the figures that were measured on a
-similar machine (280 k image rows, 200 m radius by one callback a scene: 4.8 s; a seven-camera 960 x 540 set from JPEG:
-35 to 39 ms) are quoted.
+The peers: pandas, which reads the same Parquet files and filters them; and py123d 0.7.0, with figures quoted from a
+similar machine (280 k image rows, 200 m radius by one callback for each scene: 4.8 s; a seven-camera 960 x 540 set from
+JPEG: 35 to 39 ms).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FRAMES = 400
 KEYS = ("scene_id", "traversal_id", "camera", "timestamp_ns", "uri")
 CAMERA_SIZE = (960, 540)
 
-# What is measured in a process of its own, so that imports and the memory of the generator do not count.
+# Measured in a new process, so that imports and the memory of the generator do not count.
 _CHILD = """
 import json, sys, time
 import numpy as np
@@ -61,16 +61,16 @@ print(json.dumps({"imported": imported, "open_ms": opened * 1e3, "idle": idle, "
 """
 
 
-def centre(scene: int) -> tuple[float, float]:
-    """Where a generated scene lies."""
+def scene_centre(scene: int) -> tuple[float, float]:
+    """Longitude and latitude of a generated scene."""
     return -79.4 + 0.02 * scene, 43.6 + 0.01 * (scene % 3)
 
 
 def generate(root: Path, rows: int) -> Path:
-    """A dataset of about as many image rows, without images, and its index."""
+    """Generate a dataset with about this number of image rows, without images, and its index."""
     builder = Builder(root, cameras=SEVEN, size=CAMERA_SIZE)
     for scene in range(SCENES):
-        builder.scene(f"s{scene}", *centre(scene))
+        builder.scene(f"s{scene}", *scene_centre(scene))
     rng = np.random.default_rng(0)
     for number in range(round(rows / (FRAMES * len(SEVEN)))):
         one = Pass(
@@ -86,8 +86,8 @@ def generate(root: Path, rows: int) -> Path:
     return root
 
 
-def street(seed: int) -> UInt8:
-    """An image with smooth parts, edges and noise, that compresses as a photograph does."""
+def make_image(seed: int) -> UInt8:
+    """An image with smooth parts, edges and noise, which compresses like a photograph."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -101,7 +101,7 @@ def street(seed: int) -> UInt8:
 
 
 def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[set[tuple[object, ...]], float]:
-    """Keys of all rows within a circle, by reading everything with pandas and asking PROJ; and how long that took."""
+    """Keys of all rows within a circle, by pandas over all rows and PROJ; and the time this took."""
     import pandas as pd
     import pyproj
 
@@ -118,8 +118,8 @@ def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[s
 
 
 def query_rows(root: Path) -> Iterator[Row]:
-    """Queries on one generated dataset."""
-    task = json.dumps([str(root), [centre(scene) for scene in range(SCENES)], KEYS])
+    """Rows of queries on one generated dataset."""
+    task = json.dumps([str(root), [scene_centre(scene) for scene in range(SCENES)], KEYS])
     done = subprocess.run([sys.executable, "-c", _CHILD, task], capture_output=True, text=True, check=True)
     child = json.loads(done.stdout)
     dataset = mirror.open(root)
@@ -132,7 +132,7 @@ def query_rows(root: Path) -> Iterator[Row]:
     grown = child["after_200"] - child["after_100"]
     yield Row("memory after 200 queries, MiB RSS", size, child["after_200"], grown, unit="MiB in the last 100")
     for name, radius in (("ROI query, a whole scene", 1000.0), ("ROI query, a part of a scene", 150.0)):
-        within = (*centre(3), radius)
+        within = (*scene_centre(3), radius)
 
         def run(within: tuple[float, float, float] = within) -> object:
             return dataset.where(within=within).table("images", KEYS)
@@ -149,16 +149,17 @@ def query_rows(root: Path) -> Iterator[Row]:
 
 
 def decode_row(folder: Path) -> Row:
-    """A random seven-camera set, from the file to one contiguous array."""
+    """Time from the files of a random seven-camera set to one contiguous array."""
     import cv2
 
-    pixels = {camera: street(number) for number, camera in enumerate(SEVEN)}
-    pictures = {
-        camera: cv2.imencode(".jpg", own, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes() for camera, own in pixels.items()
+    pixels = {camera: make_image(number) for number, camera in enumerate(SEVEN)}
+    jpegs = {
+        camera: cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+        for camera, pixels in pixels.items()
     }
     builder = Builder(folder, cameras=SEVEN, size=CAMERA_SIZE)
     builder.scene("s")
-    builder.drive("d", [Pass("s", frames=40, images=pictures)])
+    builder.drive("d", [Pass("s", frames=40, images=jpegs)])
     build_index(folder)
     frames = mirror.open(folder).frames()
     rng = np.random.default_rng(0)
@@ -167,11 +168,11 @@ def decode_row(folder: Path) -> Row:
     def one_by_one() -> UInt8:
         images = frames[int(rng.integers(len(frames)))].images.values()
         read = [np.asarray(cv2.imdecode(np.frombuffer(image.read(), np.uint8), cv2.IMREAD_COLOR)) for image in images]
-        return np.ascontiguousarray(np.stack([own[..., ::-1].transpose(2, 0, 1) for own in read]), np.uint8)
+        return np.ascontiguousarray(np.stack([pixels[..., ::-1].transpose(2, 0, 1) for pixels in read]), np.uint8)
 
     peers = (Peer("cv2", median_ms(one_by_one, 20), 0.0), Peer("py123d, quoted:", 35.0))
     differing = int(np.count_nonzero(frames[0].decode() != one_by_one()))
-    kilobytes = sum(map(len, pictures.values())) // 1000
+    kilobytes = sum(map(len, jpegs.values())) // 1000
     return Row("seven cameras to CHW", f"960x540, {kilobytes} kB", ms, differing, peers, "values", 18.0)
 
 
@@ -179,7 +180,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the benchmark and print its rows."""
     parser = argparse.ArgumentParser(prog="benchmarks query", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rows", type=int, nargs="+", default=[280_000, 1_000_000], help="image rows of each dataset")
-    parser.add_argument("--keep", type=Path, help="generate here, and use what is there already")
+    parser.add_argument("--keep", type=Path, help="generate datasets here, and use existing ones")
     options = parser.parse_args(argv)
 
     def rows(folder: Path) -> Iterator[Row]:

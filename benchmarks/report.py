@@ -1,6 +1,6 @@
-"""How every benchmark reports: rows of ``name, size, ms, error, peer``, a JSON file, and a plot of time against error.
+"""Reports of benchmarks: rows of ``name, size, ms, error, peer``, a JSON file, and a plot of time against error.
 
-Both files go to ``benchmarks/out/<name>.json`` and ``.png``; the plot needs matplotlib (the ``view`` extra).
+Both files are written to ``benchmarks/out/<name>.json`` and ``.png``; the plot needs matplotlib (the ``view`` extra).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _SMALLEST = 1e-17
 
 @dataclass(frozen=True)
 class Peer:
-    """What another way needs for the same.
+    """Time and error of another implementation of the same task.
 
     Attributes:
-        name: library or method; ``quoted`` stands where it was measured elsewhere.
+        name: library or method; it contains ``quoted`` if it was measured elsewhere.
         ms: its time.
         error: its error, in the row's unit; None: not measured.
     """
@@ -43,14 +43,14 @@ class Row:
     """One line of a report.
 
     Attributes:
-        name: what was done.
-        size: to how much.
-        ms: how long it took, or another figure that the name gives a unit to.
-        error: how far the result is off; None: there is nothing to be off.
-        peers: other ways to the same.
-        unit: of the error.
-        bar: what ``ms`` must stay below; None: nothing is asked.
-        error_bar: what ``error`` must stay below; None: nothing is asked.
+        name: what was measured.
+        size: size of the input.
+        ms: its time in milliseconds, or another figure with the unit in the name.
+        error: error of the result; None if there is none.
+        peers: other implementations of the same task.
+        unit: unit of the error.
+        bar: upper limit of ``ms``; None: no limit.
+        error_bar: upper limit of ``error``; None: no limit.
     """
 
     name: str
@@ -63,8 +63,8 @@ class Row:
     error_bar: float | None = None
 
     @property
-    def missed(self) -> bool:
-        """Whether the row is not below its bars."""
+    def is_missed(self) -> bool:
+        """Whether the row is not below its limits."""
         slow = self.bar is not None and not self.ms < self.bar
         return slow or (self.error_bar is not None and not (self.error is not None and self.error < self.error_bar))
 
@@ -72,12 +72,12 @@ class Row:
         """The line's cells as text."""
         error = "-" if self.error is None else f"{_number(self.error)} {self.unit}".rstrip()
         bars = [_number(bar) for bar in (self.bar, self.error_bar) if bar is not None]
-        bar = f"< {', '.join(bars)}{' MISSED' if self.missed else ''}" if bars else "-"
+        bar = f"< {', '.join(bars)}{' MISSED' if self.is_missed else ''}" if bars else "-"
         return self.name, self.size, _number(self.ms), error, bar, "; ".join(map(str, self.peers)) or "-"
 
 
 def best_ms(call: Callable[[], object], repeats: int = 3) -> float:
-    """Least time of some calls, after one that does not count."""
+    """Smallest time of some calls, after one that does not count."""
     return min(times_ms(call, repeats))
 
 
@@ -98,57 +98,59 @@ def times_ms(call: Callable[[], object], repeats: int) -> list[float]:
 
 
 def report(name: str, groups: Mapping[str, Iterable[Row]], *, errors: str = "error") -> int:
-    """Print rows as they come, write and plot them.
+    """Print rows as they are measured, then write and plot them.
 
     Args:
-        name: of the benchmark and its files.
-        groups: rows by title; a panel of the plot each.
-        errors: what the error axis is called.
+        name: name of the benchmark and of its files.
+        groups: rows by title; each group is a panel of the plot.
+        errors: label of the error axis.
 
     Returns:
-        The exit code: 1 if a row missed its bar.
+        The exit code: 1 if a row missed a limit.
     """
     print(_line(_HEADER))
-    done: dict[str, list[Row]] = {}
+    finished: dict[str, list[Row]] = {}
     for title, rows in groups.items():
-        done[title] = []
+        finished[title] = []
         for row in rows:
             print(_line(row.cells()), flush=True)
-            done[title].append(row)
+            finished[title].append(row)
     OUT.mkdir(exist_ok=True)
-    lines = [{"group": title, **asdict(row)} for title, rows in done.items() for row in rows]
+    lines = [{"group": title, **asdict(row)} for title, rows in finished.items() for row in rows]
     (OUT / f"{name}.json").write_text(json.dumps(lines, indent=1) + "\n")
     try:
-        plot(done, OUT / f"{name}.png", errors)
+        plot(finished, OUT / f"{name}.png", errors)
     except ModuleNotFoundError:
         print("no plot: pip install '.[view]'", file=sys.stderr)
-    return int(any(row.missed for rows in done.values() for row in rows))
+    return int(any(row.is_missed for rows in finished.values() for row in rows))
 
 
 def plot(groups: Mapping[str, Sequence[Row]], path: Path, errors: str = "error") -> None:
-    """Draw time against error, a panel a group; a line joins each of ours with its peers."""
+    """Plot time against error, a panel for each group; a line joins each row with its peers."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    shown = {title: [row for row in rows if row.error is not None] for title, rows in groups.items()}
-    shown = {title: rows for title, rows in shown.items() if rows}
-    if not shown:
+    plotted = {title: [row for row in rows if row.error is not None] for title, rows in groups.items()}
+    plotted = {title: rows for title, rows in plotted.items() if rows}
+    if not plotted:
         return
-    figure, grid = pyplot.subplots(1, len(shown), figsize=(5.5 * len(shown), 7), layout="constrained", squeeze=False)
-    for axes, (title, rows) in zip(grid[0], shown.items()):
+    figure, grid = pyplot.subplots(
+        1, len(plotted), figsize=(5.5 * len(plotted), 7), layout="constrained", squeeze=False
+    )
+    for axes, (title, rows) in zip(grid[0], plotted.items()):
         for number, row in enumerate(rows, start=1):
             colour = f"C{(number - 1) % 10}"
-            ours = (row.ms, max(row.error or 0.0, _SMALLEST))
+            own_point = (row.ms, max(row.error or 0.0, _SMALLEST))
             for peer in row.peers:
                 if peer.error is not None:
-                    theirs = (peer.ms, max(peer.error, _SMALLEST))
-                    axes.plot(*zip(ours, theirs), color=colour, alpha=0.3, zorder=1)
-                    axes.scatter(*theirs, color=colour, marker="x", zorder=2)
+                    peer_point = (peer.ms, max(peer.error, _SMALLEST))
+                    axes.plot(*zip(own_point, peer_point), color=colour, alpha=0.3, zorder=1)
+                    axes.scatter(*peer_point, color=colour, marker="x", zorder=2)
             label = f"{number} {row.name}" + (f" ({row.unit})" if row.unit else "")
-            axes.scatter(*ours, color=colour, zorder=3, label=label)
-            axes.annotate(str(number), ours, xytext=(4, 3), textcoords="offset points")
+            axes.scatter(*own_point, color=colour, zorder=3, label=label)
+            axes.annotate(str(number), own_point, xytext=(4, 3), textcoords="offset points")
         axes.set(xscale="log", yscale="log", xlabel="time (ms)", title=title)
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
@@ -160,7 +162,7 @@ def plot(groups: Mapping[str, Sequence[Row]], path: Path, errors: str = "error")
 
 
 def _number(value: float) -> str:
-    """Short, and readable at any magnitude."""
+    """A short text of a number of any magnitude."""
     if value == 0.0:
         return "0"
     if 0.01 <= abs(value) < 1e6:

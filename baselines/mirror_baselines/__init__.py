@@ -1,4 +1,4 @@
-"""Other methods than the reference model: floors that every method must beat, and methods of other papers."""
+"""Baselines: floors that every method must beat, and methods of other papers."""
 
 from __future__ import annotations
 

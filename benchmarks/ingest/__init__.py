@@ -1,1 +1,1 @@
-"""The ROI trigger, copying and linking, and start-up: time, exactness, and what a plainer way would take."""
+"""Measures the ROI trigger, copying, memory and start-up of ingest, against simpler methods."""

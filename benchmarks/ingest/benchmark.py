@@ -1,16 +1,16 @@
-"""The ROI trigger, copying and linking, and start-up: time, exactness, and what a plainer way would take.
+"""Measures the ROI trigger, copying, memory and start-up of ingest, against simpler methods.
 
 ``python -m benchmarks ingest [trigger] [copy] [memory] [startup] [--poses N] [--rois N] [--megabytes N]``
 
-- trigger: generated city driving at 10 Hz, a little dirty, against ROIs of 200 m, from longitude and latitude, cleaning
-  included, on one core. Errors against Karney's geodesics: distance of entries and exits from the circle; their times,
-  where the radial speed is at least 1 m/s, against bisection; passes that differ from the plain reference of the tests.
-  The peer, numpy over all poses and ROIs on a sphere, neither cleans nor interpolates.
+- trigger: generated city driving at 10 Hz with some faults, against ROIs of 200 m, from longitude and latitude, with
+  cleaning, on one core. Errors against Karney's geodesics: the distance of entries and exits from the circle; against
+  bisection: their times, where the radial speed is at least 1 m/s; and the number of passes that differ from the plain
+  reference of the tests. The peer, numpy over all poses and ROIs on a sphere, neither cleans nor interpolates.
 - copy: a generated recording of seven cameras, against ``cp -r`` of the same bytes, in turns, each from a quiet disk;
-  the error is the number of images whose bytes differ.
-- memory: the peak of an ingest and its index in a process of its own, of drives of an hour at 10 Hz; for "error" stands
-  how many MB more it is than of a tenth of the drives, at most 50. With few or all poses of a drive inside the ROI.
-- startup: fresh processes.
+  the error is the number of images that differ.
+- memory: the peak memory of an ingest and its index in its own process, for drives of an hour at 10 Hz; the error is
+  the increase in MB over an ingest of a tenth of the drives, at most 50. Few or all poses of a drive are in the ROI.
+- startup: new processes.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def one_core() -> Iterator[None]:
 
 
 def trigger_rows(poses: int, rois: int) -> Iterator[Row]:
-    """The trigger against brute force, and its errors."""
+    """Rows of the trigger against brute force, with its errors."""
     made = traffic(poses, rois)
     trigger = Trigger(made.rois, TriggerOptions(), CleaningOptions())
 
@@ -96,25 +96,25 @@ def trigger_rows(poses: int, rois: int) -> Iterator[Row]:
     reference_ms = (time.perf_counter() - start) * 1e3
     with one_core():
         ms = median_ms(partial(run, part), 9)
-    differing = len(verdicts(run(part)) ^ {(one.scene_id, one.entry_ns // 10**6, one.rule) for one in expected})
+    differing = len(pass_keys(run(part)) ^ {(one.scene_id, one.entry_ns // 10**6, one.rule) for one in expected})
     peers = (Peer("plain reference", reference_ms, 0.0),)
     yield Row("its passes", f"{len(part):,} x {rois}", ms, differing, peers, f"of {len(expected)} differ")
 
 
 def coordinates(track: Track) -> tuple[Float64, Float64]:
-    """Longitude and latitude."""
+    """Longitude and latitude of a track."""
     if track.longitude_deg is None or track.latitude_deg is None:
         raise ValueError("the track is in a local frame")
     return track.longitude_deg, track.latitude_deg
 
 
-def verdicts(passes: Iterable[Pass]) -> set[tuple[str, int, str | None]]:
-    """What identifies passes: scene, entry in milliseconds, and the rule that decided."""
+def pass_keys(passes: Iterable[Pass]) -> set[tuple[str, int, str | None]]:
+    """Keys of passes: scene, entry in milliseconds, and the rule that decided."""
     return {(one.scene_id, one.entry_ns // 10**6, one.rule) for one in passes}
 
 
 def brute_force(made: Traffic) -> Bool:
-    """Which pose is inside which ROI, on a sphere (R, N): numpy over all pairs, in blocks that stay in cache."""
+    """Which poses are inside which ROIs on a sphere (R, N): numpy over all pairs, in blocks that fit the cache."""
     lon, lat = (np.radians(axis) for axis in coordinates(made.track))
     centres = np.radians([[roi.longitude_deg or 0.0, roi.latitude_deg or 0.0] for roi in made.rois])
     inside = np.empty((len(made.rois), len(lon)), bool)
@@ -127,7 +127,7 @@ def brute_force(made: Traffic) -> Bool:
 
 
 def brute_force_off_mm(made: Traffic, inside: Bool) -> float:
-    """How far from the circle the first poses inside are: median, as wild fixes are among them."""
+    """Median distance of the first poses inside from their circle; the median, because some fixes are wild."""
     lon, lat = coordinates(made.track)
     off = []
     for roi, mask in zip(made.rois, inside):
@@ -170,7 +170,7 @@ def crossing_errors(track: CleanTrack, passes: Iterable[Pass], rois: Iterable[Ro
 
 
 def conversion_rows(poses: int) -> Iterator[Row]:
-    """What UTM and ECEF recordings pay before the trigger."""
+    """Time of the conversion of UTM and ECEF recordings before the trigger."""
     import pyproj
 
     lon, lat = coordinates(traffic(poses, 1).track)
@@ -238,10 +238,10 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
             shutil.rmtree(out)
         for name, (write, share) in ways.items():
             turns = range(PAIRS + 1)
-            # The first pair meets memory that no file was in before, which flatters whoever goes first.
+            # The first pair is left out: it uses fresh memory, which favours the function that runs first.
             pairs = np.array([pair_ms(cp, copied, partial(ours, write), out, bool(turn % 2)) for turn in turns])[1:]
             theirs, mine = np.median(pairs, axis=0)
-            # Judged by the ratio of each pair, whose two runs meet the same disk: the bar is put where that puts it.
+            # The bar is a ratio within each pair, because both runs of a pair use the same disk in the same state.
             ratio = float(np.median(pairs[:, 1] / pairs[:, 0]))
             bar = None if share is None else mine * share / ratio
             peers = (Peer("cp -r", theirs, 0.0),)
@@ -254,7 +254,7 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
 def pair_ms(
     theirs: Callable[[], None], made: Path, ours: Callable[[], None], out: Path, ours_first: bool
 ) -> tuple[float, float]:
-    """Times of the two of a pair, which take turns in going first."""
+    """Times of two functions that alternate in running first."""
     if ours_first:
         mine = quiet_ms(ours, out)
         return quiet_ms(theirs, made), mine
@@ -262,7 +262,7 @@ def pair_ms(
 
 
 def quiet_ms(call: Callable[[], None], made: Path) -> float:
-    """Time of a call on a disk that has nothing else to write; what it made is removed."""
+    """Time of a call on an idle disk; its output is removed."""
     os.sync()
     start = time.perf_counter()
     call()
@@ -293,7 +293,7 @@ def memory_rows(drives: int) -> Iterator[Row]:
 
 
 def startup_rows() -> Iterator[Row]:
-    """Fresh processes: the interpreter alone is the peer."""
+    """Rows of new processes; the peer is the interpreter alone."""
     bare = median_ms(partial(process, "-c", ""), 7)
     yield Row("import mirror", "a process", median_ms(partial(process, "-c", "import mirror"), 7), None, bar=300.0)
     run = "import sys; from mirror.cli.main import main; sys.exit(main())"

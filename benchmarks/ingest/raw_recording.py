@@ -21,15 +21,15 @@ _END = b"\xff\xd9"
 
 
 def raw_recording(folder: Path, megabytes: int, seed: int = 0) -> Roi:
-    """Write a recording whose every image lies within one accepted pass.
+    """Write a recording with all images within one accepted pass.
 
     Args:
-        folder: made here.
-        megabytes: of all images; 150 to 300 kB each, less where they would be too few for a pass.
-        seed: of sizes and bytes.
+        folder: folder to create.
+        megabytes: size of all images, 150 to 300 kB each; smaller if they would be too few for a pass.
+        seed: seed of sizes and bytes.
 
     Returns:
-        The ROI that it passes.
+        The ROI of the pass.
     """
     rng = np.random.default_rng(seed)
     frames = max(110, round(megabytes * 1e6 / _TYPICAL_BYTES / len(CANONICAL_CAMERAS)))

@@ -1,4 +1,4 @@
-"""City driving for the trigger benchmark: a fleet on a road grid, with stops, a little dirty."""
+"""City driving for the trigger benchmark: a fleet on a road grid, with stops and some faults."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ RADIUS_M = 200.0
 
 @dataclass(frozen=True)
 class Traffic:
-    """One long track and the ROIs that it is held against.
+    """One long track and the ROIs to test it against.
 
     Attributes:
-        track: (N,) fixes at 10 Hz, some dirty.
+        track: (N,) fixes at 10 Hz, some with faults.
         rois: circles near crossroads.
     """
 
@@ -33,12 +33,12 @@ class Traffic:
 
 
 def traffic(poses: int, rois: int, seed: int = 0) -> Traffic:
-    """Way-point driving on a grid of roads: 6 to 15 m/s, a stop at every third crossroads.
+    """Generate driving between way-points on a grid of roads: 6 to 15 m/s, a stop at every third crossroads.
 
     Args:
-        poses: fixes of the track.
+        poses: number of fixes of the track.
         rois: number of ROIs, near random crossroads.
-        seed: of the generator.
+        seed: seed of the generator.
     """
     rng = np.random.default_rng(seed)
     blocks = max(4, round(BLOCKS * (poses / 1e7) ** 0.5))
@@ -47,7 +47,7 @@ def traffic(poses: int, rois: int, seed: int = 0) -> Traffic:
     x, y = (np.interp(now, t, axis) + rng.normal(0.0, 0.01, poses) for axis in xy.T)
     stamps = START_NS + np.rint(now * 1e9).astype(np.int64)
     lon, lat = CENTRE[0] + x / METRES_A_DEGREE[0], CENTRE[1] + y / METRES_A_DEGREE[1]
-    stamps, lon, lat = _soiled(rng, stamps, lon, lat)
+    stamps, lon, lat = _add_faults(rng, stamps, lon, lat)
     centres = (rng.integers(0, blocks + 1, (rois, 2)) - blocks / 2) * BLOCK_M + rng.uniform(-60.0, 60.0, (rois, 2))
     circles = [
         Roi(
@@ -78,8 +78,8 @@ def _route(rng: np.random.Generator, blocks: int, seconds: float) -> tuple[Float
     return np.array(times), np.array(places)
 
 
-def _soiled(rng: np.random.Generator, stamps: Int64, lon: Float64, lat: Float64) -> tuple[Int64, Float64, Float64]:
-    """A thousandth each of repeated fixes, equal stamps and wild fixes, some that are no number, and a few gaps."""
+def _add_faults(rng: np.random.Generator, stamps: Int64, lon: Float64, lat: Float64) -> tuple[Int64, Float64, Float64]:
+    """Add one in a thousand each of repeated fixes, equal stamps and wild fixes, some NaN, and a few gaps."""
     count = len(stamps)
 
     def some(share: float) -> Int64:

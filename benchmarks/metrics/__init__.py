@@ -1,1 +1,1 @@
-"""Metrics: time against error, ours and the peers', in one run and on one thread."""
+"""Measures time and error of metrics, for MIRROR and its peers, on one thread."""

@@ -1,9 +1,9 @@
-"""Metrics: time against error, ours and the peers', in one run and on one thread.
+"""Measures time and error of metrics, for MIRROR and its peers, on one thread.
 
-``python -m benchmarks metrics [--only GROUP ...]`` with the groups images, features and boxes. Bars on time are
-ratios: the figure that was asked for as part of the named peer's, times what the peer takes in this run. Peers:
-``pip install '.[bench]'``, and ``pip install --no-deps piq`` (its torchvision does not import beside a CPU
-torch). One that is absent is left out with a note.
+``python -m benchmarks metrics [--only GROUP ...]`` with the groups images, features and boxes. Bars on time are ratios:
+a required share of the named peer's time, times what the peer takes in this run. Peers: ``pip install '.[bench]'``, and
+``pip install --no-deps piq`` (its torchvision cannot be imported beside a CPU torch). An absent peer is left out with a
+note.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS",
 
 
 def main(argv: list[str]) -> int:
-    """Run the groups that are asked for."""
+    """Run the selected groups."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks metrics", description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=GROUPS, help="what to measure")
     chosen = parser.parse_args(argv)

@@ -1,8 +1,8 @@
-"""Overlaps of boxes and detection scores: time and error, ours and the peers', in one run.
+"""Time and error of overlaps of boxes and of detection scores, for MIRROR and its peers.
 
-Errors: of the raster the mean excess of its pixels over the polygon's area, in percent, over placements at random
-fractions of a pixel and turns; of overlaps in space the largest difference from 60 digits; of detection the number of
-values, of all curves and figures, that do not have the bits of loops over the definitions.
+Errors: for the raster the mean excess of its pixels over the polygon's area, in percent, over random subpixel positions
+and rotations; for overlaps in space the largest difference from 60-digit arithmetic; for detection the number of
+values, of all curves and figures, that differ in any bit from loops over the definitions.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from tests.metrics.detection.scenes import random_scene
 PAIRS = 100_000
 CHECKED = 200
 FEWER = 500
-# Bars: 250 000 pairs a second where shapely does 49 000; 0.1 s of matching where loops over boxes take 2.99 s.
+# Bars: 250 000 pairs per second where shapely reaches 49 000; 0.1 s of matching where loops over boxes take 2.99 s.
 
 
 def rows() -> Iterator[Row]:
-    """The rows of this part."""
+    """Rows of this group."""
     for width, height, count in ((12, 9, 20_000), (30, 20, 20_000), (80, 60, 5_000), (300, 200, 500)):
         yield raster(width, height, count)
     first, second = boxes(PAIRS, 0), boxes(PAIRS, 1)
@@ -86,7 +86,7 @@ def boxes(count: int, seed: int) -> tuple[Poses, Float64]:
 
 
 def exact(first: Poses, lwh: Float64, second: Poses, lwh2: Float64) -> Float64:
-    """The first pairs in 60 digits."""
+    """Overlaps of the first pairs in 60-digit arithmetic."""
     single = [slice(row, row + 1) for row in range(CHECKED)]
     return np.array([exact_iou(first[row], lwh[row], second[row], lwh2[row]) for row in single])
 
@@ -117,14 +117,14 @@ def upright(one: Boxes, other: Boxes, truth: Float64) -> Row:
 
 
 def outline(pose: Poses, lwh: Float64) -> Float64:
-    """Corners (N, 4, 2) seen from above."""
+    """Corners (N, 4, 2) in the ground plane."""
     from mirror.geometry import corners
 
     return np.ascontiguousarray(corners(pose, lwh)[:, [0, 1, 5, 4], :2])
 
 
 def tilted(one: Boxes, other: Boxes, truth: Float64) -> Row:
-    """The same boxes with their sizes in another order, so that their z axes no longer agree."""
+    """The same boxes with permuted axes, so that their z axes are no longer parallel."""
     (first, lwh), (second, lwh2) = ((pose[: PAIRS // 10], size[: PAIRS // 10]) for pose, size in (one, other))
     turned = Poses(quaternion_multiply(second.rotation, [0.5, 0.5, 0.5, 0.5]), second.translation)
     swapped = np.ascontiguousarray(lwh2[:, [1, 2, 0]])

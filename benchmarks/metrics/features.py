@@ -1,8 +1,8 @@
-"""Fréchet and kernel distances, FID's, FVD's and LPIPS's networks: time and error, ours and the peers', in one run.
+"""Time and error of Fréchet and kernel distances and of the networks of FID, FVD and LPIPS, for MIRROR and its peers.
 
-Times are the least of the main thread's own. Networks have random weights: times and differences mean something, their
-values nothing. More peers: ``pip install --no-deps lpips torch-fidelity`` (their torchvision does not import beside a
-CPU torch; here a stand-in takes its place). The slowest peers run once: scipy's root takes 20 s.
+Times are the smallest of the main thread. Networks have random weights: times and differences are meaningful, their
+values are not. More peers: ``pip install --no-deps lpips torch-fidelity`` (their torchvision cannot be imported beside
+a CPU torch; a stand-in replaces it here). The slowest peers run once: scipy's root takes 20 s.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from mirror.metrics.features.kid import kid
 from mirror.metrics.features.statistics import FeatureAccumulator
 
 DIMENSION: Final = 2048
-# What was asked for, as part of what the named peer took where both were measured.
+# Required times, as a share of the named peer's time where both were measured.
 FRECHET_RATIOS: Final = {100: 10.0 / 20_300.0, 2048: 2.6 / 15.6, 10_000: 4.0 / 18.2}
 FRECHET_ERRORS: Final = {100: 1e-11, 2048: 1e-11, 10_000: 5e-11}
 
 
 def rows() -> Iterator[Row]:
-    """The rows of this part."""
+    """Rows of this group."""
     for count in FRECHET_RATIOS:
         yield frechet(count)
     yield covariance()
@@ -80,7 +80,7 @@ def frechet(count: int) -> Row:
 
 
 def _by_root(linalg: Any, first: Float64, second: Float64) -> float:
-    """As pytorch-fid and clean-fid write it."""
+    """As implemented in pytorch-fid and clean-fid."""
     apart, one, other = _moments(first, second)
     root = linalg.sqrtm(one @ other)
     if not np.isfinite(root).all():
@@ -90,7 +90,7 @@ def _by_root(linalg: Any, first: Float64, second: Float64) -> float:
 
 
 def _by_eigenvalues(first: Float64, second: Float64) -> float:
-    """As torch-fidelity writes it."""
+    """As implemented in torch-fidelity."""
     apart, one, other = _moments(first, second)
     roots = np.sqrt(np.linalg.eigvals(one @ other).astype(np.complex128)).real.sum()
     return float(apart @ apart + np.trace(one) + np.trace(other) - 2.0 * roots)
@@ -134,7 +134,7 @@ def kernel() -> Row:
     pair = draw.standard_normal((1000, DIMENSION)), draw.standard_normal((1000, DIMENSION)) + 0.1
 
     def theirs() -> float:
-        """A kernel for every subset, as torch-fidelity and torchmetrics have it."""
+        """A kernel for every subset, as in torch-fidelity and torchmetrics."""
         choose = np.random.default_rng(0)
         values = []
         for _ in range(100):
@@ -158,15 +158,15 @@ def inception(torch: Any) -> Iterator[Row]:
     plain = FidInception().eval().requires_grad_(False)
     _spread(torch, plain)
     ours = InceptionFeatures(copy.deepcopy(plain), "tf1", name="smoke", batch=8)
-    pictures = np.random.default_rng(0).integers(0, 256, (8, 540, 960, 3), np.uint8)
-    prepared = torch.stack([ours.prepare(picture) for picture in pictures])
+    images = np.random.default_rng(0).integers(0, 256, (8, 540, 960, 3), np.uint8)
+    prepared = torch.stack([ours.prepare(image) for image in images])
     theirs = _torch_fidelity(torch, plain)
     with torch.inference_mode():
         exact = copy.deepcopy(plain).double()(prepared.double()).numpy()
         scale = float(np.abs(exact).max())
 
         def row(count: int) -> Row:
-            some, tensors = pictures[:count], torch.from_numpy(pictures[:count]).permute(0, 3, 1, 2).contiguous()
+            some, tensors = images[:count], torch.from_numpy(images[:count]).permute(0, 3, 1, 2).contiguous()
 
             def off(found: Any) -> float:
                 return float(abs(np.asarray(found) - exact[:count]).max()) / scale
@@ -187,7 +187,7 @@ def inception(torch: Any) -> Iterator[Row]:
 
 
 def perceptual(torch: Any, net: Any) -> Row:
-    """A pair; the peer is lpips itself with the same random weights."""
+    """A pair of images; the peer is lpips with the same random weights."""
     from mirror.metrics.features.lpips import lpips_trunk
     from mirror.metrics.features.perceptual import PerceptualDistance
 
@@ -203,7 +203,7 @@ def perceptual(torch: Any, net: Any) -> Row:
     repeats = 1 if net == "vgg" else 3
     ms = thread_ms(lambda: ours([render], truth), repeats)
     if theirs is not None:
-        tensors = [torch.from_numpy(picture).permute(2, 0, 1)[None] for picture in (render, truth)]
+        tensors = [torch.from_numpy(image).permute(2, 0, 1)[None] for image in (render, truth)]
         with torch.inference_mode():
             error = abs(float(theirs(*tensors, normalize=True)) - ours([render], truth)[0])
             peers = [Peer("lpips", thread_ms(lambda: theirs(*tensors, normalize=True), repeats))]
@@ -222,7 +222,7 @@ def video(torch: Any) -> Row:
 
 
 def _once(name: str, call: Callable[[], float], truth: float) -> Peer:
-    """A slow peer: one call is timed and judged."""
+    """A slow peer: one call is timed and checked."""
     import time
 
     start = time.thread_time()
@@ -231,7 +231,7 @@ def _once(name: str, call: Callable[[], float], truth: float) -> Peer:
 
 
 def _spread(torch: Any, network: Any) -> None:
-    """Random weights that keep the features' spread through many layers."""
+    """Random weights that preserve the features' spread through many layers."""
     for module in network.modules():
         if isinstance(module, torch.nn.Conv2d):
             torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -241,7 +241,7 @@ def _spread(torch: Any, network: Any) -> None:
 
 
 def _bare(name: str) -> bool:
-    """Stand a package in for its own ``__init__``, which imports torchvision; false where it is not installed."""
+    """Import a package without its ``__init__``, which imports torchvision; false if it is not installed."""
     if name in sys.modules:
         return True
     spec = importlib.util.find_spec(name)
@@ -293,5 +293,5 @@ def _lpips(torch: Any, net: str, trunk: Any, heads: Any) -> Any:
 
 
 def _unit(features: Any, eps: float = 1e-10) -> Any:
-    """What lpips defines in the file that is stood in for."""
+    """A function that lpips defines in the file that is replaced."""
     return features / (features.square().sum(dim=1, keepdim=True).sqrt() + eps)

@@ -1,8 +1,8 @@
-"""PSNR, colour-corrected PSNR and SSIM: time and error, ours and the peers', in one run.
+"""Time and error of PSNR, colour-corrected PSNR and SSIM, for MIRROR and its peers.
 
-Times are the least of the main thread's own, so that other work on the machine does not count. Errors: of PSNR in dB
-to integers or to numpy's float64 least squares; of SSIM the largest of the map, to long double. All start from the same
-uint8 images.
+Times are the smallest of the main thread, so that other work on the machine does not count. Errors: for PSNR in dB
+against integers or numpy's float64 least squares; for SSIM the largest of the map, against long double. All use the
+same uint8 images.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mirror.metrics.images.ssim import PRESETS, ssim, ssim_map
 from tests.metrics.images.references import corrected_by_lstsq, ellipse, exact_ssim, street
 
 SIZE: Final = "960x540 RGB"
-# What was asked for, as part of what the named peer took where both were measured.
+# Required times, as a share of the named peer's time where both were measured.
 PSNR_RATIO: Final = 0.15 / 2.99
 PSNR_CC_RATIO: Final = 350.0 / 920.0
 _FIDELITY: Final = ("feature_extractor_inceptionv3", "helpers", "interpolate_compat_tensorflow")
@@ -37,7 +37,7 @@ SSIM64_RATIO, SSIM32_RATIO, MASKED_RATIO = 45.0 / 215.0, 20.0 / 83.0, 3.0 / 62.0
 
 
 def rows() -> Iterator[Row]:
-    """The rows of this part."""
+    """Rows of this group."""
     cv2.setNumThreads(1)
     torch = library("torch")
     if torch is not None:
@@ -57,7 +57,7 @@ def psnr_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
     if torchmetrics is not None:
 
         def measure() -> float:
-            tensors = [torch.from_numpy(picture).float() for picture in (render, truth)]
+            tensors = [torch.from_numpy(image).float() for image in (render, truth)]
             return float(torchmetrics.peak_signal_noise_ratio(*tensors, data_range=255.0))
 
         peers.append(_peer("torchmetrics, float32", measure, exact))
@@ -80,7 +80,7 @@ def corrected(render: UInt8, truth: UInt8) -> Row:
     if torch is not None:
         for dtype in (torch.float32, torch.float64):
             name = f"torch lstsq, {str(dtype).removeprefix('torch.')}"
-            tensors = [torch.from_numpy(picture).to(dtype).reshape(-1, 3) for picture in floats]
+            tensors = [torch.from_numpy(image).to(dtype).reshape(-1, 3) for image in floats]
             peers.append(_peer(name, partial(_torch_corrected, torch, *tensors), exact, repeats=1))
     bar = peers[0].ms * PSNR_CC_RATIO if peers else None
     peers.append(Peer("numpy lstsq, float64", thread_ms(lambda: corrected_by_lstsq(*floats), 1)))
@@ -116,7 +116,7 @@ def ssim_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
         return Row(name, SIZE, ms, error, tuple(peers), "of the map", bar=bar, error_bar=error_bar)
 
     def tensors() -> list[Any]:
-        return [torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255 for picture in (render, truth)]
+        return [torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255 for image in (render, truth)]
 
     peers = of_skimage("skimage, float64", np.float64, "gaussian11", **gaussian)
     yield ours("SSIM gaussian11, float64", "gaussian11", "float64", peers, SSIM64_RATIO, 1e-12)
@@ -139,7 +139,7 @@ def ssim_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
 
 
 def masked(render: UInt8, truth: UInt8) -> Row:
-    """An object of 120 x 70 px; the peer is DriveStudio's way, the whole map and then the mask."""
+    """An object of 120 x 70 px; the peer is DriveStudio's method, the complete map and then the mask."""
     mask = ellipse(540, 960, slice(200, 270), slice(300, 420))
     exact = float(exact_ssim(render, truth, PRESETS["gaussian11"], 255)[mask].mean())
     skimage, peers = library("skimage.metrics"), []
@@ -167,7 +167,7 @@ def intervals() -> Row:
 
 
 def thread_ms(call: Callable[[], object], repeats: int = 3) -> float:
-    """Least time of the main thread in some calls, after one that does not count."""
+    """Smallest time of the main thread over some calls, after one that does not count."""
     call()
     times = []
     for _ in range(repeats):
@@ -200,7 +200,7 @@ def _peer(name: str, call: Callable[[], float], exact: float, repeats: int = 5) 
 def _torch_metrics() -> tuple[Any, Any, Any]:
     """torch, torchmetrics and skimage.
 
-    Where torch-fidelity is installed, torchmetrics imports it, and that wants torchvision: names in its place will do.
+    Where torch-fidelity is installed, torchmetrics imports it, and it needs torchvision: stub names are sufficient.
     """
     fidelity = ("torch_fidelity", *(f"torch_fidelity.{name}" for name in _FIDELITY))
     stubs = {name: _Stub(name) for name in fidelity if name not in sys.modules}
@@ -231,7 +231,7 @@ class _Stub(types.ModuleType):
 
 
 def _piq() -> Any:
-    """Piq's SSIM without the rest of it, which needs torchvision."""
+    """Import piq's SSIM without the rest of the package, which needs torchvision."""
     spec = importlib.util.find_spec("piq")
     if spec is not None:
         package = types.ModuleType("piq")

@@ -1,1 +1,1 @@
-"""Initialisation without networks against the synthetic street's exact truth: depth, ground, sky, and time."""
+"""Measures depth, ground and sky without networks against the synthetic street's exact truth."""

@@ -1,8 +1,8 @@
-"""Initialisation without networks against the synthetic street's exact truth: depth, ground, sky, and time.
+"""Measures depth, ground and sky without networks against the synthetic street's exact truth.
 
-``python -m benchmarks mvs [--dataset D --recordings R --split S --preset P]``. Without a dataset a street is made,
-ingested and split first. Layers that a dataset already has are measured as they are. Truth needs recordings that were
-made with ``--truth depth,semantic``. Times are of the processor, over all its cores, an image.
+``python -m benchmarks mvs [--dataset D --recordings R --split S --preset P]``. Without a dataset, a street is
+generated, ingested and split first. Layers that a dataset already has are measured unchanged. Truth needs recordings
+made with ``--truth depth,semantic``. Times are processor times of all cores for one image.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 import mirror
-from benchmarks.mvs.truth import TruePicture, looked_up, true_picture
+from benchmarks.mvs.truth import TrueImage, resample_nearest, sample_true_image
 from benchmarks.report import Row, report
 from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
             made = initialise(part, options.split, version=options.version, progress=bar)
         dataset = mirror.open(options.dataset).where(split=options.split, role="train", traversal=options.traversal)
         dataset = dataset.with_layers(depth=made.layer, points=made.layer)
-        measured = _Measured(dataset, options.recordings, made.layer)
+        measured = _MeasuredImages(dataset, options.recordings, made.layer)
         groups = {
             "time": _times(),
             "confirmed depth": measured.depth(),
@@ -91,14 +91,14 @@ def _street(folder: Path, preset: str, split: str) -> tuple[Path, Path]:
 
 
 def _times() -> Iterator[Row]:
-    """Textured noise; sources beside it."""
+    """Times on images of noise, with neighbours of the same noise."""
     for width, height, planes in _SIZES:
-        pictures = [_noise(width, height, x) for x in (0.0, -1.0, 1.0, -2.0, 2.0)]
+        images = [_noise(width, height, x) for x in (0.0, -1.0, 1.0, -2.0, 2.0)]
         sweep = PlaneSweep(planes=planes, road_planes=0 if planes == 64 else PlaneSweep.road_planes)
-        sweep(pictures[0], pictures[1:], 2.0, 200.0)
+        sweep(images[0], images[1:], 2.0, 200.0)
         start = time.process_time()
         for _ in range(3):
-            sweep(pictures[0], pictures[1:], 2.0, 200.0)
+            sweep(images[0], images[1:], 2.0, 200.0)
         spent = 1e3 * (time.process_time() - start) / 3
         yield Row(
             f"plane sweep, {planes} planes, 4 sources",
@@ -115,8 +115,8 @@ def _noise(width: int, height: int, x_m: float) -> StereoImage:
     return StereoImage(rgb, K, Poses.from_matrix(pose), np.ones((height, width), np.bool_))
 
 
-class _Measured:
-    """Every third image of the training traversals against its truth."""
+class _MeasuredImages:
+    """Every third image of the training traversals, with its truth."""
 
     def __init__(self, dataset: Dataset, recordings: Path, layer: str) -> None:
         self._dataset, self._recordings, self._layer = dataset, recordings, layer
@@ -128,7 +128,7 @@ class _Measured:
         errors: list[list[Float64]] = [[] for _ in _EDGES_M[1:]]
         there = np.zeros(len(_EDGES_M) - 1, np.int64)
         in_sky, known_px = 0, 0
-        for _, image, truth in self._pictures():
+        for _, image, truth in self._truth_images():
             depth = image.depth()
             if depth is None:
                 continue
@@ -150,14 +150,14 @@ class _Measured:
         yield Row("depths given to the sky", f"{known_px} px", 0.0, 100.0 * in_sky / max(known_px, 1), unit="%")
 
     def sky(self) -> Iterator[Row]:
-        """Intersection over union by light."""
+        """Intersection over union of the sky, by light."""
         counts: dict[str, list[int]] = {}
-        for light, image, truth in self._pictures():
+        for light, image, truth in self._truth_images():
             masks = [mask for mask in image.masks() if f"{mask.source}@{mask.source_version}" == self._layer]
             depth = image.depth()
             if not masks or depth is None:
                 continue
-            found = looked_up(masks[0].decode(), image.camera_model, depth.lens, 0) > 0
+            found = resample_nearest(masks[0].decode(), image.camera_model, depth.lens, 0) > 0
             true = truth.label == int(Label.SKY)
             own = counts.setdefault(light, [0, 0, 0])
             for place, part in enumerate((found & true, found & ~true, ~found & true)):
@@ -166,7 +166,7 @@ class _Measured:
             name = f"{light}: precision {hit / max(hit + extra, 1):.2f}, recall {hit / max(hit + missed, 1):.2f}"
             yield Row(name, f"{hit + missed} px", 0.0, 1.0 - hit / max(hit + extra + missed, 1), unit="1 - IoU")
 
-    def _pictures(self) -> Iterator[tuple[str, Image, TruePicture]]:
+    def _truth_images(self) -> Iterator[tuple[str, Image, TrueImage]]:
         number = 0
         for frame in self._dataset.frames():
             drive, light = self._of[frame.traversal_id]
@@ -175,11 +175,15 @@ class _Measured:
                 depth = image.depth()
                 if number % _EVERY == 0 and depth is not None:
                     truth = Truth(self._recordings / drive)
-                    yield light, image, true_picture(truth, camera, image.timestamp_ns, image.camera_model, depth.lens)
+                    yield (
+                        light,
+                        image,
+                        sample_true_image(truth, camera, image.timestamp_ns, image.camera_model, depth.lens),
+                    )
 
 
 def _ground(dataset: Dataset, preset: str) -> Iterator[Row]:
-    """Heights of the poses' ground, and of the ground with points, by distance from the nearest driven line."""
+    """Height errors of the ground, from poses alone and with points, by distance from the nearest driven line."""
     scene, drive = (
         dataset.table("traversals", ["scene_id", "drive_id"]).column(name)[0].as_py()
         for name in ("scene_id", "drive_id")
@@ -197,10 +201,10 @@ def _ground(dataset: Dataset, preset: str) -> Iterator[Row]:
         ("poses alone", from_poses, spent),
         (f"poses and {len(points)} points", with_points, 1e3 * (time.process_time() - start)),
     ):
-        yield from _heights(label, ground, driven, world.height_m, ms)
+        yield from _height_errors(label, ground, driven, world.height_m, ms)
 
 
-def _heights(
+def _height_errors(
     label: str, ground: Ground, driven: Float64, true_height: Callable[[Float64, Float64], Float64], ms: float
 ) -> Iterator[Row]:
     from scipy.spatial import cKDTree

@@ -1,4 +1,4 @@
-"""What a synthetic recording's truth says of depth maps, points, ground and sky; for benchmarks and tests."""
+"""Truth of a synthetic recording for depth maps, points, ground and sky; for benchmarks and tests."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from mirror.synth.truth import Truth
 
 
 @dataclass(frozen=True, eq=False)
-class TruePicture:
+class TrueImage:
     """The truth of an image in an undistorted raster.
 
     Attributes:
-        depth_m: (H, W) camera z; infinite in the sky, NaN where the lens sees nothing.
-        label: (H, W) values of `mirror.synth.model.Label`; 255 where the lens sees nothing.
+        depth_m: (H, W) camera z; infinite in the sky, NaN outside the recorded lens.
+        label: (H, W) values of `mirror.synth.model.Label`; 255 outside the recorded lens.
     """
 
     depth_m: Float64
     label: UInt8
 
 
-def true_picture(truth: Truth, camera: str, timestamp_ns: int, recorded: Camera, lens: Camera) -> TruePicture:
-    """The truth of one image, looked up where each pixel's centre looks.
+def sample_true_image(truth: Truth, camera: str, timestamp_ns: int, recorded: Camera, lens: Camera) -> TrueImage:
+    """Sample the truth of an image at the pixel centres of another lens.
 
     Args:
-        truth: of its recording, with depth and semantic.
-        camera: its camera.
-        timestamp_ns: its recorded stamp.
-        recorded: the lens that it was recorded through.
-        lens: the pinhole whose raster is wanted.
+        truth: truth of the recording, with depth and semantic labels.
+        camera: name of the camera.
+        timestamp_ns: recorded timestamp of the image.
+        recorded: lens of the recording.
+        lens: pinhole lens of the result.
     """
     rays = lens.rays().direction
-    distance = looked_up(truth.read("depth", camera, timestamp_ns), recorded, lens, np.nan)
-    label = looked_up(truth.read("semantic", camera, timestamp_ns), recorded, lens, 255)
-    return TruePicture(distance * rays[..., 2], label.astype(np.uint8))
+    distance = resample_nearest(truth.read("depth", camera, timestamp_ns), recorded, lens, np.nan)
+    label = resample_nearest(truth.read("semantic", camera, timestamp_ns), recorded, lens, 255)
+    return TrueImage(distance * rays[..., 2], label.astype(np.uint8))
 
 
-def looked_up(values: AnyArray, recorded: Camera, lens: Camera, nothing: float) -> AnyArray:
-    """The values (H, W) of a recorded raster where each pixel's centre of another lens looks; else ``nothing``."""
+def resample_nearest(values: AnyArray, recorded: Camera, lens: Camera, nothing: float) -> AnyArray:
+    """Values (H, W) of a recorded raster at the pixel centres of another lens; ``nothing`` outside."""
     seen = recorded.project(lens.rays().direction)
     place = np.floor(np.where(seen.valid[..., None], seen.uv_px, 0.0)).astype(np.int64)
     return np.where(seen.valid, values[place[..., 1], place[..., 0]], nothing)

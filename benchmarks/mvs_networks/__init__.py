@@ -1,1 +1,1 @@
-"""Depth by PatchmatchNet and by plane sweeps: error by distance and time, on the synthetic street and real images."""
+"""Measures error and time of depth by PatchmatchNet and by plane sweeps, on synthetic and real images."""

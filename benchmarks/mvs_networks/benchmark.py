@@ -1,7 +1,7 @@
-"""Depth by PatchmatchNet and by plane sweeps: error by distance and time, on the synthetic street and real images.
+"""Measures error and time of depth by PatchmatchNet and by plane sweeps, on synthetic and real images.
 
-``python -m benchmarks mvs_networks --weights FILE``. Times are of the processor, over all its cores, an image. Real
-images are taken from ``MIRROR_REAL_DATA``.
+``python -m benchmarks mvs_networks --weights FILE``. Times are processor times of all cores for one image. Real images
+are read from ``MIRROR_REAL_DATA``.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 def _rows(
     estimators: Mapping[str, DepthEstimator], cases: Iterator[Case], span_m: tuple[float, float]
 ) -> Iterator[Row]:
-    """Rows of PatchmatchNet, the sweep as its peer: by distance, of all that each knows and of what it is sure of."""
+    """Rows of PatchmatchNet with the sweep as its peer, by distance: for all known and for confident pixels."""
     taken = list(cases)
     maps: dict[str, list[DepthMap]] = {}
     milliseconds: dict[str, float] = {}
@@ -83,7 +83,7 @@ def _rows(
 def _figures(
     found: Sequence[DepthMap], cases: Sequence[Case], ring_m: tuple[float, float], sure: bool
 ) -> tuple[float, str]:
-    """Median relative error in percent; how much of the ring is known, and how much of that is off by a tenth."""
+    """Median relative error in percent, the share of the distance range that is known, and the share off by a tenth."""
     errors, pixels = [], 0
     for depth, case in zip(found, cases):
         ring: Bool = (case.depth_m >= ring_m[0]) & (case.depth_m < ring_m[1])

@@ -1,4 +1,4 @@
-"""Posed images with known depth: of the synthetic street, exactly, and real ones with LiDAR."""
+"""Posed images with known depth: synthetic ones with exact depth, real ones with LiDAR."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Case:
     """An image, its neighbours, and its depth.
 
     Attributes:
-        name: what is seen.
+        name: name of the case.
         reference: the image.
         sources: its neighbours, best first.
-        depth_m: (H, W) true depth along z, NaN where it is not known or infinite.
+        depth_m: (H, W) true camera z, NaN where it is unknown or infinite.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Case:
 
 
 def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case]:
-    """Images along a drive through the synthetic street, ahead and to the left; sources 1 and 2 m before and behind.
+    """Images along a drive through the synthetic street, forwards and to the left; sources 1 and 2 m before and behind.
 
     Args:
-        width_px: of a pinhole that sees 80 degrees.
-        height_px: of it.
-        count: places a camera.
+        width_px: width of a pinhole image with a field of view of 80 degrees.
+        height_px: its height.
+        count: number of places for each camera.
     """
     drive = make_drives("reconstruction", 0, scenes=1, traversals=1)[1][0]
     focal = 0.6 * width_px
@@ -62,7 +62,7 @@ def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case
         way = np.concatenate(([0.0], np.cumsum(steps)))
         inside = way[np.linalg.norm(poses.translation[:, :2], axis=1) < 20.0]
         for at in np.linspace(inside[0], inside[-1], count):
-            pictures, truth = [], None
+            images, truth = [], None
             for offset in _OFFSETS_M:
                 place = int(np.argmin(np.abs(way - at - offset)))
                 pose = poses[place : place + 1]
@@ -70,17 +70,17 @@ def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case
                 if truth is None:
                     depth = seen.view.distance_m * lens.rays().direction[..., 2]
                     truth = np.where(np.isfinite(depth), depth, np.nan)
-                pictures.append(_posed(seen.bgr, lens, pose))
+                images.append(_posed(seen.bgr, lens, pose))
             if truth is not None:
-                yield Case(f"{camera} at {at:.0f} m", pictures[0], tuple(pictures[1:]), truth)
+                yield Case(f"{camera} at {at:.0f} m", images[0], tuple(images[1:]), truth)
 
 
 def dgp_cases(folder: Path, width_px: int) -> Iterator[Case]:
-    """The middle images of six real cameras, the ones before and after as sources, LiDAR as truth.
+    """The middle images of six real cameras, with the previous and next images as sources and LiDAR as truth.
 
     Args:
-        folder: of the recording.
-        width_px: to which images are scaled.
+        folder: folder of the recording.
+        width_px: width of the scaled images.
     """
     recording = DgpReader().open(folder, {})
     lenses = {row["camera"]: camera_from_row(row) for row in recording.calibrations().to_pylist()}
@@ -89,20 +89,20 @@ def dgp_cases(folder: Path, width_px: int) -> Iterator[Case]:
     cloud = clouds[len(clouds) // 2]
     with np.load(folder / cloud["filename"]) as file:
         seen = file["data"][:, :3].astype(np.float64)
-    # Nearer points are mostly the vehicle itself, which moves with the cameras.
+    # Nearer points are mostly on the vehicle itself, which moves with the cameras.
     seen = seen[np.linalg.norm(seen, axis=1) > _OWN_M]
     points = _pose(cloud["pose"]).transform(seen).reshape(-1, 3)
     for camera, original in lenses.items():
         lens = original.scaled(width_px / original.width_px)
-        pictures = []
+        images = []
         for entry in scene["data"]:
             if entry["id"]["name"] == camera:
                 bgr = cv2.imread(str(folder / entry["datum"]["image"]["filename"]))
                 if bgr is None:
                     raise FileNotFoundError(entry["datum"]["image"]["filename"])
                 scaled = cv2.resize(bgr, (lens.width_px, lens.height_px), interpolation=cv2.INTER_AREA)
-                pictures.append(_posed(scaled.astype(np.uint8), lens, _pose(entry["datum"]["image"]["pose"])))
-        before, middle, after = pictures
+                images.append(_posed(scaled.astype(np.uint8), lens, _pose(entry["datum"]["image"]["pose"])))
+        before, middle, after = images
         yield Case(camera, middle, (before, after), _lidar_depth(points, lens, middle.world_SE3_camera))
 
 
@@ -120,9 +120,10 @@ def _pose(entry: dict[str, dict[str, float]]) -> Poses:
 
 
 def _lidar_depth(points: Float64, lens: Camera, world_SE3_camera: Poses) -> Float64:
-    """Depth of the pixels that a LiDAR point falls on, without points that something nearer stands next to.
+    """Depth of pixels that a LiDAR point falls on, without points beside a nearer surface.
 
-    The LiDAR stands elsewhere than the camera, so it sees what is hidden from that; points about such a one are nearer.
+    LiDAR and camera have different positions, so LiDAR also measures surfaces that the camera cannot see. Such points
+    lie beside nearer points in the image.
     """
     found = lens.project(world_SE3_camera.inverse().transform(points).reshape(-1, 3))
     column, row = found.uv_px[found.valid].astype(np.int64).T

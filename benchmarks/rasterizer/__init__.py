@@ -1,1 +1,1 @@
-"""Rasterizing Gaussians on the CPU: time against error, for images and their gradients."""
+"""Measures time and error of rasterizing Gaussians on the CPU, for images and their gradients."""

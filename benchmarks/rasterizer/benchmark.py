@@ -1,12 +1,12 @@
-"""Rasterizing Gaussians on the CPU: time against error, for images and their gradients.
+"""Measures time and error of rasterizing Gaussians on the CPU, for images and their gradients.
 
 ``python -m benchmarks rasterizer [--quick] [--only GROUP ...] [--repeats N]``. Scenes are seeded and hashed
 (`benchmarks/rasterizer/scenes.py`): random and needle-shaped Gaussians in the view, a street block of 100 m, and the
 captured garden that gsplat is tested with. Every image has colours and depth. Times are warm medians with gradients to
-all inputs; errors are those to the float64 reference, which takes minutes an image and is kept in ``benchmarks/out``.
-Peers: gsplat's torch projection (gsplat cannot blend without CUDA) where gsplat is installed, and OpenSplat's CPU path
-where ``MIRROR_OPENSPLAT`` names it (`benchmarks/rasterizer/opensplat.py`). Where other work runs beside it, set
-``OMP_WAIT_POLICY=passive``: torch's threads otherwise spend the rasterizer's cores on waiting.
+all inputs. Errors are differences to the float64 reference, which takes minutes for an image and is cached in
+``benchmarks/out``. Peers: gsplat's torch projection (gsplat cannot blend without CUDA) where gsplat is installed, and
+OpenSplat's CPU path where ``MIRROR_OPENSPLAT`` names it (`benchmarks/rasterizer/opensplat.py`). Where other work runs
+at the same time, set ``OMP_WAIT_POLICY=passive``: otherwise torch's waiting threads occupy the rasterizer's cores.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from typing import Final
 import numpy as np
 
 from benchmarks.rasterizer import opensplat, scenes
-from benchmarks.rasterizer.errors import gradient_errors, picture_errors, truth
-from benchmarks.rasterizer.processes import peak_bytes, starts
+from benchmarks.rasterizer.errors import compute_gradient_errors, compute_image_errors, truth
+from benchmarks.rasterizer.processes import measure_peak_bytes, measure_starts
 from benchmarks.rasterizer.projection import projection_rows
 from benchmarks.rasterizer.scenes import Splats
 from benchmarks.rasterizer.views import View, both_ms, count_name, forward_ms, with_threads
@@ -50,7 +50,7 @@ _REAL_DATA: Final = Path(__file__).parents[3] / "shared" / "data"
 
 
 def main(argv: list[str]) -> int:
-    """Run the groups that are asked for."""
+    """Run the selected groups."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks rasterizer", description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="100 k and 300 k Gaussians, small images for errors")
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="what to measure")
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
 
 
 def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """An image, nothing kept for gradients."""
+    """Times of an image without gradients."""
     for name, count, width, height in timed_views(quick):
         view = View(_scene(name, count), width, height)
         bar = FORWARD_BARS.get((name, count)) if width == 960 else None
@@ -73,7 +73,7 @@ def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def backward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Gradients to all inputs of colours, depth and alpha; the bar is a multiple of the same image without them."""
+    """Times of gradients of colours, depth and alpha to all inputs; the bar is a multiple of the forward time."""
     for name, count, width, height in timed_views(quick):
         if count > 1_000_000:
             continue
@@ -85,14 +85,14 @@ def backward_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def option_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """What threads, channels, harmonics and antialiasing cost."""
+    """Times with other numbers of threads and channels, with spherical harmonics and with antialiasing."""
     count = 100_000 if quick else 300_000
     for name in ("random", "street"):
         plain = View(_scene(name, count), 960, 540)
         views = {
             "plain": plain,
             "7 channels": replace(plain, channels=7),
-            "SH 3": replace(plain, harmonics=True),
+            "SH 3": replace(plain, spherical_harmonics=True),
             "antialiased": replace(plain, options={"rasterize_mode": "antialiased"}),
             "absgrad": replace(plain, options={"absgrad": True}),
         }
@@ -106,9 +106,9 @@ def option_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def error_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Colours and alpha against the reference, all pixels and those that rounding cannot decide."""
+    """Errors of colours and alpha against the reference: of all pixels, and of pixels that rounding cannot decide."""
     for view in _error_views(quick):
-        errors, ms = picture_errors(view, truth(view, gradients=_differentiated(view))), forward_ms(view, repeats)
+        errors, ms = compute_image_errors(view, truth(view, gradients=_gradient_views(view))), forward_ms(view, repeats)
         name, size = view.name, view.size
         bar = _ERROR_BARS.get(view.scene.name, ERROR_BAR)
         yield Row(f"{name}, unmarked, max", size, ms, errors.unmarked, error_bar=bar)
@@ -120,10 +120,10 @@ def error_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def gradient_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Gradients against the reference's, of a loss without marked pixels: of tensors and of single Gaussians."""
-    for view in filter(_differentiated, _error_views(quick)):
+    """Errors of gradients, of a loss without marked pixels: of whole tensors and of single Gaussians."""
+    for view in filter(_gradient_views, _error_views(quick)):
         bar = _ERROR_BARS.get(view.scene.name, ERROR_BAR)
-        found = gradient_errors(view, truth(view, gradients=True))
+        found = compute_gradient_errors(view, truth(view, gradients=True))
         worst = max(errors.norm for errors in found.values())
         yield Row(f"{view.name}, worst input, norm", view.size, both_ms(view, repeats)[1], worst, error_bar=bar)
         for name, errors in found.items():
@@ -132,14 +132,14 @@ def gradient_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def projection_group(quick: bool, repeats: int) -> Iterator[Row]:
-    """Projection alone, beside gsplat's in torch."""
+    """Times of projection alone, with gsplat's torch projection as peer."""
     for name in ("random", "street"):
         yield from projection_rows(View(_scene(name, 100_000 if quick else 300_000), 960, 540), repeats)
 
 
 def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """One thread on the captured cloud, beside OpenSplat."""
-    program = opensplat.program()
+    """Times of one thread on the captured cloud, with OpenSplat as peer."""
+    find_program = opensplat.find_program()
     garden = _garden()
     if garden is None:
         return
@@ -148,17 +148,17 @@ def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
         true = truth(view, gradients=False)
         with with_threads(1):
             forward, (_, backward) = forward_ms(view, repeats), both_ms(view, repeats)
-        if program is None:
-            yield Row("garden, forward, 1 thread", view.size, forward, picture_errors(view, true).all_999)
+        if find_program is None:
+            yield Row("garden, forward, 1 thread", view.size, forward, compute_image_errors(view, true).all_999)
             yield Row("garden, backward, 1 thread", view.size, backward)
             continue
-        theirs = opensplat.run(program, garden, view.weights[0][0, ..., :3].contiguous().numpy())
-        off = np.abs(theirs.image - true.picture.numpy()).max(axis=-1)
+        theirs = opensplat.run(find_program, garden, view.weights[0][0, ..., :3].contiguous().numpy())
+        off = np.abs(theirs.image - true.image.numpy()).max(axis=-1)
         yield Row(
             "garden, forward, 1 thread",
             view.size,
             forward,
-            picture_errors(view, true).all_999,
+            compute_image_errors(view, true).all_999,
             (Peer("OpenSplat, without depth", theirs.forward_ms, float(np.quantile(off, 0.999))),),
             bar=theirs.forward_ms / OPENSPLAT_FORWARD,
         )
@@ -173,16 +173,18 @@ def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """First images of a process, and memory beyond inputs and code."""
+    """Time of the first images of a process, and memory beyond inputs and code."""
     del repeats
-    first = starts()
+    first = measure_starts()
     yield Row("first image and gradients, compiling (s)", "100 64x48", first.compiled, bar=COMPILE_S)
     yield Row("first image and gradients, cached (s)", "100 64x48", first.cached, bar=CACHED_S)
     few, many = 100_000, 300_000 if quick else 1_000_000
     for name in ("random", "street"):
         for backward in (False, True):
-            small, large = (peak_bytes(_scene(name, count), 960, 540, backward=backward) for count in (few, many))
-            wide = peak_bytes(_scene(name, few), 1920, 1080, backward=backward)
+            small, large = (
+                measure_peak_bytes(_scene(name, count), 960, 540, backward=backward) for count in (few, many)
+            )
+            wide = measure_peak_bytes(_scene(name, few), 1920, 1080, backward=backward)
             kind = f"{name}, {'with' if backward else 'without'} gradients"
             sizes = f"{count_name(few)} to {count_name(many)}"
             yield Row(f"{kind}, peak (B a Gaussian)", sizes, (large - small) / (many - few))
@@ -190,7 +192,7 @@ def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def timed_views(quick: bool) -> Iterator[tuple[str, int, int, int]]:
-    """Scene, number of Gaussians, size of the image."""
+    """Views for timing: scene, number of Gaussians, size of the image."""
     for name in SCENES:
         if quick:
             counts = [100_000] if name == "needles" else [100_000, 300_000]
@@ -204,7 +206,7 @@ def timed_views(quick: bool) -> Iterator[tuple[str, int, int, int]]:
 
 
 def _error_views(quick: bool) -> Iterator[View]:
-    """What the reference renders in a minute each."""
+    """Views that the reference renders in a minute each."""
     yield View(_scene("random", 10_000), 240, 135)
     yield View(_scene("needles", 3_000), 240, 135)
     yield View(_scene("street", 30_000), 240, 135)
@@ -214,7 +216,9 @@ def _error_views(quick: bool) -> Iterator[View]:
         yield View(_scene("needles", 10_000), 480, 270)
         yield View(_scene("street", 100_000), 480, 270)
         for name in ("random", "street"):
-            yield View(_scene(name, 30_000), 240, 135, harmonics=True, options={"rasterize_mode": "antialiased"})
+            yield View(
+                _scene(name, 30_000), 240, 135, spherical_harmonics=True, options={"rasterize_mode": "antialiased"}
+            )
         if (garden := _garden()) is not None:
             yield View(garden, 648, 420)
         yield View(_scene("needles", 100_000), 960, 540)
@@ -222,8 +226,8 @@ def _error_views(quick: bool) -> Iterator[View]:
         yield View(_scene("random", 1_000_000), 960, 540)
 
 
-def _differentiated(view: View) -> bool:
-    """Whether the reference's gradients are worth their time."""
+def _gradient_views(view: View) -> bool:
+    """Views for which the reference computes gradients in acceptable time."""
     return view.width <= 480
 
 

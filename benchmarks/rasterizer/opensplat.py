@@ -1,4 +1,4 @@
-"""OpenSplat's CPU rasterizer as a peer: a program built beside the repository, named by ``MIRROR_OPENSPLAT``.
+"""OpenSplat's CPU rasterizer as a peer: a program outside the repository, named by ``MIRROR_OPENSPLAT``.
 
 OpenSplat is AGPL, so neither it nor the program is in this repository. The program is called with
 ``INPUT OUTPUT REPEATS THREADS`` and prints the median milliseconds of projection, blending, blending's backward and
@@ -24,14 +24,14 @@ VARIABLE = "MIRROR_OPENSPLAT"
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What OpenSplat drew, and how long it took.
+class OpenSplatResult:
+    """OpenSplat's image, gradients and times.
 
     Attributes:
         project_ms: projection of all Gaussians.
-        blend_ms: sort and blending.
-        blend_back_ms: gradients of what was blended.
-        project_back_ms: gradients of what was projected.
+        blend_ms: sorting and blending.
+        blend_back_ms: backward pass of blending.
+        project_back_ms: backward pass of projection.
         image: (height, width, 3).
         gradients: by tensor.
     """
@@ -54,21 +54,21 @@ class Answer:
         return self.project_back_ms + self.blend_back_ms
 
 
-def program() -> Path | None:
-    """The program, if there is one."""
+def find_program() -> Path | None:
+    """The path of the program, or None if it is not configured."""
     named = os.environ.get(VARIABLE)
     return Path(named) if named else None
 
 
-def run(path: Path, scene: Splats, weight: Float32, repeats: int = 3, threads: int = 1) -> Answer:
-    """Draw a scene and its gradients.
+def run(path: Path, scene: Splats, weight: Float32, repeats: int = 3, threads: int = 1) -> OpenSplatResult:
+    """Render a scene and compute its gradients.
 
     Args:
         path: the program.
         scene: Gaussians and camera.
         weight: (height, width, 3), the gradient of the image.
-        repeats: timed calls.
-        threads: of its projection; its blending has one.
+        repeats: number of timed calls.
+        threads: number of threads of its projection; its blending uses one.
     """
     height, width, _ = weight.shape
     camera = scene.camera_matrix(width, height)
@@ -87,4 +87,4 @@ def run(path: Path, scene: Splats, weight: Float32, repeats: int = 3, threads: i
     image, *gradients = np.split(values, sizes[:-1])
     shaped = {name: part.reshape(array.shape) for name, part, array in zip(names, gradients, arrays)}
     project, blend, blend_back, project_back = map(float, printed.split())
-    return Answer(project, blend, blend_back, project_back, image.reshape(weight.shape), shaped)
+    return OpenSplatResult(project, blend, blend_back, project_back, image.reshape(weight.shape), shaped)

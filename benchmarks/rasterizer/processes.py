@@ -1,4 +1,4 @@
-"""What only a process of its own can tell: how long the first image takes, and how much memory the largest one."""
+"""Measures in new processes: the time of the first image, and the memory of the largest."""
 
 from __future__ import annotations
 
@@ -64,27 +64,27 @@ print(status("VmHWM") - before)
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartTimes:
     """Seconds until the first small image and its gradients.
 
     Attributes:
-        compiled: with nothing compiled before.
-        cached: in the next process.
+        compiled: with an empty cache of compiled kernels.
+        cached: in the next process, with the filled cache.
     """
 
     compiled: float
     cached: float
 
 
-def starts() -> Starts:
-    """Start twice with a cache of its own; imports do not count."""
+def measure_starts() -> StartTimes:
+    """Start two processes with a new cache; imports do not count."""
     with tempfile.TemporaryDirectory() as cache:
         own = {"NUMBA_CACHE_DIR": cache}
-        return Starts(float(_child(_START, environment=own)), float(_child(_START, environment=own)))
+        return StartTimes(float(_child(_START, environment=own)), float(_child(_START, environment=own)))
 
 
-def peak_bytes(scene: Splats, width: int, height: int, *, backward: bool) -> int:
-    """How far an image, with or without its gradients, raises the process's memory above inputs and code."""
+def measure_peak_bytes(scene: Splats, width: int, height: int, *, backward: bool) -> int:
+    """Increase of the process memory by an image, with or without its gradients, over inputs and code."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         arrays = {name: getattr(scene, name) for name in ("means", "quats", "scales", "opacities", "colors", "viewmat")}

@@ -1,4 +1,4 @@
-"""Projection alone, beside gsplat's own in torch: all of gsplat that runs without CUDA."""
+"""Measures projection alone, with gsplat's torch projection as peer, the part of gsplat that runs without CUDA."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _gsplat(view: View) -> Callable[[], Any] | None:
 
 
 def _timed(call: Callable[[], Any], repeats: int) -> tuple[float, float, Tensor]:
-    """Median milliseconds of projection and of the gradients of all that it gives; the projected means."""
+    """Median milliseconds of projection and of the gradients of all its outputs; the projected means."""
     times = []
     for _ in range(repeats + 1):
         start = time.perf_counter()
@@ -99,7 +99,7 @@ def _timed(call: Callable[[], Any], repeats: int) -> tuple[float, float, Tensor]
 
 
 def _means_error(true_ids: Tensor, true: Tensor, ids: Tensor, means: Tensor) -> float:
-    """Largest difference where the true mean lies within 10,000 pixels of the origin."""
+    """Largest difference of means within 10,000 pixels of the origin."""
     common, of_true, of_ours = np.intersect1d(true_ids.numpy(), ids.numpy(), return_indices=True)
     wanted = true.detach()[torch.from_numpy(of_true)]
     near = wanted.abs().amax(-1) < 1e4

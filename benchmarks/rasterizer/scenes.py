@@ -1,7 +1,7 @@
-"""Seeded Gaussians that the rasterizer is timed and checked on: random, needles, a street block, a captured garden.
+"""Seeded Gaussians to time and check the rasterizer: random ones, needles, a street block, a captured garden.
 
-Only sums, products, quotients and square roots of the generator's bits: the same arrays, and the same `Splats.digest`,
-on every machine. Worlds have z up and their origin within two metres of the camera.
+Scenes use only sums, products, quotients and square roots of the generator's bits: the arrays, and `Splats.digest`, are
+the same on every machine. Worlds have z up and their origin within two metres of the camera.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # ca
 
 @dataclass(frozen=True)
 class Splats:
-    """Gaussians and the camera that looks at them.
+    """Gaussians and a camera.
 
     Attributes:
-        name: of the scene.
+        name: name of the scene.
         means: (N, 3) metres.
         quats: (N, 4) wxyz, not normalised.
         scales: (N, 3) standard deviations, metres.
@@ -48,12 +48,12 @@ class Splats:
         return len(self.means)
 
     def camera_matrix(self, width: int, height: int) -> Float64:
-        """Intrinsics (3, 3) of an image of this size; the principal point is its middle."""
+        """Intrinsics (3, 3) for an image of this size; the principal point is its middle."""
         fx, fy = self.focal
         return np.array([[fx * width, 0.0, width / 2], [0.0, fy * height, height / 2], [0.0, 0.0, 1.0]])
 
-    def harmonics(self) -> Float32:
-        """(N, 16, 3) coefficients of degree 3 whose mean colour is `colors`."""
+    def spherical_harmonics(self) -> Float32:
+        """(N, 16, 3) coefficients of degree 3 with the mean colour `colors`."""
         random = np.random.Generator(np.random.PCG64(3))
         coefficients = 0.2 * (random.random((len(self), 16, 3), np.float32) - np.float32(0.5))
         coefficients[:, 0] = (self.colors - np.float32(0.5)) / np.float32(SH_DC)
@@ -61,23 +61,23 @@ class Splats:
 
     @property
     def digest(self) -> str:
-        """Sha256 of all arrays, the camera included."""
+        """SHA-256 of all arrays, including the camera."""
         parts = (self.means, self.quats, self.scales, self.opacities, self.colors, self.viewmat, np.array(self.focal))
         return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 def random(count: int) -> Splats:
-    """Roundish Gaussians, uniform in what the camera sees from 2 to 12 m."""
+    """Roundish Gaussians, uniform in the view frustum from 2 to 12 m."""
     return _volume("random", count, np.array([1.0, 1.0, 1.0]), seed=1)
 
 
 def needles(count: int) -> Splats:
-    """The same volume, each Gaussian a hundred times as long as thick."""
+    """The same volume; each Gaussian is a hundred times as long as thick."""
     return _volume("needles", count, np.array([10.0, 0.1, 0.1]), seed=2)
 
 
 def hairs(count: int) -> Splats:
-    """The same volume, each Gaussian ten thousand times as long as thick: thinner than a pixel."""
+    """The same volume; each Gaussian is ten thousand times as long as thick: thinner than a pixel."""
     return _volume("hairs", count, np.array([10.0, 0.001, 0.001]), seed=6)
 
 
@@ -85,7 +85,7 @@ def garden(folder: Path) -> Splats:
     """The captured cloud that gsplat is tested with; sizes from the three nearest neighbours.
 
     Args:
-        folder: holds ``test_garden.npz``.
+        folder: folder with ``test_garden.npz``.
     """
     from scipy.spatial import cKDTree
 
@@ -122,7 +122,7 @@ _KERB, _WALL, _HEIGHT = 6.0, 10.0, 14.0
 
 
 def _ground(draw: Draw, count: int) -> Part:
-    """A flat road and its pavements, with the lane's marks; detail over broad Gaussians."""
+    """A flat road and its pavements, with lane markings; fine Gaussians over broad ones."""
     ahead = draw(count)
     x, y = _along(ahead), 24.0 * draw(count) - 12.0
     size = np.minimum(_sizes(draw, count, 165.0 * 24.0) * np.sqrt(2 * ahead), 0.1 * np.abs(x) + 0.4)
@@ -131,11 +131,11 @@ def _ground(draw: Draw, count: int) -> Part:
     marked = (np.abs(y) < 0.25) & (x % 6.0 < 3.0) & (size < 0.25)
     colors = np.where(marked, 0.9, grey)[:, None] * np.array([1.0, 0.98, 0.94])
     means = np.stack([x, y, np.where(road, 0.0, 0.12) + 0.02 * (draw(count) - 0.5)], axis=1)
-    return means, _turned(draw, count, 2), _flat(draw, size, 2), _solid(draw, count), colors
+    return means, _quaternions_about(draw, count, 2), _flat_scales(draw, size, 2), _solid_opacities(draw, count), colors
 
 
 def _facades(draw: Draw, count: int) -> Part:
-    """Two rows of houses with windows, and the house that ends the street."""
+    """Two rows of houses with windows, and a house at the end of the street."""
     end = draw(count) < 0.08
     ahead, up, side = draw(count), _HEIGHT * draw(count), np.where(draw(count) < 0.5, -1.0, 1.0)
     rough = 0.15 * (draw(count) - 0.5)
@@ -146,13 +146,13 @@ def _facades(draw: Draw, count: int) -> Part:
     window = (np.where(end, y, x) % 2.8 < 1.2) & (up % 3.2 > 1.1) & (up % 3.2 < 2.6) & (size < 0.5)
     tint = np.stack([0.75 - 0.06 * (house % 3), 0.6 + 0.05 * (house % 4), 0.5 + 0.06 * (house % 5)], axis=1)
     colors = np.where(window[:, None], [0.15, 0.2, 0.28], tint) + 0.08 * (draw((count, 1)) - 0.5)
-    quats = np.where(end[:, None], _turned(draw, count, 0), _turned(draw, count, 1))
-    scales = np.where(end[:, None], _flat(draw, size, 0), _flat(draw, size, 1))
-    return np.stack([x, y, up], axis=1), quats, scales, _solid(draw, count), colors
+    quats = np.where(end[:, None], _quaternions_about(draw, count, 0), _quaternions_about(draw, count, 1))
+    scales = np.where(end[:, None], _flat_scales(draw, size, 0), _flat_scales(draw, size, 1))
+    return np.stack([x, y, up], axis=1), quats, scales, _solid_opacities(draw, count), colors
 
 
 def _foliage(draw: Draw, count: int) -> Part:
-    """Crowns: Gaussians every way up in balls along both pavements, a tenth of them the trunk."""
+    """Tree crowns: Gaussians of any orientation in balls along both pavements; a tenth of them form the trunks."""
     tree = np.floor(26.0 * draw(count))
     x, y = 6.0 + 7.5 * np.floor(tree / 2), np.where(tree % 2 == 0, -1.0, 1.0) * (_KERB + 1.3)
     offset = 2.0 * draw((count, 3)) - 1.0
@@ -165,11 +165,11 @@ def _foliage(draw: Draw, count: int) -> Part:
     colors = np.where(trunk[:, None], [0.3, 0.22, 0.15], green)
     scales = np.where(trunk[:, None], np.minimum(size, 0.12), np.minimum(size, 0.45))
     opacities = np.where(trunk, 0.95, 0.25 + 0.7 * draw(count))
-    return np.where(trunk[:, None], stem, crown), _any_way(draw, count), scales, opacities, colors
+    return np.where(trunk[:, None], stem, crown), _random_quaternions(draw, count), scales, opacities, colors
 
 
 def _lines(draw: Draw, count: int) -> Part:
-    """Lamp posts, and wires that sag between them: needles, upright or along the street."""
+    """Lamp posts, and sagging wires between them: needles, upright or along the street."""
     post = draw(count) < 0.4
     side = np.where(draw(count) < 0.5, -1.0, 1.0) * (_KERB + 0.4)
     along = (_LENGTH + 20.0) * draw(count)
@@ -186,7 +186,7 @@ def _lines(draw: Draw, count: int) -> Part:
 
 
 def _cars(draw: Draw, count: int) -> Part:
-    """Parked cars: two boxes each, the upper one glass."""
+    """Parked cars of two boxes each; the upper one is glass."""
     car = np.floor(24.0 * draw(count))
     x, y = 9.0 + 7.0 * np.floor(car / 2) + 1.5 * (car % 3), np.where(car % 2 == 0, -1.0, 1.0) * (_KERB - 1.3)
     upper = draw(count) < 0.35
@@ -202,11 +202,11 @@ def _cars(draw: Draw, count: int) -> Part:
     colors = np.where(upper[:, None], 0.35 * paint + 0.08, paint) + 0.06 * (draw((count, 1)) - 0.5)
     quats = np.zeros((count, 4))
     quats[:, 0] = 1.0
-    return centre + place * half, quats, size, _solid(draw, count), colors
+    return centre + place * half, quats, size, _solid_opacities(draw, count), colors
 
 
 def _sky(draw: Draw, count: int) -> Part:
-    """A hemisphere of large Gaussians, 150 to 1000 m away: blue, clouds over it."""
+    """A hemisphere of large Gaussians, 150 to 1000 m away: blue with clouds."""
     way = np.stack([2 * draw(count) - 1, 2 * draw(count) - 1, draw(count)], axis=1)
     way /= np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2 + way[:, 2] ** 2)[:, None]
     reach = 150.0 + 850.0 * draw(count)
@@ -214,11 +214,17 @@ def _sky(draw: Draw, count: int) -> Part:
     high = way[:, 2:]
     cloud = (draw((count, 1)) < 0.25) * (0.5 + 0.5 * draw((count, 1)))
     blue = np.array([0.75, 0.85, 0.95]) * (1 - high) + np.array([0.3, 0.5, 0.85]) * high
-    return way * reach[:, None], _any_way(draw, count), size, _solid(draw, count), blue * (1 - cloud) + 0.95 * cloud
+    return (
+        way * reach[:, None],
+        _random_quaternions(draw, count),
+        size,
+        _solid_opacities(draw, count),
+        blue * (1 - cloud) + 0.95 * cloud,
+    )
 
 
 def _along(ahead: Float64) -> Float64:
-    """Metres along the street (N,) of uniform numbers, denser near the camera; some lie behind it."""
+    """Distances along the street (N,) from uniform numbers, denser near the camera; some are behind it."""
     return (_LENGTH + 60.0) * ahead * ahead - 5.0
 
 
@@ -228,32 +234,32 @@ def _sizes(draw: Draw, count: int, area: float) -> Float64:
     return size * np.sqrt(area / max(count, 1))
 
 
-def _flat(draw: Draw, size: Float64, axis: int) -> Float64:
-    """Scales (N, 3) that are thin along an axis and up to twice as long as wide across it."""
+def _flat_scales(draw: Draw, size: Float64, axis: int) -> Float64:
+    """Scales (N, 3) that are thin along one axis and up to twice as long as wide across it."""
     scales = size[:, None] * (0.6 + 0.8 * draw((len(size), 3)))
     scales[:, axis] = 0.01
     return scales
 
 
-def _solid(draw: Draw, count: int) -> Float64:
-    """Opacities (N,) as trained surfaces have them: mostly high."""
+def _solid_opacities(draw: Draw, count: int) -> Float64:
+    """Opacities (N,) as of trained surfaces: mostly high."""
     soft = draw(count)
     return 0.99 - 0.7 * soft * soft * soft  # not a power: the library's differs between machines
 
 
-def _turned(draw: Draw, count: int, axis: int) -> Float64:
+def _quaternions_about(draw: Draw, count: int, axis: int) -> Float64:
     """Quaternions (N, 4) about one axis."""
     quats = np.zeros((count, 4))
     quats[:, 0], quats[:, 1 + axis] = 1.0, 2.0 * draw(count) - 1.0
     return quats
 
 
-def _any_way(draw: Draw, count: int) -> Float64:
+def _random_quaternions(draw: Draw, count: int) -> Float64:
     return 2.0 * draw((count, 4)) - 1.0
 
 
 def _volume(name: str, count: int, axes: Float64, seed: int) -> Splats:
-    """Gaussians of one shape, uniform in the view's pyramid, at sizes that overlap a little more the more there are."""
+    """Gaussians of one shape, uniform in the view frustum; their overlap grows slowly with their number."""
     draw = np.random.Generator(np.random.PCG64(seed)).random
     focal, near, far = (0.8, 0.8 * 16 / 9), 2.0, 12.0
     ahead = _cube_root(near**3 + (far**3 - near**3) * draw(count))
@@ -270,7 +276,7 @@ def _volume(name: str, count: int, axes: Float64, seed: int) -> Splats:
 
 
 def _cube_root(values: Float64) -> Float64:
-    """By Newton's steps: the library's differs between machines in its last bit."""
+    """Cube root by Newton's steps: the library's differs between machines in its last bit."""
     root = 1.0 + values / 3.0
     for _ in range(60):
         root = root - (root - values / (root * root)) / 3.0
@@ -278,7 +284,7 @@ def _cube_root(values: Float64) -> Float64:
 
 
 def _viewmat(position: Float64, half_tangent: float) -> Float64:
-    """(4, 4) of a level camera that looks ahead, turned a little to the left."""
+    """(4, 4) of a level camera that looks forwards and slightly to the left."""
     cosine = (1 - half_tangent**2) / (1 + half_tangent**2)
     sine = 2 * half_tangent / (1 + half_tangent**2)
     viewmat = np.eye(4)
@@ -297,7 +303,7 @@ def _splats(
     viewmat: Float64,
     focal: tuple[float, float],
 ) -> Splats:
-    """Rounded to float32; colours kept in 0..1."""
+    """Round to float32; colours are clipped to 0..1."""
     colors = np.clip(colors, 0.0, 1.0)
     means, quats, scales, opacities, colors = (
         np.ascontiguousarray(array, dtype=np.float32) for array in (means, quats, scales, opacities, colors)

@@ -1,4 +1,4 @@
-"""A scene as a gsplat user holds it: tensors, and the call that renders or differentiates them."""
+"""A scene as a gsplat user has it: tensors, and the calls that render and differentiate them."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ INPUTS = ("means", "quats", "scales", "opacities", "colors", "viewmats")
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What is rendered, and how.
+    """A view to render, with options.
 
     Attributes:
         scene: Gaussians and camera.
         width: pixels.
         height: pixels.
-        channels: of colour, without depth.
-        harmonics: whether colours are spherical harmonics of degree 3.
+        channels: number of colour channels, without depth.
+        spherical_harmonics: whether colours are spherical harmonics of degree 3.
         options: further arguments of `rasterization`.
     """
 
@@ -36,32 +36,36 @@ class View:
     width: int
     height: int
     channels: int = 3
-    harmonics: bool = False
+    spherical_harmonics: bool = False
     options: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """The scene's, and what is not as ever."""
-        harmonics = ["SH 3"] if self.harmonics else []
-        return ", ".join([self.scene.name, *harmonics, *(str(value) for value in self.options.values())])
+        """Name of the scene, with the options that differ from the defaults."""
+        spherical_harmonics = ["SH 3"] if self.spherical_harmonics else []
+        return ", ".join([self.scene.name, *spherical_harmonics, *(str(value) for value in self.options.values())])
 
     @property
     def size(self) -> str:
-        """As reports print it."""
+        """Size as printed in reports."""
         return f"{count_name(len(self.scene))} {self.width}x{self.height}"
 
     @cached_property
     def weights(self) -> tuple[Tensor, Tensor]:
-        """Gradients of image and alphas that backward begins with, seeded; a metre weighs a hundredth of a colour."""
+        """Seeded gradients of image and alphas for the backward pass; depth has a hundredth of a colour's weight."""
         random = torch.Generator().manual_seed(0)
-        picture = torch.rand(1, self.height, self.width, self.channels + 1, generator=random)
-        picture[..., -1] *= 0.01
-        return picture, torch.rand(1, self.height, self.width, 1, generator=random)
+        image = torch.rand(1, self.height, self.width, self.channels + 1, generator=random)
+        image[..., -1] *= 0.01
+        return image, torch.rand(1, self.height, self.width, 1, generator=random)
 
     def tensors(self, dtype: torch.dtype = torch.float32, *, gradients: bool = False) -> dict[str, Tensor]:
-        """The inputs by their names, of the same values in any type."""
+        """The inputs by name, with the same values in any data type."""
         scene = self.scene
-        colors = scene.harmonics() if self.harmonics else np.tile(scene.colors, (1, 3))[:, : self.channels]
+        colors = (
+            scene.spherical_harmonics()
+            if self.spherical_harmonics
+            else np.tile(scene.colors, (1, 3))[:, : self.channels]
+        )
         arrays = (scene.means, scene.quats, scene.scales, scene.opacities, colors, scene.viewmat[None])
         return {
             name: torch.from_numpy(np.ascontiguousarray(array, np.float32)).to(dtype).requires_grad_(gradients)
@@ -77,7 +81,7 @@ class View:
             "width": self.width,
             "height": self.height,
             "render_mode": "RGB+D",
-            "sh_degree": 3 if self.harmonics else None,
+            "sh_degree": 3 if self.spherical_harmonics else None,
             "backend": backend,
             **self.options,
         }
@@ -85,7 +89,7 @@ class View:
 
 
 def forward_ms(view: View, repeats: int) -> float:
-    """Median time of an image, warm, nothing kept for gradients."""
+    """Median warm time of an image without gradients."""
     tensors = view.tensors()
     times = []
     with torch.no_grad():
@@ -97,29 +101,29 @@ def forward_ms(view: View, repeats: int) -> float:
 
 
 def both_ms(view: View, repeats: int) -> tuple[float, float]:
-    """Median times, warm, of an image that keeps what gradients need, and of its gradients to all inputs."""
+    """Median warm times of an image with gradients enabled, and of its gradients to all inputs."""
     tensors, weights = view.tensors(gradients=True), view.weights
     times = []
     for _ in range(repeats + 1):
         for tensor in tensors.values():
             tensor.grad = None
         start = time.perf_counter()
-        picture, alphas, _ = view.render(tensors)
+        image, alphas, _ = view.render(tensors)
         middle = time.perf_counter()
-        torch.autograd.backward([picture, alphas], list(weights))
+        torch.autograd.backward([image, alphas], list(weights))
         times.append((middle - start, time.perf_counter() - middle))
     forward, backward = np.median(np.array(times[1:]) * 1e3, axis=0)
     return float(forward), float(backward)
 
 
 def count_name(count: int) -> str:
-    """Short: 100 k, 3 M."""
+    """A short name of a count: 100 k, 3 M."""
     return f"{count / 1e6:g} M" if count >= 1_000_000 else f"{count / 1e3:g} k"
 
 
 @contextmanager
 def with_threads(count: int) -> Iterator[None]:
-    """Let torch, and with it the rasterizer, use so many threads."""
+    """Set the number of threads of torch, and with it of the rasterizer."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

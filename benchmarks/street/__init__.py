@@ -1,1 +1,1 @@
-"""How fast a block of a street is drawn and learnt, decode included, and how far that is from float64."""
+"""Measures rendering and training of a street's block, and its error against float64."""

@@ -1,4 +1,4 @@
-"""How fast a block of a street is drawn and learnt, decode included, and how far that is from float64."""
+"""Measures rendering and training of a street's block, and its error against float64."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.report import Peer, Row, report
 from benchmarks.street.learning import learning_rows
-from benchmarks.street.reference_model import exact, plain_image
+from benchmarks.street.reference_model import plain_image, to_float64
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
@@ -37,7 +37,7 @@ _View = TypeVar("_View")
 
 
 def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
-    """A block of 100 m that nobody trained: facades on both sides, trees, road, sky; codes of chance."""
+    """An untrained block of 100 m with random codes: facades on both sides, trees, road, sky."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-60.0, 60.0, anchors)
     wall = np.column_stack((x, rng.choice([-12.0, 12.0], anchors), rng.uniform(0.0, 12.0, anchors)))
@@ -62,7 +62,7 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
 
 
 def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
-    """Cameras 1.5 m above the ground near the middle of a block, looking round."""
+    """Views from 1.5 m above the ground near the middle of a block, in all directions."""
     ground = street.ground.means.detach()
     middle = ground[(ground[:, :2] - ground[:, :2].mean(0)).norm(dim=1).argmin()]
     K = torch.tensor([[0.6 * WIDTH, 0.0, WIDTH / 2], [0.0, 0.6 * WIDTH, HEIGHT / 2], [0.0, 0.0, 1.0]])
@@ -82,27 +82,27 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     """Times and errors of a street's images.
 
     Args:
-        street: as it was trained.
-        views: from where.
-        name: of the street.
+        street: a trained street.
+        views: the views.
+        name: name of the street.
     """
     latent = street.appearance(views[0].source).detach()
 
     @torch.inference_mode()
-    def picture(view: Viewpoint) -> RenderOutput:
+    def render_image(view: Viewpoint) -> RenderOutput:
         return street(view, latent)
 
     @torch.inference_mode()
     def decode(view: Viewpoint) -> object:
         return street.decode(view, latent, latent)
 
-    found, wall_ms = timed(picture, views)
-    core_ms, decode_ms = timed(picture, views, time.process_time)[1], timed(decode, views)[1]
-    true = exact(street)
+    found, wall_ms = time_views(render_image, views)
+    core_ms, decode_ms = time_views(render_image, views, time.process_time)[1], time_views(decode, views)[1]
+    true = to_float64(street)
     errors = [(one.rgb - plain_image(true, one, view, latent)).abs().max() for one, view in zip(found, views)]
-    drawn = float(np.mean([sum(map(len, one.parts)) for one in found]))
+    output = float(np.mean([sum(map(len, one.parts)) for one in found]))
     held = sum(part.stored_count for part in found[0].parts)
-    size = f"{WIDTH} x {HEIGHT}, {len(street.background)} anchors, {drawn:.0f} of {held} Gaussians drawn"
+    size = f"{WIDTH} x {HEIGHT}, {len(street.background)} anchors, {output:.0f} of {held} Gaussians drawn"
     peers = (Peer("paper, quoted", PAPER_MS),)
     threads = torch.get_num_threads()
     return [
@@ -113,8 +113,8 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     ]
 
 
-def half_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
-    """What storing a street in half precision saves and costs."""
+def half_precision_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
+    """Size saved and error caused by half precision."""
     block = Block((0, 0), (0.0, 0.0, 0.0))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "block.safetensors"
@@ -133,10 +133,10 @@ def half_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row
     ]
 
 
-def timed(
+def time_views(
     call: Callable[[_View], _Result], views: Sequence[_View], clock: Callable[[], float] = time.perf_counter
 ) -> tuple[list[_Result], float]:
-    """Results, and the mean over views of the least of three times in milliseconds."""
+    """Results, and the mean over views of the smallest of three times in milliseconds."""
     results = [call(view) for view in views]
     least = []
     for view in views:
@@ -150,7 +150,7 @@ def timed(
 
 
 def main(argv: Sequence[str]) -> int:
-    """Measure a street of chance, and models that are named."""
+    """Measure a street of random codes, and the given models."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks street", description=__doc__)
     parser.add_argument("models", nargs="*", type=Path, help="model.safetensors of trained blocks")
     parser.add_argument("--threads", type=int, default=2)
@@ -160,7 +160,7 @@ def main(argv: Sequence[str]) -> int:
     groups: dict[str, Iterable[Row]] = {"learning": learning_rows()}
     for name, street in streets.items():
         views = round_views(street)
-        groups[name] = itertools.chain(rows(street, views, name), half_rows(street, views, name))
+        groups[name] = itertools.chain(rows(street, views, name), half_precision_rows(street, views, name))
     return report("street", groups)
 
 

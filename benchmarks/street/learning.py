@@ -1,4 +1,4 @@
-"""What a step of training a street costs beside drawing it: two losses and the optimiser, against plain torch."""
+"""Measures the parts of a training step besides rendering: two losses and the optimiser, against plain torch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hybridworldsim.model.ssim_loss import ssim
 
 WIDTH, HEIGHT = 480, 270
 _KNOWN, _PATCH = 0.06, 6
-"""Of a training image's pixels stereo knows about so many, in patches of so many pixels a side."""
+"""Share of a training image's pixels with stereo depth, and the side in pixels of the patches that they form."""
 _ROWS, _COLUMNS, _SEEN, _STEPS = 36_000, 32, 0.1, 30
 _RATE = 2e-2
 
@@ -24,7 +24,7 @@ _RATE = 2e-2
 def learning_rows() -> Iterator[Row]:
     """Times of value and gradient, and the largest error of the gradient, relative to its largest entry."""
     yield _curvature()
-    yield _similarity()
+    yield _ssim_row()
     yield _adam()
 
 
@@ -41,13 +41,13 @@ def _curvature() -> Row:
     )  # fmt: skip
 
 
-def _similarity() -> Row:
+def _ssim_row() -> Row:
     generator = torch.Generator().manual_seed(0)
     taken = torch.rand(HEIGHT, WIDTH, 3, generator=generator).double()
-    drawn = (taken + 0.1 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)).clamp(0.0, 1.0)
+    output = (taken + 0.1 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)).clamp(0.0, 1.0)
     return _loss(
         "loss of structure", lambda one: 1.0 - ssim(one, taken.to(one.dtype)).mean(),
-        lambda one: 1.0 - plain.similarity(one, taken.to(one.dtype)).mean(), drawn,
+        lambda one: 1.0 - plain.structural_similarity(one, taken.to(one.dtype)).mean(), output,
     )  # fmt: skip
 
 
@@ -57,9 +57,10 @@ def _loss(name: str, ours: Callable[[Tensor], Tensor], plainly: Callable[[Tensor
         (found,) = torch.autograd.grad(loss(leaf), leaf)
         return found.double()
 
-    exact = gradient(plainly, torch.float64)
+    to_float64 = gradient(plainly, torch.float64)
     error, peer = (
-        float((gradient(loss, torch.float32) - exact).abs().max() / exact.abs().max()) for loss in (ours, plainly)
+        float((gradient(loss, torch.float32) - to_float64).abs().max() / to_float64.abs().max())
+        for loss in (ours, plainly)
     )
     peers = (Peer("torch, float32", best_ms(lambda: gradient(plainly, torch.float32)), peer),)
     return Row(
@@ -69,13 +70,13 @@ def _loss(name: str, ours: Callable[[Tensor], Tensor], plainly: Callable[[Tensor
 
 def _adam() -> Row:
     seen = [_some(step) for step in range(_STEPS)]
-    lazy, whole, exact = (_Table(dtype) for dtype in (torch.float32, torch.float32, torch.float64))
+    lazy, whole, to_float64 = (_Table(dtype) for dtype in (torch.float32, torch.float32, torch.float64))
     adam = LazyAdam(lazy, ("codes",))
     plainly, truly = (
-        torch.optim.Adam(one.parameters(), lr=_RATE, betas=(BETA1, BETA2), eps=1e-15) for one in (whole, exact)
+        torch.optim.Adam(one.parameters(), lr=_RATE, betas=(BETA1, BETA2), eps=1e-15) for one in (whole, to_float64)
     )
 
-    def lazily(step: int) -> None:
+    def run_lazy_adam(step: int) -> None:
         rows, pulls = seen[step % _STEPS]
         adam.begin_step(rows, {"codes": _RATE})["codes"].grad = pulls
         adam.end_step()
@@ -86,15 +87,17 @@ def _adam() -> Row:
         optimiser.step()
 
     for step in range(_STEPS):
-        lazily(step)
+        run_lazy_adam(step)
         all_rows(whole, plainly, step)
-        all_rows(exact, truly, step)
+        all_rows(to_float64, truly, step)
     adam.catch_up({"codes": _RATE})
-    error, peer = (float((one.codes.detach().double() - exact.codes.detach()).abs().max()) for one in (lazy, whole))
+    error, peer = (
+        float((one.codes.detach().double() - to_float64.codes.detach()).abs().max()) for one in (lazy, whole)
+    )
     return Row(
         "a step of Adam",
         f"{_ROWS} x {_COLUMNS}, {_SEEN:.0%} of the rows seen",
-        best_ms(lambda: lazily(0)),
+        best_ms(lambda: run_lazy_adam(0)),
         error,
         (Peer("torch.optim.Adam, all rows", best_ms(lambda: all_rows(whole, plainly, 0)), peer),),
         f"after {_STEPS} steps of {_RATE:g}",

@@ -1,4 +1,4 @@
-"""Losses in plain torch, on whole images of any precision: what the fast ones are held against."""
+"""Losses in plain torch, on complete images of any precision: the reference of the fast losses."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from torch import Tensor
 from torch.nn import functional
 
 
-def normals_of(depth_m: Tensor, K: Tensor) -> Tensor:
+def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
     """(H, W, 3) unit normals of a depth map, in the camera's frame, towards the camera.
 
     Args:
-        depth_m: (H, W) camera z, more than nothing.
+        depth_m: (H, W) camera z, positive.
         K: (3, 3).
     """
     height, width = depth_m.shape
@@ -36,31 +36,31 @@ def curvature(normals: Tensor) -> Tensor:
 
 
 def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:
-    """Mean absolute difference of curvatures, where all nine pixels have a depth and the curvature is a surface's.
+    """Mean absolute difference of curvatures, where all nine pixels have a depth and a curvature can be computed.
 
     Args:
         rendered_m: (H, W) expected depth.
-        stereo_m: (H, W) depth of multi-view stereo; the normals come from the same depth.
+        stereo_m: (H, W) depth of multi-view stereo; its normals are computed from it.
         known: (H, W) bool.
         K: (3, 3).
     """
     filled = torch.where(known, stereo_m, 1.0)
-    # A normal is made of four neighbours and a gradient of eight normals.
+    # A normal needs four neighbours, and a gradient needs eight normals.
     whole = _neighbours(_neighbours(functional.pad(known, (1, 1, 1, 1), value=True)).T).T
     with torch.no_grad():
-        target = curvature(normals_of(filled, K))
-    found = curvature(normals_of(rendered_m.clamp_min(1e-3), K))
+        target = curvature(compute_normals(filled, K))
+    found = curvature(compute_normals(rendered_m.clamp_min(1e-3), K))
     return torch.where(whole, (found - target).abs(), 0.0).sum() / whole.sum().clamp_min(1)
 
 
 def _neighbours(known: Tensor) -> Tensor:
-    """(H - 4, W) where a mask (H, W) is set in all five rows around."""
+    """(H - 4, W) whether a mask (H, W) is set in all five rows around."""
     rows = max(len(known) - 4, 0)
     return known[:rows] & known[1 : rows + 1] & known[2 : rows + 2] & known[3 : rows + 3] & known[4:]
 
 
-def similarity(x: Tensor, y: Tensor) -> Tensor:
-    """(H, W) structural similarity of images (H, W, 3), mean of the channels, black beyond the border.
+def structural_similarity(x: Tensor, y: Tensor) -> Tensor:
+    """(H, W) structural similarity of images (H, W, 3), averaged over the channels, black beyond the border.
 
     Source: Wang et al. 2004, windows of 11 x 11, sigma 1.5.
     """
@@ -68,8 +68,8 @@ def similarity(x: Tensor, y: Tensor) -> Tensor:
     window = torch.exp(-(steps**2) / (2.0 * 1.5**2))
     window = window / window.sum()
 
-    def blurred(picture: Tensor) -> Tensor:
-        down = functional.conv2d(picture.permute(2, 0, 1)[:, None], window[None, None, :, None], padding=(5, 0))
+    def blurred(render_image: Tensor) -> Tensor:
+        down = functional.conv2d(render_image.permute(2, 0, 1)[:, None], window[None, None, :, None], padding=(5, 0))
         return functional.conv2d(down, window[None, None, None], padding=(0, 5))[:, 0].permute(1, 2, 0)
 
     mean_x, mean_y = blurred(x), blurred(y)

@@ -1,4 +1,4 @@
-"""What the nodes of a street decode to, in plain torch: slow, differentiable, in whatever precision the street has."""
+"""Decoding of a street's nodes in plain torch: slow, differentiable, in the precision of the street."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from hybridworldsim.model.street import RenderOutput, Street, render
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
-def perceptron(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
-    """(N, outputs) of codes (N, code) with what stands beside them, and an appearance."""
+def run_mlp(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
+    """(N, outputs) of codes (N, code) with their other inputs, under an appearance."""
     matrix: Tensor = network.own
     if network.bend is not None:
         bend = (network.bend @ latent).view(-1, network.code)
@@ -31,17 +31,17 @@ def plain_anchors(node: Anchors, rows: Tensor, eye: Tensor, latent: Tensor, cont
     """Means, quats, scales, opacities and colours of the Gaussians of anchors (M,)."""
     means, sizes = node.means[rows], node.log_scales[rows].exp()
     beside = torch.cat((functional.normalize(means - eye, dim=1), means / node.radius_m), dim=1)
-    numbers = perceptron(node.geometry, node.codes[rows], beside, content).view(-1, 8)
-    tints = perceptron(node.colour, node.codes[rows], beside, latent).view(-1, 3)
-    drawn = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
-    own, parents = numbers[drawn], drawn // node.k
-    offsets = node.offsets[rows].view(-1, 3)[drawn]
+    numbers = run_mlp(node.geometry, node.codes[rows], beside, content).view(-1, 8)
+    tints = run_mlp(node.colour, node.codes[rows], beside, latent).view(-1, 3)
+    output = (numbers[:, 0] > 0.0).nonzero().squeeze(1)
+    own, parents = numbers[output], output // node.k
+    offsets = node.offsets[rows].view(-1, 3)[output]
     return (
         means[parents] + offsets * sizes[parents, :3],
         own[:, 4:],
         sizes[parents, 3:] * own[:, 1:4].sigmoid(),
         own[:, 0].tanh(),
-        tints[drawn].sigmoid(),
+        tints[output].sigmoid(),
     )
 
 
@@ -54,28 +54,28 @@ def plain_gaussians(node: CodeGaussians, rows: Tensor, eye: Tensor, latent: Tens
         node.quats[rows],
         node.log_scales[rows].exp(),
         node.logits[rows].sigmoid(),
-        perceptron(node.colour, node.codes[rows], directions, latent).sigmoid(),
+        run_mlp(node.colour, node.codes[rows], directions, latent).sigmoid(),
     )
 
 
 @torch.inference_mode()
-def exact(street: Street) -> Street:
-    """The street in float64."""
+def to_float64(street: Street) -> Street:
+    """Copy a street to float64."""
     return copy.deepcopy(street).double()
 
 
 @torch.inference_mode()
-def plain_image(street: Street, drawn: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
-    """(H, W, 3) of a street in float64, decoded here and rasterized as ever.
+def plain_image(street: Street, output: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
+    """Render (H, W, 3) of a street in float64: decoded here, rasterized by the CPU backend.
 
     Args:
-        street: of `exact`.
-        drawn: the same view of the street as it is: which rows are seen.
+        street: result of `to_float64`.
+        output: a render of the same view of the original street; its rows are decoded.
         view: the camera.
         latent: appearance.
     """
     eye, latent = view.centre.double(), latent.double()
-    background, ground, sky = drawn.parts
+    background, ground, sky = output.parts
     seen = background.rows[:0] if background.anchor_ids is None else background.anchor_ids
     tables = [
         plain_anchors(street.background, seen, eye, latent, latent),

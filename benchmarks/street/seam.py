@@ -1,4 +1,4 @@
-"""What is seen of the boundary between two blocks: a step across it against the same step inside a block."""
+"""Measures the visibility of the boundary between two blocks: a step across it against a step inside a block."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def seam_rows(
     blocks: Sequence[tuple[Block, Street]],
     views: Sequence[RenderView],
     inside: Sequence[RenderView],
-    looks: Callable[[RenderView], LatentSelector],
+    select_latents: Callable[[RenderView], LatentSelector],
     name: str,
 ) -> list[Row]:
-    """Steps of cameras across the boundary of two blocks, and inside them.
+    """Image changes for steps of cameras across the boundary of two blocks, and inside them.
 
     Args:
         blocks: two neighbours.
-        views: near their boundary; each is moved onto it.
-        inside: from where one block alone is shown; each steps where it is, the same way.
-        looks: of a view, the appearance.
-        name: of the street.
+        views: views near their boundary; each is moved onto it.
+        inside: views that show a single block; each makes the same step at its own place.
+        select_latents: returns the latent selector of a view.
+        name: name of the street.
     """
     (a, _), (b, _) = blocks
     way = np.array(b.origin_m[:2]) - np.array(a.origin_m[:2])
@@ -43,13 +43,13 @@ def seam_rows(
     street, alone = Composition(blocks), [Composition([one]) for one in blocks]
 
     def composed(view: RenderView) -> Tensor:
-        return street.render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
+        return street.render(view, select_latents(view))[0].rgb.clamp(0.0, 1.0)
 
     def switched(view: RenderView) -> Tensor:
         beyond = float((view.pose.translation[0, :2] - middle) @ way) >= 0.0
-        return alone[beyond].render(view, looks(view))[0].rgb.clamp(0.0, 1.0)
+        return alone[beyond].render(view, select_latents(view))[0].rgb.clamp(0.0, 1.0)
 
-    def onto_m(view: RenderView) -> float:
+    def move_to_boundary(view: RenderView) -> float:
         return float((middle - view.pose.translation[0, :2]) @ way)
 
     def step_db(
@@ -62,10 +62,10 @@ def seam_rows(
         return float(-10.0 * torch.stack(errors).mean().clamp_min(1e-12).log10())
 
     size = f"{len(views)} views, steps of {STEP_M:g} m"
-    peers = (Peer("one block at a time", step_db(switched, views, onto_m)),)
+    peers = (Peer("one block at a time", step_db(switched, views, move_to_boundary)),)
     whole = torch.stack([(composed(view) - switched(view)).square().mean() for view in views]).mean()
     return [
-        Row(f"{name}: dB PSNR of a step across", size, step_db(composed, views, onto_m), peers=peers),
+        Row(f"{name}: dB PSNR of a step across", size, step_db(composed, views, move_to_boundary), peers=peers),
         Row(
             f"{name}: dB PSNR of a step inside",
             f"{len(inside)} views, the same",

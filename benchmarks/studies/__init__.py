@@ -1,1 +1,1 @@
-"""Comparisons that were declared before they were run: code, declaration, outcomes and report together."""
+"""Studies that were declared before they were run: each with code, declaration, outcomes and report."""

@@ -29,7 +29,7 @@ DRIVES = (
 FRAMES = 12
 
 
-def colour_picture(colour: tuple[int, int, int]) -> bytes:
+def encode_constant_image(colour: tuple[int, int, int]) -> bytes:
     pixels = np.full((32, 48, 3), colour[::-1], np.uint8)
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
 
@@ -40,7 +40,7 @@ def dataset(tmp_path: Path) -> Dataset:
     builder.scene("street")
     roles = {}
     for number, (name, lane, heading, colour, role) in enumerate(DRIVES):
-        data = colour_picture(colour)
+        data = encode_constant_image(colour)
         entry = EPOCH + number * 3600 * SECOND
         one = Pass(
             "street",

@@ -21,7 +21,7 @@ from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.site.page import build
 
 
-def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
+def test_baselines_appear_on_a_leaderboard(dataset: Dataset, tmp_path: Path) -> None:
     protocol = load_protocol("static-reconstruction")
     plan = plan_views(dataset, protocol, "novel")
     truth, board = Path(dataset.root), tmp_path / "board"
@@ -47,7 +47,7 @@ def test_baselines_stand_on_a_board(dataset: Dataset, tmp_path: Path) -> None:
         assert np.abs(pixels.mean(axis=(0, 1)) - 120).max() < 4
 
 
-def test_pictures_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
+def test_image_pairs_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
     from mirror.evaluation.result import Result
     from mirror_leaderboard.images import copy_pairs
 

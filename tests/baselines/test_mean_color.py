@@ -46,7 +46,7 @@ def test_saturated(value: int) -> None:
     assert mean_colour([one]).tolist() == [value] * 3
 
 
-def test_of_many_pictures_some_are_opened() -> None:
+def test_mean_colour_opens_a_limited_number_of_images() -> None:
     images = [Still(seed, (1, 1)) for seed in range(3 * MAX_IMAGES)]
     Still.opened = 0
     mean_colour(images)
@@ -65,7 +65,7 @@ def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Pa
     assert check_submission(open_untrusted(out), plan).problems == ()
 
 
-def test_training_pictures_are_those_that_are_not_asked_for(dataset: Dataset, protocol: Protocol) -> None:
+def test_training_images_exclude_requested_ones(dataset: Dataset, protocol: Protocol) -> None:
     found = list_training_images(dataset, plan_views(dataset, protocol, "novel"))
     assert set(found) == {("street", camera) for camera in CAMERAS}
     # Frames 0, 5, 10 and the last are asked for, of three training drives.
@@ -73,10 +73,10 @@ def test_training_pictures_are_those_that_are_not_asked_for(dataset: Dataset, pr
         assert len(own.images) == len(own.world_SE3_camera) == 3 * (FRAMES - 4)
 
 
-def test_a_camera_without_training_pictures_is_named(dataset: Dataset, protocol: Protocol) -> None:
+def test_camera_without_training_images_is_named(dataset: Dataset, protocol: Protocol) -> None:
     plain = protocol.model_dump(mode="json")
     # All frames are asked for: none is left.
     plain["frames"]["every"] = 1
     plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
-    with pytest.raises(DatasetError, match=r"camera front_wide has no training image in scene street \(2 such"):
+    with pytest.raises(DatasetError, match=r"camera front_wide has no training .* in scene street \(2 such"):
         list_training_images(dataset, plan)

@@ -47,7 +47,7 @@ def brute_force(wanted: Poses, there: Poses) -> list[int]:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 20), st.sampled_from([0.0, 1e5, 1e8]))
-def test_nearest_is_that_of_the_definition(seed: int, wanted: int, there: int, offset_m: float) -> None:
+def test_nearest_pose_matches_the_definition(seed: int, wanted: int, there: int, offset_m: float) -> None:
     generator = np.random.default_rng(seed)
     ours, theirs = random_poses(generator, wanted), random_poses(generator, there)
     expected = brute_force(ours, theirs)
@@ -56,7 +56,7 @@ def test_nearest_is_that_of_the_definition(seed: int, wanted: int, there: int, o
     assert find_nearest(*moved).tolist() == expected
 
 
-def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nearest_pose_is_the_same_in_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     generator = np.random.default_rng(3)
     ours, theirs = random_poses(generator, 50), random_poses(generator, 40)
     whole = find_nearest(ours, theirs)
@@ -64,13 +64,13 @@ def test_nearest_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_nearest(ours, theirs).tolist() == whole.tolist()
 
 
-def test_equally_near_and_none_at_all() -> None:
+def test_ties_take_the_first_and_no_queries_give_no_rows() -> None:
     same = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.zeros((3, 3)))
     assert find_nearest(same, same).tolist() == [0, 0, 0]
     assert find_nearest(Poses(np.empty((0, 4)), np.empty((0, 3))), same).tolist() == []
 
 
-def test_a_turn_counts_as_metres() -> None:
+def test_rotation_counts_as_metres() -> None:
     turned = Rotation.from_euler("y", 0.5).as_quat(scalar_first=True)
     there = Poses(np.array([turned, [1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [4.9, 0.0, 0.0]]))
     assert find_nearest(Poses.identity(), there).tolist() == [1]
@@ -78,7 +78,7 @@ def test_a_turn_counts_as_metres() -> None:
     assert find_nearest(Poses.identity(), farther).tolist() == [0]
 
 
-def test_views_show_the_nearest_drive_of_the_same_way(dataset: Dataset, protocol: Protocol) -> None:
+def test_views_show_the_nearest_drive_in_the_same_direction(dataset: Dataset, protocol: Protocol) -> None:
     plan = plan_views(dataset, protocol, "novel")
     shown = {view.path: image for views, image in render(dataset, plan) for view in views}
     assert set(shown) == {view.path for view in plan.views}
@@ -91,7 +91,7 @@ def test_views_show_the_nearest_drive_of_the_same_way(dataset: Dataset, protocol
             assert np.abs(shown[view.path].mean(axis=(0, 1)) - COLOURS[drive]).max() < 3
 
 
-def test_pictures_are_opened_once_and_none_that_is_asked_for(
+def test_training_images_are_opened_once_and_truth_never(
     dataset: Dataset, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: Counter[tuple[str, str, int]] = Counter()
@@ -121,7 +121,7 @@ def test_only_what_is_needed_is_read(dataset: Dataset, protocol: Protocol) -> No
     assert sum(len(views) for views, _ in render(dataset, plan)) == len(plan.views)
 
 
-def test_moved_cameras_may_be_shown_their_own_picture(dataset: Dataset) -> None:
+def test_moved_cameras_may_show_their_recorded_image(dataset: Dataset) -> None:
     plan = plan_views(dataset, load_protocol("lane-shift"), "novel")
     for views, image in render(dataset, plan):
         for view in views:
@@ -149,14 +149,14 @@ def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol
         write_submission(dataset, plan, render, METHOD, APPEARANCE, out)
 
 
-def test_a_renderer_that_leaves_views_out(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
+def test_renderer_that_skips_views_is_refused(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
     plan = plan_views(dataset, protocol, "novel")
     with pytest.raises(DatasetError, match="0 of"):
         write_submission(dataset, plan, lambda *_: (), METHOD, APPEARANCE, tmp_path / "out")
     assert not (tmp_path / "out" / "manifest.json").exists()
 
 
-def test_protocols_without_renders(dataset: Dataset, tmp_path: Path) -> None:
+def test_protocol_without_renders_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     for name in ("annotation", "runtime"):
         plan = plan_views(dataset, load_protocol(name), "novel")
         with pytest.raises(UsageError, match="asks for no renders"):

@@ -26,7 +26,7 @@ def _mtgs(**changes):
     )
 
 
-def test_a_traversal_learns_its_own_harmonics_and_no_others():
+def test_a_traversal_trains_only_its_own_spherical_harmonics():
     trainer = _mtgs()
     names = [name for name in trainer.model.tables if name.endswith("_1")]
     assert sorted(names) == ["adapter_1", "shN_1"]
@@ -38,12 +38,12 @@ def test_a_traversal_learns_its_own_harmonics_and_no_others():
     assert not torch.equal(before["shN_0"], after["shN_0"])
     assert not torch.equal(before["adapter_0"], after["adapter_0"])
     rows, source = torch.arange(len(after["means"])), B
-    shared = trainer.model.harmonics(rows, source)
+    shared = trainer.model.spherical_harmonics(rows, source)
     torch.testing.assert_close(shared[:, :1], after["sh0"].detach())
     assert (shared[:, 1:] == 0.0).all()
 
 
-def test_harmonics_are_the_sum_of_what_is_shared_and_what_is_a_traversals_own():
+def test_spherical_harmonics_are_the_sum_of_shared_and_own_coefficients():
     trainer = _mtgs()
     tables = trainer.model.tables
     with torch.no_grad():
@@ -51,13 +51,13 @@ def test_harmonics_are_the_sum_of_what_is_shared_and_what_is_a_traversals_own():
         tables["adapter_1"].fill_(0.25)
         tables["shN_1"].fill_(2.0)
     rows = torch.tensor([0, 3, 7])
-    found = trainer.model.harmonics(rows, B)
+    found = trainer.model.spherical_harmonics(rows, B)
     torch.testing.assert_close(found[:, :1], tables["sh0"].detach()[rows] + 0.25)
     assert found.shape == (3, 4, 3) and (found[:, 1:] == 2.0).all()
-    torch.testing.assert_close(trainer.model.harmonics(rows, A)[:, :1], tables["sh0"].detach()[rows])
+    torch.testing.assert_close(trainer.model.spherical_harmonics(rows, A)[:, :1], tables["sh0"].detach()[rows])
 
 
-def test_exposures_are_of_training_pictures_and_nothing_else():
+def test_only_training_images_have_exposures():
     trainer = _mtgs(exposure=Rate(1e-1, 1e-1))
     taken, novel = viewpoint(0.0, A), viewpoint(0.2, A)
     trainer.step(image(stripes(), taken), 0.5)
@@ -77,12 +77,12 @@ def test_without_a_rate_there_is_no_exposure():
     assert not len(trainer.model.look.exposures.table)
 
 
-def test_a_traversal_that_was_not_trained_on_is_refused():
+def test_untrained_traversal_is_refused():
     with pytest.raises(UsageError, match="elsewhere"):
         _mtgs().render(viewpoint(0.0, Source("elsewhere", "front")))
 
 
-def test_a_novel_picture_has_the_mean_of_all_embeddings():
+def test_untrained_image_uses_the_mean_embedding():
     settings = replace(small(omnire_style.RELEASED, densification=GROWING), affine=Rate(1e-2, 1e-2))
     trainer = omnire_style.make(initial(), settings)
     for place, value in ((0.0, 0.2), (0.1, 0.8), (0.0, 0.2), (0.1, 0.8)):
@@ -95,14 +95,14 @@ def test_a_novel_picture_has_the_mean_of_all_embeddings():
     torch.testing.assert_close(trainer.render(viewpoint(0.05)).rgb, novel)
 
 
-def test_a_map_that_has_learnt_nothing_changes_nothing():
+def test_initial_colour_map_is_the_identity():
     trainer = omnire_style.make(initial(), small(omnire_style.RELEASED))
     before = trainer.render(viewpoint()).rgb
     trainer.model.look.prepare(viewpoint(), 0.0)
     torch.testing.assert_close(trainer.render(viewpoint()).rgb, before)
 
 
-def test_what_is_not_sky_is_made_opaque_and_sky_is_not():
+def test_opacity_loss_makes_only_pixels_outside_the_sky_opaque():
     trainer = omnire_style.make(initial(), small(omnire_style.RELEASED))
     taken = image(0.5)
     alpha = torch.full(taken.sky.shape, 0.5, requires_grad=True)
@@ -126,7 +126,7 @@ def _texel_directions(size: int) -> torch.Tensor:
     return found
 
 
-def test_the_cube_shows_in_each_direction_what_is_there():
+def test_sky_cube_samples_each_direction():
     cube = SkyCube(64)
     rays = torch.nn.functional.normalize(_texel_directions(64), dim=-1)
     with torch.no_grad():
@@ -137,7 +137,7 @@ def test_the_cube_shows_in_each_direction_what_is_there():
         torch.testing.assert_close(cube.sample(anywhere), anywhere, rtol=0, atol=0.03)
 
 
-def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
+def test_sky_cube_ignores_position_and_learns_visible_directions():
     cube = SkyCube(16)
     assert torch.equal(cube(viewpoint(0.0)), cube(viewpoint(50.0)))
     cube(viewpoint()).sum().backward()
@@ -145,7 +145,7 @@ def test_the_sky_is_at_infinity_and_learns_where_it_is_seen():
     assert forward.abs().sum() > 0.0 and cube.faces.grad[..., 16:32].abs().sum() == 0.0
 
 
-def test_only_the_method_whose_sky_is_a_cube_begins_without_gaussians_in_the_sky():
+def test_only_the_sky_cube_method_has_no_sky_gaussians():
     street = initial()
     plain = replace(mtgs_style.RELEASED.seeding, sky_count=60)
     dome = initial_gaussians(street, plain)["means"][:, 2].max()

@@ -37,7 +37,7 @@ def _rounds(steps, monkeypatch, **changes):
 
 
 @pytest.mark.parametrize("steps", [40, 90])
-def test_rounds_and_resets_come_at_the_same_progress_however_many_steps_there_are(steps, monkeypatch):
+def test_rounds_and_resets_depend_on_progress_only(steps, monkeypatch):
     rounds, resets = _rounds(steps, monkeypatch, begin=0.1, end=0.7, rounds=6, resets=2)
     expected = torch.linspace(0.2, 0.7, 6)
     torch.testing.assert_close(torch.tensor(rounds), expected, rtol=0, atol=1.0 / steps + 1e-6)
@@ -45,12 +45,12 @@ def test_rounds_and_resets_come_at_the_same_progress_however_many_steps_there_ar
     torch.testing.assert_close(torch.tensor(resets), torch.tensor([0.4]), rtol=0, atol=1.0 / steps + 1e-6)
 
 
-def test_rounds_that_fall_into_one_step_are_one(monkeypatch):
+def test_rounds_within_one_step_are_merged(monkeypatch):
     rounds, _ = _rounds(4, monkeypatch, begin=0.1, end=0.7, rounds=60)
     assert rounds == [0.25, 0.5, 0.75]
 
 
-def test_what_is_transparent_goes():
+def test_transparent_gaussians_are_removed():
     trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=replace(GROWING, gradient=1e9)))
     with torch.no_grad():
         trainer.model.tables["opacities"][:10] = -9.0

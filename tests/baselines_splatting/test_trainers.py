@@ -35,7 +35,7 @@ def _train(trainer, shown, first, last, steps):
 
 
 @methods
-def test_training_lowers_the_loss_and_grows_no_further_than_the_cap(method):
+def test_training_lowers_the_loss_within_the_cap(method):
     trainer, shown = _made(method, densification=replace(GROWING, resets=0)), images()
     begun = len(trainer.model)
     reports = _train(trainer, shown, 0, 60, 60)
@@ -46,7 +46,7 @@ def test_training_lowers_the_loss_and_grows_no_further_than_the_cap(method):
 
 
 @methods
-def test_resuming_is_the_same_as_never_having_stopped(method):
+def test_resumed_training_is_identical(method):
     steps, half, shown = 40, 22, images()
     whole, first = _made(method), _made(method)
     _train(whole, shown, 0, steps, steps)
@@ -64,7 +64,7 @@ def test_resuming_is_the_same_as_never_having_stopped(method):
 
 
 @methods
-def test_a_model_that_was_loaded_renders_as_the_one_that_learnt(method):
+def test_loaded_model_renders_as_the_trained_one(method):
     from hybridworldsim.training.state import load
 
     trainer, shown = _made(method), images()
@@ -77,7 +77,7 @@ def test_a_model_that_was_loaded_renders_as_the_one_that_learnt(method):
 
 @methods
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_one_flat_picture_is_learnt(method, value):
+def test_a_constant_image_is_learned(method, value):
     trainer, flat = _made(method), image(value)
     reports = [trainer.step(flat, k / 80) for k in range(80)]
     assert reports[-1].losses["rgb"] < max(0.3 * reports[0].losses["rgb"], 2e-3)
@@ -85,7 +85,7 @@ def test_one_flat_picture_is_learnt(method, value):
 
 
 @methods
-def test_a_black_traversal_beside_another_is_trained_through(method):
+def test_training_survives_a_black_traversal(method):
     trainer = _made(method)
     shown = [image(0.0, viewpoint(0.1 * k, SOURCES[0])) for k in range(3)]
     shown += [image(0.7, viewpoint(0.1 * k, SOURCES[1])) for k in range(3)]
@@ -94,7 +94,7 @@ def test_a_black_traversal_beside_another_is_trained_through(method):
 
 
 @methods
-def test_a_picture_that_shows_nothing_changes_no_gaussian(method):
+def test_an_image_without_gaussians_changes_no_gaussian(method):
     trainer = _made(method)
     away = viewpoint()
     away.viewmat[:3, 3] += torch.tensor([0.0, 0.0, -900.0])
@@ -105,7 +105,7 @@ def test_a_picture_that_shows_nothing_changes_no_gaussian(method):
 
 @methods
 @pytest.mark.parametrize("settings", ["RELEASED", "TUNED"])
-def test_settings_as_given_take_a_step(method, settings):
+def test_every_preset_can_take_a_step(method, settings):
     trainer = method.make(initial(), small(getattr(method, settings)))
     report = trainer.step(images()[0], 0.5)
     assert all(value == value for value in report.losses.values())
@@ -114,7 +114,7 @@ def test_settings_as_given_take_a_step(method, settings):
     assert rendering.counts["drawn"] <= rendering.counts["decoded"] <= rendering.counts["held"]
 
 
-def test_of_a_tie_for_the_last_places_under_the_cap_none_is_let_in():
+def test_ties_at_the_cap_add_no_gaussian():
     trainer = _made(vanilla_3dgs, densification=replace(GROWING, most=1, gradient=0.0))
     begun = len(trainer.model)
     reports = _train(trainer, images(), 0, 30, 30)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks._mutations import compiles, mutants
+from benchmarks.mutants.mutations import compiles, mutants
 
 SOURCE = '''
 @cached(size=7)

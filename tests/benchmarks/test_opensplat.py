@@ -23,18 +23,18 @@ print(1.5, 2.0, float(sys.argv[3]), float(sys.argv[4]))
 """
 
 
-def test_a_program_is_given_the_scene_and_answers(tmp_path: Path) -> None:
-    program = tmp_path / "program"
-    program.write_text(STAND_IN)
-    program.chmod(0o755)
+def test_program_renders_the_scene(tmp_path: Path) -> None:
+    find_program = tmp_path / "program"
+    find_program.write_text(STAND_IN)
+    find_program.chmod(0o755)
     scene = scenes.street(20)
-    answer = opensplat.run(program, scene, np.full((6, 8, 3), 2.0, np.float32), repeats=3, threads=4)
+    answer = opensplat.run(find_program, scene, np.full((6, 8, 3), 2.0, np.float32), repeats=3, threads=4)
     assert (answer.forward_ms, answer.backward_ms) == (3.5, 7.0)
     np.testing.assert_array_equal(answer.image, np.full((6, 8, 3), 2.0 * np.float32(scene.focal[0] * 8)))
     for name, gradient in answer.gradients.items():
         np.testing.assert_array_equal(gradient, getattr(scene, name))
 
 
-def test_without_a_name_there_is_no_program(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_program_without_a_configured_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(opensplat.VARIABLE, raising=False)
-    assert opensplat.program() is None
+    assert opensplat.find_program() is None

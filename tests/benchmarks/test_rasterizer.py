@@ -22,25 +22,25 @@ def view() -> View:
     return View(scenes.random(300), 40, 30)
 
 
-def test_errors_are_those_of_rounding(view: View) -> None:
+def test_errors_are_rounding_errors(view: View) -> None:
     true = errors.truth(view, gradients=True)
-    found = errors.picture_errors(view, true)
+    found = errors.compute_image_errors(view, true)
     assert 0 < found.unmarked < 2e-5
     assert found.beyond_flips < 2e-5
-    assert all(one.norm < 2e-5 for one in errors.gradient_errors(view, true).values())
+    assert all(one.norm < 2e-5 for one in errors.compute_gradient_errors(view, true).values())
 
 
-def test_an_error_is_seen(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_render_has_an_error(view: View, monkeypatch: pytest.MonkeyPatch) -> None:
     true = errors.truth(view, gradients=True)
     rendered = View.render
 
     def wrong(self: View, tensors, backend="cpu"):
-        picture, alphas, meta = rendered(self, tensors, backend)
-        return picture * 1.01, alphas, meta
+        image, alphas, meta = rendered(self, tensors, backend)
+        return image * 1.01, alphas, meta
 
     monkeypatch.setattr(View, "render", wrong)
-    assert errors.picture_errors(view, true).unmarked == pytest.approx(0.01 * true.picture.max().item(), rel=0.1)
-    assert errors.gradient_errors(view, true)["colors"].norm == pytest.approx(0.01, rel=0.01)
+    assert errors.compute_image_errors(view, true).unmarked == pytest.approx(0.01 * true.image.max().item(), rel=0.1)
+    assert errors.compute_gradient_errors(view, true)["colors"].norm == pytest.approx(0.01, rel=0.01)
 
 
 def test_the_reference_renders_a_view_once(view: View, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,7 +48,7 @@ def test_the_reference_renders_a_view_once(view: View, out: Path, monkeypatch: p
     assert len(list(out.rglob("*.pt"))) == 1
     monkeypatch.setattr(errors, "render_truth", pytest.fail)
     again = errors.truth(view, gradients=True)
-    torch.testing.assert_close(first.picture, again.picture, rtol=0, atol=0)
+    torch.testing.assert_close(first.image, again.image, rtol=0, atol=0)
     assert first.gradients.keys() == again.gradients.keys()
 
 
@@ -61,7 +61,7 @@ def test_times_and_threads(view: View) -> None:
     assert torch.get_num_threads() == before
 
 
-def test_sizes_are_read_easily() -> None:
+def test_sizes_are_formatted() -> None:
     assert [count_name(count) for count in (10_000, 1_000_000, 3_000_000)] == ["10 k", "1 M", "3 M"]
 
 

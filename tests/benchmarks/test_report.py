@@ -32,7 +32,7 @@ def test_rows_are_printed_written_and_plotted(out: Path, capsys: pytest.CaptureF
 def test_a_missed_bar_is_a_finding(capsys: pytest.CaptureFixture[str]) -> None:
     assert report.report("some", {"group": [Row("slow", "1", 3.0, bar=2.0)]}) == 1
     assert "MISSED" in capsys.readouterr().out
-    assert Row("not measured", "1", float("nan"), bar=2.0).missed
+    assert Row("not measured", "1", float("nan"), bar=2.0).is_missed
 
 
 def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:

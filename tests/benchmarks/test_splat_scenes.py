@@ -23,11 +23,11 @@ GARDEN = "95a8381c4cb8278d1c7f4ecb611b5a5752ee06d0be2ba41f34f3f3f04e162abb"
 
 
 @pytest.mark.parametrize(("name", "count"), DIGESTS)
-def test_the_arrays_are_those_that_figures_were_published_of(name: str, count: int) -> None:
+def test_arrays_match_the_published_figures(name: str, count: int) -> None:
     assert MAKERS[name](count).digest == DIGESTS[name, count]
 
 
-def test_the_garden_is_the_one_that_figures_were_published_of(real_data: Path) -> None:
+def test_garden_matches_the_published_figures(real_data: Path) -> None:
     scene = scenes.garden(real_data / "gsplat_garden")
     check(scene)
     assert scene.digest == GARDEN
@@ -35,14 +35,14 @@ def test_the_garden_is_the_one_that_figures_were_published_of(real_data: Path) -
 
 @pytest.mark.parametrize("make", MAKERS.values())
 @pytest.mark.parametrize("count", [1, 7, 3000])
-def test_any_number_can_be_had(make, count: int) -> None:
+def test_scenes_have_any_requested_count(make, count: int) -> None:
     scene = make(count)
     assert len(scene) == count
     check(scene)
 
 
 @pytest.mark.parametrize("make", MAKERS.values())
-def test_the_camera_sees_most_of_it(make) -> None:
+def test_the_camera_sees_most_of_the_scene(make) -> None:
     scene = make(3000)
     inside = scene.means @ scene.viewmat[:3, :3].T + scene.viewmat[:3, 3]
     pixels = inside @ scene.camera_matrix(960, 540).T
@@ -52,15 +52,15 @@ def test_the_camera_sees_most_of_it(make) -> None:
     assert np.linalg.norm(scene.viewmat[:3, 3]) < 2.0
 
 
-def test_a_camera_matrix_grows_with_the_picture() -> None:
+def test_intrinsics_scale_with_the_image() -> None:
     scene = scenes.street(10)
     small, large = scene.camera_matrix(480, 270), scene.camera_matrix(1920, 1080)
     np.testing.assert_allclose(large[:2], 4 * small[:2])
 
 
-def test_harmonics_begin_with_the_colour() -> None:
+def test_first_spherical_harmonic_is_the_colour() -> None:
     scene = scenes.random(100)
-    coefficients = scene.harmonics()
+    coefficients = scene.spherical_harmonics()
     assert coefficients.shape == (100, 16, 3)
     assert coefficients.dtype == np.float32
     np.testing.assert_allclose(scenes.SH_DC * coefficients[:, 0] + 0.5, scene.colors, atol=1e-6)

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 import mirror
-from hybridworldsim.methods.layers import Layers, layers_for, method_of
+from hybridworldsim.methods.layers import Layers, layer_source, layers_for
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.training.data_loader import TrainingImageCache
@@ -155,7 +155,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
 
     drawn = driven_as_documented(dataset, model)
-    assert drawn["picture"].dtype == np.uint8 and drawn["picture"].shape[:2] == tuple(drawn["drawn"].depth_m.shape)
+    assert drawn["image"].dtype == np.uint8 and drawn["image"].shape[:2] == tuple(drawn["drawn"].depth_m.shape)
     assert drawn["view"].camera == "front_left" and drawn["step"] == len(drawn["way"]) - 1 > 4
 
     # The nearest line is the oncoming one; the given one has another colour.
@@ -289,7 +289,7 @@ def test_on_a_terminal_the_bar_reports_and_notes_stay(
 def test_a_long_street_is_several_blocks(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
+    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.divide", lambda driven, size_m: divide(driven, 16.0))
     model = tmp_path / "model"
     done = said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 4))
     assert len(done["blocks"]) > 1 and done["steps"] == 4 * len(done["blocks"])
@@ -304,7 +304,7 @@ def test_a_long_street_is_several_blocks(
 def test_blocks_are_shared_out(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
+    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.divide", lambda driven, size_m: divide(driven, 16.0))
     at_once, shared = tmp_path / "at-once", tmp_path / "shared"
     whole = said(capsys, *reconstruct(dataset, at_once, "--steps", 3))
     first, *others = whole["blocks"]
@@ -330,10 +330,10 @@ def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
     asked = []
 
     def noted(dataset: Dataset, task: ReconstructionTask, progress: object) -> None:
-        asked.append(method_of(dataset, task))
+        asked.append(layer_source(dataset, task))
         raise UsageError("enough")
 
-    monkeypatch.setattr("hybridworldsim.methods.static.layers_for", noted)
+    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.layers_for", noted)
     for more in ((), ("--hold-out",), ("--hold-out", "--initialise", "dataset")):
         protocol = ("--protocol", narrow(tmp_path)) if more else ()
         said(capsys, *reconstruct(dataset, tmp_path / "model", *protocol, *more), code=ExitCode.COULD_NOT_RUN)
@@ -348,7 +348,7 @@ def test_layers_that_were_made_for_a_split_are_not_taken_for_another_unasked(str
     for source, expected in (("plane-sweep", "plane-sweep"), ("lidar", "dataset")):
         LayerWriter(layout, traversal, "points", source, "other-240").finish(POINTS, [point(0)], {})
         build_index(layout.root)
-        assert method_of(mirror.open(street.root), task) == expected
+        assert layer_source(mirror.open(street.root), task) == expected
     # What was brought is chosen among the two.
     assert layers_for(mirror.open(street.root), task, NullProgress()).points == "lidar@other-240"
 
@@ -409,7 +409,7 @@ def test_a_held_out_picture_that_is_gone_is_not_needed_to_train(
         (Path(dataset.root) / name).unlink()
     words = reconstruct(dataset, tmp_path / "model", "--steps", 3)
     assert main([str(word) for word in words]) == ExitCode.DONE
-    assert "not shown beside the others" in capsys.readouterr().err
+    assert "not shown in the previews" in capsys.readouterr().err
     names = {path.name.rpartition("-")[0] for path in (tmp_path / "model").glob("*/pictures/*.jpg")}
     assert names == {"training-0", "training-1"}
 
@@ -668,7 +668,7 @@ def test_settings_that_cannot_be_are_refused_before_anything_is_made(
 def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hybridworldsim.methods.static.divide", lambda driven, size_m: divide(driven, 16.0))
+    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.divide", lambda driven, size_m: divide(driven, 16.0))
     usual, masked = TrainingImageCache.__call__, set[str]()
 
     def covered(pictures: TrainingImageCache, view: RenderView) -> TrainingImage:
@@ -697,7 +697,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     assert main([str(word) for word in reconstruct(dataset, model, "--steps", 2)]) == ExitCode.DONE
     printed = capsys.readouterr()
     assert removed == [first[0]]
-    assert f"{first[0]} is left out: masks cover every one of its pictures" in printed.out + printed.err
+    assert f"{first[0]} is left out: masks cover all its images" in printed.out + printed.err
     assert sorted(path.parent.name for path in model.glob("*/model.safetensors")) == sorted(first[1:])
     words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
     assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
@@ -706,11 +706,11 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     assert said(capsys, *reconstruct(dataset, model, "--steps", 2))["blocks"] == first[1:]
     masked.update(one.path for one in select_views(block, everything))
     alone = reconstruct(dataset, tmp_path / "alone", "--steps", 2, "--blocks", first[0])
-    assert said(capsys, *alone, code=ExitCode.COULD_NOT_RUN)["problem"] == "masks cover every training picture"
+    assert said(capsys, *alone, code=ExitCode.COULD_NOT_RUN)["problem"] == "masks cover every training image"
     assert not (tmp_path / "alone" / first[0]).exists()
     masked.update(one.path for one in everything)
     nothing = said(capsys, *reconstruct(dataset, tmp_path / "none", "--steps", 2), code=ExitCode.COULD_NOT_RUN)
-    assert nothing["problem"] == "masks cover every training picture"
+    assert nothing["problem"] == "masks cover every training image"
 
 
 def test_points_that_are_no_numbers_are_refused_by_name(
@@ -722,7 +722,7 @@ def test_points_that_are_no_numbers_are_refused_by_name(
     build_index(Path(dataset.root))
     words = reconstruct(dataset, tmp_path / "model", "--initialise", "broken@1")
     refused = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
-    assert refused["problem"] == "1 of 9 points are no finite numbers" and "broken@1" in refused["place"]
+    assert refused["problem"] == "1 of 9 points are not finite" and "broken@1" in refused["place"]
     assert not (tmp_path / "model").exists()
 
 
@@ -788,7 +788,7 @@ def test_a_scheduler_ends_it_as_ctrl_c_does(
         raise AssertionError("it went on")
 
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("hybridworldsim.methods.static.layers_for", ended)
+    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.layers_for", ended)
     assert main([str(word) for word in reconstruct(dataset, tmp_path / "model")]) == 130
     assert "run the same command again" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before

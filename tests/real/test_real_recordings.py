@@ -39,7 +39,7 @@ def boreas_visits(folder: Path, roi: Roi) -> list[tuple[float, float]]:
     return [(stamps[a] / 1e6, stamps[b - 1] / 1e6) for a, b in edges.reshape(-1, 2)]
 
 
-def test_boreas_loops_meet_where_both_passed(real_data: Path, tmp_path: Path) -> None:
+def test_boreas_loops_agree_where_both_passed(real_data: Path, tmp_path: Path) -> None:
     loops = sorted((real_data / "boreas").glob("boreas-*"))
     proposals = propose_rois(loops, count=6)
     assert not proposals.failures

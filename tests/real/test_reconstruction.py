@@ -168,7 +168,7 @@ def mirror_psnr(scores: Path) -> list[float]:
     return values
 
 
-def test_one_photo_alone_is_refused(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_photo_is_refused(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = edited(walk, tmp_path)
     for photo in photos(copy)[1:]:
         photo.unlink()
@@ -176,7 +176,7 @@ def test_one_photo_alone_is_refused(walk: Path, tmp_path: Path, capsys: pytest.C
     for method in ("plane-sweep", "sparse"):
         words = ("--initialise", method)
         said = street.reconstruct(capsys, tmp_path / method, *words, code=ExitCode.COULD_NOT_RUN)
-        assert "no points" in said["problem"] and "found nothing to match" in said["remedy"]
+        assert "no points" in said["problem"] and "matched no point" in said["remedy"]
 
 
 def test_masks_over_everything_are_refused(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,7 +190,7 @@ def test_masks_over_everything_are_refused(walk: Path, tmp_path: Path, capsys: p
     assert "no points" in said["problem"] and "masks" in said["remedy"]
 
 
-def test_a_black_photo_and_a_photo_twice_are_trained_through(
+def test_training_survives_black_and_duplicate_photos(
     walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     copy = edited(walk, tmp_path)
@@ -204,9 +204,7 @@ def test_a_black_photo_and_a_photo_twice_are_trained_through(
     assert done["pictures"] == 10
 
 
-def test_a_walk_with_wrong_poses_is_trained_through(
-    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_survives_wrong_poses(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = edited(walk, tmp_path, "wrong")
     poses(wrong, lambda rows: [[row[0], *other[1:]] for row, other in zip(rows, reversed(rows))])
     street = Street(tmp_path, walk, wrong)

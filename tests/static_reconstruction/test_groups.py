@@ -18,7 +18,7 @@ from mirror.errors import ExitCode, UsageError
 DECLARED = load_declaration()
 
 
-def test_rows_of_groups_are_known_and_none_is_left_out() -> None:
+def test_groups_cover_all_known_rows() -> None:
     every = {row for group in groups(DECLARED).values() for row in group.shown}
     assert every == set(entries())
 
@@ -32,16 +32,16 @@ def test_groups_run_what_is_declared() -> None:
     assert not known["comparison"].has(Job("ours", DECLARED.scenes[0], 0, 30.0, 240))
 
 
-def test_differences_are_of_rows_that_are_shown() -> None:
+def test_differences_compare_shown_rows() -> None:
     for name, group in groups(DECLARED).items():
         assert set(group.against) <= set(group.shown), name
 
 
-def test_ablations_stand_beside_ours_as_it_is() -> None:
+def test_ablations_are_compared_with_the_complete_method() -> None:
     assert entries()["4-traversals"].settings(0) == entries()["ours"].settings(0)
 
 
-def test_arguments_take_the_place_of_what_a_group_has() -> None:
+def test_arguments_override_the_group() -> None:
     found = select_group(Arguments(entries=("ours",), scenes=DECLARED.scenes[:1], seeds=(2,), minutes=(1.0,)), DECLARED)
     assert found.jobs == [Job("ours", DECLARED.scenes[0], 2, 1.0, DECLARED.width_px)]
 

@@ -61,7 +61,7 @@ def test_an_outcome_of_another_declaration_row_or_settings_does_not_count(
     assert not is_done(JOB, tmp_path) and read_records(tmp_path).outcomes == ()
 
 
-def test_outcomes_of_two_datasets_are_not_put_together(tmp_path: Path) -> None:
+def test_outcomes_of_two_datasets_are_not_combined(tmp_path: Path) -> None:
     write_outcome(tmp_path)
     write_outcome(tmp_path, replace(JOB, seed=2), dataset_hash="another")
     with pytest.raises(DatasetError, match="outcomes of 2 datasets"):
@@ -80,9 +80,7 @@ def test_training_images_of_fewer_traversals_are_not_compared(
     assert "| 1-traversals | - | - | - | +0.000 |" in text
 
 
-def test_published_records_show_as_those_of_the_working_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_published_records_are_shown_as_working_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, out = tmp_path / "data", tmp_path / "out"
     write_outcome(data)
     tuning = load_declaration().tuning
@@ -123,7 +121,7 @@ def test_publishing_replaces_the_same_records_and_keeps_the_others(tmp_path: Pat
     assert published.read_bytes() == before
 
 
-def test_a_line_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_a_line_of_another_kind_is_refused(tmp_path: Path) -> None:
     published = tmp_path / "outcomes.jsonl"
     published.write_text('{"campaign": "main", "kind": "other"}\n')
     with pytest.raises(DatasetError, match="line 1: no record of the study"):

@@ -46,7 +46,7 @@ def test_the_report_has_the_tables_of_all_groups() -> None:
 
 @pytest.mark.parametrize("verb", ["show", "truth"])
 @pytest.mark.parametrize("group", GROUPS)
-def test_rows_that_verbs_print_stand_in_the_report(verb: str, group: Name, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_that_verbs_print_are_in_the_report(verb: str, group: Name, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["static_reconstruction", verb, "--published", "--group", group]
     if verb == "truth" and group == "long":
         # No model of this group was measured.
@@ -66,7 +66,7 @@ def test_the_repeated_campaign_is_shown_apart(capsys: pytest.CaptureFixture[str]
         VERBS["show"](Arguments("show", published=True, campaign="repeated", group="long"), load_declaration())
 
 
-def test_the_verb_brings_a_stale_report_up_to_date(tmp_path: Path) -> None:
+def test_the_verb_updates_a_stale_report(tmp_path: Path) -> None:
     arguments = Arguments("report", out=tmp_path)
     shutil.copy(STUDY.outcomes, arguments.outcomes)
     report, text = tmp_path / "README.md", REPORT.read_text()

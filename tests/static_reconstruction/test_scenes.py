@@ -21,7 +21,7 @@ from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 @pytest.mark.parametrize(
     ("count", "kept"), [(1, {"oncoming"}), (2, {"oncoming", "near"}), (3, {"oncoming", "near", "far"})]
 )
-def test_the_nearest_traversals_are_kept_and_what_is_held_out_stays(
+def test_nearest_and_held_out_traversals_are_kept(
     street: Dataset,  # noqa: F811
     count: int,
     kept: set[str],
@@ -44,7 +44,7 @@ def test_rows_of_fewer_traversals_have_their_splits() -> None:
     assert entries()["1-traversals"].settings(0)["split"] == "novel-1" and "split" not in entries()["ours"].settings(0)
 
 
-def test_outcomes_know_the_layers_that_they_began_with(street: Dataset) -> None:  # noqa: F811
+def test_outcomes_record_their_layers(street: Dataset) -> None:  # noqa: F811
     def written(version: str, x_m: float) -> dict[str, str]:
         for traversal in street.where(split="novel", role="train").traversals():
             row = {

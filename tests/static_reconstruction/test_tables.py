@@ -29,7 +29,7 @@ figures = st.floats(-60.0, 60.0)
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(figures, figures), min_size=2, max_size=12), st.sampled_from((0.9, 0.95, 0.99)))
-def test_interval_is_that_of_the_paired_test(pairs: list[tuple[float, float]], level: float) -> None:
+def test_interval_matches_the_paired_t_test(pairs: list[tuple[float, float]], level: float) -> None:
     ours, theirs = np.array(pairs).T
     assume(np.ptp(ours - theirs) > 1e-6)
     known = ttest_rel(ours, theirs).confidence_interval(level)
@@ -40,7 +40,7 @@ def test_equal_differences_are_certain() -> None:
     assert confidence_interval(np.full(5, 0.25)) == (0.25, 0.25)
 
 
-def test_one_pair_bounds_nothing() -> None:
+def test_one_pair_has_no_interval() -> None:
     assert confidence_interval(np.array([1.0])) == (-np.inf, np.inf)
 
 
@@ -62,7 +62,7 @@ def test_differences_are_paired_by_scene_and_seed() -> None:
     assert line == f"| other, by scene | +1.750 [{by_scene.low:+.3f}, {by_scene.high:+.3f}] | 2 |"
 
 
-def test_means_are_of_the_same_scenes_and_seeds() -> None:
+def test_means_use_the_same_scenes_and_seeds() -> None:
     def result(entry: str, scene: str, seed: int, value: float) -> JobResult:
         return JobResult(Job(entry, scene, seed, 2.0, 240), dict.fromkeys(FIGURES, value))
 
@@ -120,5 +120,5 @@ def test_the_exact_street_has_rows_of_scenes_and_means() -> None:
     ]
 
 
-def test_nothing_measured_makes_no_table() -> None:
+def test_no_measurement_makes_no_table() -> None:
     assert all_tables([]) == ""

@@ -113,12 +113,12 @@ def test_no_ground_at_all() -> None:
     st.sampled_from(("ours", "mtgs_style-tuned", "1-traversals", "ours+rates0.5+sizes2")), st.integers(0, 99),
     st.integers(1, 400), st.integers(8, 4000),
 )  # fmt: skip
-def test_names_of_runs_say_their_jobs(entry: str, seed: int, quarters: int, width_px: int) -> None:
+def test_run_names_identify_their_jobs(entry: str, seed: int, quarters: int, width_px: int) -> None:
     job = Job(entry, "guangzhou-urban", seed, quarters / 4.0, width_px)
     assert parse_job(job.name) == job
 
 
-def test_other_folders_are_no_runs() -> None:
+def test_other_folders_are_not_runs() -> None:
     with pytest.raises(UsageError, match="ENTRY"):
         parse_job("ours.guangzhou-urban")
 

@@ -39,13 +39,13 @@ def test_every_method_tries_every_cell_and_baselines_their_released_choices() ->
     assert not beyond & {trial(name, *cell) for name in METHODS for cell in cells}
 
 
-def test_the_middle_of_the_grid_is_what_a_method_has() -> None:
+def test_the_middle_of_the_grid_is_the_hand_tuned_setting() -> None:
     assert scale_settings(Settings(), 1.0, 1.0) == Settings()
     for package in BASELINES:
         assert scale_splatting(package.BY_HAND, 1.0, 1.0) == package.BY_HAND
 
 
-def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
+def test_a_cell_scales_only_rates_and_counts() -> None:
     settings, changed = omnire_style.BY_HAND, scale_splatting(omnire_style.BY_HAND, 2.0, 0.5)
     assert changed.rates.means == Rate(2.0 * settings.rates.means.first, 2.0 * settings.rates.means.last)
     assert changed.affine.first == pytest.approx(2.0 * settings.affine.first)
@@ -62,13 +62,13 @@ def test_a_cell_scales_rates_and_numbers_and_nothing_else() -> None:
     )
 
 
-def test_ours_has_no_more_trials_than_any_baseline() -> None:
+def test_our_method_has_no_more_trials_than_a_baseline() -> None:
     count = {name: sum(row.startswith(f"{name}+") for row in trials()) for name in METHODS}
     assert all(count["ours"] <= count[baseline_name(package)] for package in BASELINES)
 
 
 @pytest.mark.parametrize("package", BASELINES)
-def test_a_choice_sets_the_released_value_and_nothing_else(package: ModuleType) -> None:
+def test_a_choice_sets_only_the_released_value(package: ModuleType) -> None:
     tuned_ones, released = (flat(asdict(settings)) for settings in (package.TUNED, package.RELEASED))
     for name, change in BASELINE_CHOICES[baseline_name(package)].items():
         changed = flat(asdict(change(package.TUNED)))

@@ -19,12 +19,12 @@ def line(length_m: float, step_m: float = 1.0) -> np.ndarray:
     return np.column_stack((x, 0.1 * x, 0.01 * x))
 
 
-def test_a_street_of_one_block_has_one_centred_on_what_was_driven() -> None:
+def test_a_short_street_is_one_centred_block() -> None:
     (block,) = divide(line(90.0)).blocks
     np.testing.assert_allclose(block.origin_m, (45.0, 4.5, 0.45), atol=0.02)
 
 
-def test_a_longer_street_is_covered_by_blocks_a_quarter_on_each_other() -> None:
+def test_blocks_overlap_by_a_quarter() -> None:
     division = divide(line(250.0))
     xs = [block.origin_m[0] for block in division.blocks]
     assert len(xs) == 3
@@ -41,7 +41,7 @@ def test_blocks_where_nobody_drove_are_skipped_and_counted() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**31), st.floats(1.0, 400.0), st.floats(10.0, 150.0))
-def test_the_division_covers_all_that_was_driven_in_whatever_order(seed: int, length: float, size: float) -> None:
+def test_blocks_cover_all_driven_places_in_any_order(seed: int, length: float, size: float) -> None:
     rng = np.random.default_rng(seed)
     driven = np.column_stack((rng.uniform(0.0, length, (50, 2)), np.zeros(50)))
     division = divide(driven, size)
@@ -58,13 +58,13 @@ def test_local_coordinates_keep_millimetres_at_utm_size() -> None:
     assert local[0, 0] - local[1, 0] == pytest.approx(0.001, abs=5e-6)
 
 
-def test_what_stands_an_overlap_beyond_the_edge_is_far() -> None:
+def test_points_beyond_the_overlap_are_far() -> None:
     block = Block((0, 0), (1000.0, 0.0, 0.0))
     points = np.array([[1074.0, 0.0, 0.0], [1076.0, 0.0, 0.0], [1000.0, -80.0, 300.0], [1000.0, 0.0, 300.0]])
     assert block.far(points).tolist() == [False, True, True, False]
 
 
-def test_views_are_those_in_the_block_and_those_that_look_into_it_from_near() -> None:
+def test_selected_views_are_in_the_block_or_near_and_see_it() -> None:
     block = Block((0, 0), (0.0, 0.0, 0.0))
     views = [view(0.0), view(-60.0), view(60.0), view(-80.0), view(-60.0, 45.0), view(-60.0, 90.0)]
     assert select_views(block, views) == (views[0], views[1], views[4])
@@ -83,7 +83,7 @@ def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: f
     st.floats(-90, 90), st.floats(-90, 90),
 )  # fmt: skip
 @settings(max_examples=200, deadline=None)
-def test_however_a_camera_is_turned_it_trains_what_it_sees(
+def test_rotated_cameras_are_selected_if_they_see_the_block(
     yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float
 ) -> None:
     """A place of the block that is in the image, and near, makes the view one of the block's."""
@@ -97,6 +97,6 @@ def test_however_a_camera_is_turned_it_trains_what_it_sees(
 
 
 @pytest.mark.parametrize("driven", [np.empty((0, 3)), np.full((3, 3), np.nan), np.zeros((3, 2))])
-def test_places_that_are_none_are_refused(driven: np.ndarray) -> None:
+def test_invalid_places_are_refused(driven: np.ndarray) -> None:
     with pytest.raises(UsageError, match="driven places"):
         divide(driven)

@@ -10,7 +10,7 @@ from hybridworldsim.model.settings import Refinement
 
 @given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 40), st.integers(0, 50))
 @settings(max_examples=60, deadline=None)
-def test_new_anchors_are_those_that_all_pairs_would_choose(seed, candidates, standing, room):
+def test_new_anchors_match_exhaustive_search(seed, candidates, standing, room):
     rng = np.random.default_rng(seed)
     points = torch.from_numpy(rng.uniform(-2, 2, (candidates, 3)))
     scores = torch.from_numpy(rng.permutation(candidates).astype(np.float64))
@@ -38,20 +38,20 @@ def test_new_anchors_are_those_that_all_pairs_would_choose(seed, candidates, sta
         np.testing.assert_allclose(centres.numpy(), [centre for _, _, centre in expected])
 
 
-def test_cells_tell_neighbours_apart_and_far_points_from_each_other():
+def test_cell_keys_separate_cells():
     points = torch.tensor([[0.05, 0.0, 0.0], [-0.05, 0.0, 0.0], [0.05, 0.05, 0.0], [9e4, 0.0, -9e4], [9e4, 0.2, -9e4]])
     keys = cell_keys(points.double(), 0.1)
     assert keys[0] == keys[2]
     assert len(set(keys.tolist())) == 4
 
 
-def test_the_first_of_equal_scores_is_the_best():
+def test_the_first_of_equal_scores_is_selected():
     keys, scores = torch.tensor([7, 3, 7, 3, 9]), torch.tensor([1.0, 5.0, 1.0, 5.0, 0.0])
     assert best_per_cell(keys, scores).tolist() == [1, 0, 4]
     assert best_per_cell(keys[:0], scores[:0]).tolist() == []
 
 
-def test_refinements_are_due_evenly_and_never_too_many():
+def test_refinements_are_evenly_spaced_and_limited():
     refinement = Refinement(begin=0.1, end=0.6, times=10)
     assert [due_refinements(refinement, progress) for progress in (0.0, 0.1, 0.149, 0.151, 0.6, 1.0)] == [
         0,

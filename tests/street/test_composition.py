@@ -20,7 +20,7 @@ B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
 
 
-def looks(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
+def select_latents(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
     latent = appearance(SOURCES[0])
     return latent, latent
 
@@ -43,7 +43,7 @@ def test_the_partition_sums_to_one_everywhere(seed: int, count: int, ramp: float
     torch.testing.assert_close(partition(places, centres[order], ramp), weights[:, order])
 
 
-def test_the_partition_is_one_in_a_blocks_own_part_and_a_half_midway() -> None:
+def test_partition_is_one_inside_a_block_and_one_half_midway() -> None:
     centres = torch.tensor([[0.0, 0.0], [75.0, 0.0]]).double()
     places = torch.tensor([[0.0, 500.0], [25.0, 0.0], [37.5, -80.0], [50.0, 0.0]]).double()
     torch.testing.assert_close(partition(places, centres, 25.0)[:, 0], torch.tensor([1.0, 1.0, 0.5, 0.0]).double())
@@ -51,20 +51,20 @@ def test_the_partition_is_one_in_a_blocks_own_part_and_a_half_midway() -> None:
 
 def image(blocks: list[tuple[Block, Street]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
     here = np.array([x_m, 0.0, 1.5]) + by
-    drawn, _ = Composition(blocks).render(view(*here.tolist()), looks)
-    return drawn.rgb.clamp(0.0, 1.0).mul(255.0).round().byte().numpy()
+    output, _ = Composition(blocks).render(view(*here.tolist()), select_latents)
+    return output.rgb.clamp(0.0, 1.0).mul(255.0).round().byte().numpy()
 
 
-def test_one_block_alone_is_drawn_as_it_is() -> None:
+def test_a_single_block_renders_unchanged() -> None:
     one = street()
-    drawn, counts = Composition([(A, one)]).render(view(-15.0), looks)
+    output, counts = Composition([(A, one)]).render(view(-15.0), select_latents)
     with torch.no_grad():
-        expected = one(to_viewpoint(view(-15.0), np.zeros(3)), looks(one.appearance)[0])
-    torch.testing.assert_close(drawn.rgb, expected.rgb, atol=2e-5, rtol=0.0)
+        expected = one(to_viewpoint(view(-15.0), np.zeros(3)), select_latents(one.appearance)[0])
+    torch.testing.assert_close(output.rgb, expected.rgb, atol=2e-5, rtol=0.0)
     assert counts["nodes_drawn"] == 3 and counts["decoded"] < counts["held"]
 
 
-def test_two_blocks_of_the_same_gaussians_are_drawn_as_one() -> None:
+def test_identical_blocks_render_as_one() -> None:
     one = street()
     both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
     # Beyond the strip nothing is drawn twice, but for the sky that B does not show.
@@ -73,7 +73,7 @@ def test_two_blocks_of_the_same_gaussians_are_drawn_as_one() -> None:
         assert psnr(image(both, x_m), image([both[0]], x_m)) > 33.0
 
 
-def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
+def test_renders_are_continuous_across_boundaries() -> None:
     both = [(A, street()), (B, street(seed=5))]
     step = 0.02
 
@@ -85,7 +85,7 @@ def test_crossing_a_boundary_changes_no_more_than_a_step_elsewhere() -> None:
         assert change(x_m) > inside - 3.0
 
 
-def test_far_structures_do_not_stand_before_a_neighbours_geometry() -> None:
+def test_sky_structures_inside_a_neighbour_are_dropped() -> None:
     a, b = street(), street(seed=3)
     a.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))  # within B, and a wall before A's camera
     wall = image([(A, a)], 0.0)
@@ -96,7 +96,7 @@ def test_far_structures_do_not_stand_before_a_neighbours_geometry() -> None:
     assert not np.array_equal(wall, image([(A, a_without)], 0.0))
 
 
-def test_a_long_streets_blocks_leave_each_others_domes_whole() -> None:
+def test_domes_stay_complete_in_a_long_street() -> None:
     row = [Block((place, 0), (75.0 * place, 0.0, 0.0)) for place in range(5)]
     streets = [street(seed=place) for place in range(5)]
     beyond = streets[0].sky.means.data
@@ -112,20 +112,20 @@ def test_a_long_streets_blocks_leave_each_others_domes_whole() -> None:
 
 
 def test_a_view_out_of_the_street_is_black() -> None:
-    drawn, counts = Composition([(A, street())]).render(view(5000.0), looks)
-    assert drawn.rgb.shape == (54, 96, 3) and drawn.alpha.shape == drawn.depth_m.shape == (54, 96)
-    assert not drawn.rgb.any() and not drawn.alpha.any() and counts["nodes_drawn"] == counts["drawn"] == 0
+    output, counts = Composition([(A, street())]).render(view(5000.0), select_latents)
+    assert output.rgb.shape == (54, 96, 3) and output.alpha.shape == output.depth_m.shape == (54, 96)
+    assert not output.rgb.any() and not output.alpha.any() and counts["nodes_drawn"] == counts["drawn"] == 0
 
 
 def test_blocks_that_the_view_does_not_see_are_not_decoded() -> None:
     blocks = [(A, street()), (B, street(seed=3))]
-    _, back = Composition(blocks).render(view(200.0), looks)
+    _, back = Composition(blocks).render(view(200.0), select_latents)
     assert back["nodes_drawn"] == 1  # the sky of B
-    _, front = Composition(blocks).render(view(-80.0), looks)
+    _, front = Composition(blocks).render(view(-80.0), select_latents)
     assert front["nodes_drawn"] == 5
 
 
-def test_utm_sized_origins_give_the_same_picture() -> None:
+def test_utm_sized_origins_give_the_same_image() -> None:
     a, b = street(), street(seed=3)
     near = image([(A, a), (B, b)], 5.0)
     far = image([(far_block(A, UTM), a), (far_block(B, UTM), b)], 5.0, UTM)

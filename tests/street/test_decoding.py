@@ -47,7 +47,7 @@ def modulated(seed: int, k: int, hidden: int):
 
 @pytest.mark.parametrize(("hidden", "k"), [(64, 10), (12, 10), (20, 3), (16, 1)])
 @pytest.mark.parametrize("place", PLACES)
-def test_decoding_is_that_of_plain_torch(hidden, k, place):
+def test_decoding_matches_plain_torch(hidden, k, place):
     torch.manual_seed(hidden)
     one, exact = modulated(hidden, k, hidden), modulated(hidden, k, hidden)
     exact.load_state_dict(one.state_dict())
@@ -69,7 +69,7 @@ def test_decoding_is_that_of_plain_torch(hidden, k, place):
         same_with_gradients(numbers(splats), plain_gaussians(other, splats.rows, eye, latent.double()), node, other)
 
 
-def test_an_appearance_learns():
+def test_appearances_get_gradients():
     one, exact = modulated(1, 4, 16), modulated(1, 4, 16)
     exact.load_state_dict(one.state_dict())
     exact.double()
@@ -82,24 +82,24 @@ def test_an_appearance_learns():
     torch.testing.assert_close(one.appearance.drives.grad.double(), exact.appearance.drives.grad, rtol=1e-4, atol=1e-4)
 
 
-def test_an_empty_street_is_an_empty_picture():
+def test_an_empty_street_renders_an_empty_image():
     one = street(anchors=0)
     for node in (one.ground, one.sky):
         for name, table in list(node.named_parameters(recurse=False)):
             setattr(node, name, torch.nn.Parameter(table.detach()[:0]))
-    drawn = one(to_viewpoint(view(), np.zeros(3)), one.appearance(SOURCES[0]))
-    assert not drawn.alpha.any() and not drawn.rgb.any()
+    output = one(to_viewpoint(view(), np.zeros(3)), one.appearance(SOURCES[0]))
+    assert not output.alpha.any() and not output.rgb.any()
 
 
-def test_numbers_that_are_not_finite_are_left_out():
+def test_gaussians_that_are_not_finite_are_dropped():
     one = street()
     one.background.codes.data[3] = torch.nan
     one.ground.means.data[5] = torch.inf
-    drawn = one(to_viewpoint(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]))
-    assert torch.isfinite(drawn.rgb).all()
+    output = one(to_viewpoint(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]))
+    assert torch.isfinite(output.rgb).all()
 
 
-def test_a_camera_at_a_point_is_told_of_no_direction():
+def test_a_camera_at_a_point_gives_a_zero_direction():
     codes, means = torch.ones(2, 5, requires_grad=True), torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     found = network_inputs(codes, means, means[0], 2.0)
     assert found.shape == (2, 12)
@@ -108,7 +108,7 @@ def test_a_camera_at_a_point_is_told_of_no_direction():
     assert codes.grad.tolist() == [[1.0] * 5] * 2
 
 
-def test_rows_at_hand_are_taken_as_they_are():
+def test_gathered_rows_are_used_unchanged():
     one = modulated(2, 4, 16)
     viewpoint, latent = to_viewpoint(view(-25.0), np.zeros(3)), one.appearance(SOURCES[0]).detach()
     ids = one.ground.visible_ids(viewpoint)
@@ -121,7 +121,7 @@ def test_rows_at_hand_are_taken_as_they_are():
     torch.testing.assert_close(leaf.grad, one.ground.codes.grad[ids])
 
 
-def test_the_same_at_any_number_of_threads():
+def test_results_do_not_depend_on_the_number_of_threads():
     one, threads = modulated(0, 10, 64), torch.get_num_threads()
     found = []
     try:
@@ -133,19 +133,19 @@ def test_the_same_at_any_number_of_threads():
     assert torch.equal(*found)
 
 
-def test_the_rows_that_are_seen_are_those_whose_sphere_meets_the_pyramid():
+def test_visible_rows_are_spheres_that_meet_the_frustum():
     generator = torch.Generator().manual_seed(0)
     means = 100.0 * (torch.rand(5000, 3, generator=generator) - 0.5)
     reach = torch.rand(5000, generator=generator)
     for place in (view(), view(-60.0, fx_px=400.0), view(3.0, 3.0, 30.0, fx_px=10.0)):
         viewpoint = to_viewpoint(place, np.zeros(3))
         x, y, z = (means.double() @ viewpoint.viewmat[:3, :3].double().T + viewpoint.viewmat[:3, 3].double()).unbind(1)
-        seen = z + reach > 0.05
+        is_visible = z + reach > 0.05
         for along, axis, size in ((x, 0, viewpoint.width_px), (y, 1, viewpoint.height_px)):
             focal, middle = viewpoint.K[axis, axis].item(), viewpoint.K[axis, 2].item()
             for slope, side in ((middle / focal, along), ((size - middle) / focal, -along)):
                 # The signed distance to the side's plane, whose normal points inwards.
-                seen &= (side + slope * z) / (1.0 + slope * slope) ** 0.5 > -reach
+                is_visible &= (side + slope * z) / (1.0 + slope * slope) ** 0.5 > -reach
         ours = select_visible(viewpoint, means, reach)
         assert 0 < len(ours) < 5000 and ours.diff().gt(0).all()
-        assert len(np.setxor1d(ours.numpy(), seen.nonzero().squeeze(1).numpy())) <= 1
+        assert len(np.setxor1d(ours.numpy(), is_visible.nonzero().squeeze(1).numpy())) <= 1

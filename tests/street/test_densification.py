@@ -40,9 +40,9 @@ def anchors(count: int, apart_m: float = 5.0) -> Anchors:
     return node
 
 
-def shown(node: Anchors, opacities: Tensor, seen: Tensor | None = None) -> Splats:
+def decoded(node: Anchors, opacities: Tensor, visible_ids: Tensor | None = None) -> Splats:
     """As if all Gaussians of some anchors were decoded."""
-    ids = torch.arange(len(node)) if seen is None else seen
+    ids = torch.arange(len(node)) if visible_ids is None else visible_ids
     rows = (ids[:, None] * K + torch.arange(K)).flatten()
     none = torch.zeros(len(rows), 3)
     own = opacities.repeat_interleave(K)
@@ -54,40 +54,42 @@ def refiner_of(node: Anchors, refinement: Refinement = PLENTY) -> tuple[AnchorRe
     return AnchorRefiner(node, tables, refinement), tables
 
 
-def note(refiner: AnchorRefiner, part: Splats, pull: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT) -> None:
+def accumulate(
+    refiner: AnchorRefiner, part: Splats, gradients: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT
+) -> None:
     for _ in range(times):
-        refiner.accumulate(part, torch.arange(len(part)), pull, viewpoint)
+        refiner.accumulate(part, torch.arange(len(part)), gradients, viewpoint)
 
 
-def test_anchors_that_show_nothing_go_once_they_were_looked_at_often_enough() -> None:
+def test_transparent_anchors_are_removed_after_enough_visits() -> None:
     node = anchors(6)
     refiner, tables = refiner_of(node)
     codes = node.codes.detach().clone()
     # Two of them transparent; of these one is seen nine times, and the other ten.
     opacities = torch.full((6,), 0.8)
     opacities[[1, 4]] = 0.001
-    note(refiner, shown(node, opacities), torch.zeros(6 * K), 9)
-    note(refiner, shown(node, opacities[1:], torch.arange(1, 6)), torch.zeros(5 * K), 1)
+    accumulate(refiner, decoded(node, opacities), torch.zeros(6 * K), 9)
+    accumulate(refiner, decoded(node, opacities[1:], torch.arange(1, 6)), torch.zeros(5 * K), 1)
     refiner.refine(1, torch.Generator())
     assert tables.numbers.tolist() == [0, 2, 3, 5]
     torch.testing.assert_close(node.codes.detach(), codes[[0, 2, 3, 5]], rtol=0, atol=0)
     node = anchors(6)
     refiner, tables = refiner_of(node)
-    note(refiner, shown(node, opacities), torch.zeros(6 * K), 9)
+    accumulate(refiner, decoded(node, opacities), torch.zeros(6 * K), 9)
     refiner.refine(1, torch.Generator())
     assert len(node) == 6
 
 
-def test_the_sum_over_all_of_an_anchors_gaussians_decides() -> None:
+def test_anchor_removal_uses_the_sum_of_opacities() -> None:
     node = anchors(2)
     refiner, tables = refiner_of(node)
     # 0.003 each is 0.006 together, above 0.005; 0.002 is 0.004.
-    note(refiner, shown(node, torch.tensor([0.003, 0.002])), torch.zeros(2 * K), 10)
+    accumulate(refiner, decoded(node, torch.tensor([0.003, 0.002])), torch.zeros(2 * K), 10)
     refiner.refine(1, torch.Generator())
     assert tables.numbers.tolist() == [0]
 
 
-def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() -> None:
+def test_anchors_grow_at_the_largest_gradients_with_their_parents_code() -> None:
     node = anchors(5)
     # The second Gaussian of anchor 3 stands 1.7 m to its left, that of anchor 1 as far.
     for row in (1, 3):
@@ -96,9 +98,9 @@ def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() ->
     refinement = replace(PLENTY, times=100, max_anchors=25, cells_m=(1.0,), least_cell=0.0)
     assert target_count(refinement, 4, 5, refinement.max_anchors) - 5 == 1
     refiner, tables = refiner_of(node, refinement)
-    pull = torch.zeros(5 * K)
-    pull[3 * K + 1], pull[1 * K + 1] = 9.0, 4.0
-    note(refiner, shown(node, torch.ones(5)), pull, 3)
+    gradients = torch.zeros(5 * K)
+    gradients[3 * K + 1], gradients[1 * K + 1] = 9.0, 4.0
+    accumulate(refiner, decoded(node, torch.ones(5)), gradients, 3)
     refiner.refine(4, torch.Generator().manual_seed(0))
     assert len(node) == 6 and tables.numbers.tolist() == [0, 1, 2, 3, 4, 5]
     # In the middle of the cell in which the Gaussian stood, as large as the cell, with the parent's code.
@@ -108,13 +110,13 @@ def test_anchors_grow_where_pictures_pull_most_and_take_after_their_parents() ->
     assert node.offsets[5].abs().max() <= 0.5
 
 
-def test_no_cell_is_finer_than_what_was_seen_of_it_from_nearest() -> None:
+def test_cell_size_is_limited_by_the_nearest_distance() -> None:
     far, near = (to_viewpoint(view(x_m), np.zeros(3)) for x_m in (-400.0, -15.0))
     for viewpoint, grows in ((far, False), (near, True)):
         node = anchors(1)
         node.offsets.data[0, 1, 1] = 1.7
         refiner, _ = refiner_of(node, replace(PLENTY, cells_m=(1.0,), least_cell=0.01))
-        note(refiner, shown(node, torch.ones(1)), torch.ones(K), 3, viewpoint)
+        accumulate(refiner, decoded(node, torch.ones(1)), torch.ones(K), 3, viewpoint)
         refiner.refine(10, torch.Generator())
         # A hundredth of 400 m is more than a metre.
         assert (len(node) == 2) == grows
@@ -122,15 +124,15 @@ def test_no_cell_is_finer_than_what_was_seen_of_it_from_nearest() -> None:
 
 @given(st.integers(0, 2**16), st.integers(1, 30), st.integers(0, 60))
 @settings(max_examples=25, deadline=None)
-def test_there_are_never_more_anchors_than_they_are_to_be(seed: int, first: int, more: int) -> None:
+def test_anchors_stay_within_the_target_count(seed: int, first: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     node = anchors(first, apart_m=0.7)
     refinement = replace(PLENTY, max_anchors=first + more, least_cell=0.0, cells_m=(0.8, 0.2))
     refiner, tables = refiner_of(node, refinement)
     for done in range(1, refinement.times + 1):
         opacities = torch.from_numpy(rng.choice([0.0, 0.9], len(node), p=[0.2, 0.8]).astype(np.float32))
-        pull = torch.from_numpy(rng.gamma(1.0, size=len(node) * K).astype(np.float32))
-        note(refiner, shown(node, opacities), pull, 11)
+        gradients = torch.from_numpy(rng.gamma(1.0, size=len(node) * K).astype(np.float32))
+        accumulate(refiner, decoded(node, opacities), gradients, 11)
         gone = tables.numbers[opacities == 0.0].tolist()
         before = len(node) - len(gone)
         refiner.refine(done, torch.Generator().manual_seed(seed))
@@ -161,7 +163,7 @@ def splats(node: CodeGaussians) -> Splats:
     return Splats(none, torch.zeros(len(node), 4), none, torch.ones(len(node)), none, rows, len(node), len(node))
 
 
-def test_what_is_pulled_most_is_split_along_its_longest_axis() -> None:
+def test_gaussians_with_the_largest_gradients_split_along_the_longest_axis() -> None:
     node = code_gaussians(4)
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 5)
     for _ in range(2):
@@ -177,7 +179,7 @@ def test_what_is_pulled_most_is_split_along_its_longest_axis() -> None:
     assert node.means[:3, 0].tolist() == [0.0, 20.0, 30.0]
 
 
-def test_transparent_ones_go_and_what_a_single_picture_drew_is_not_split() -> None:
+def test_transparent_gaussians_go_and_one_render_does_not_split() -> None:
     node = code_gaussians(4)
     node.logits.data[2] = -9.0
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, 50)
@@ -188,14 +190,14 @@ def test_transparent_ones_go_and_what_a_single_picture_drew_is_not_split() -> No
 
 @given(st.integers(0, 2**16), st.integers(1, 20), st.integers(0, 40))
 @settings(max_examples=25, deadline=None)
-def test_there_are_as_many_code_gaussians_as_they_are_to_be(seed: int, first: int, more: int) -> None:
+def test_code_gaussians_reach_the_target_count(seed: int, first: int, more: int) -> None:
     rng = np.random.default_rng(seed)
     node = code_gaussians(first)
     refiner = CodeRefiner(node, LazyAdam(node, CodeGaussians.TABLES), PLENTY, first + more)
     for done in range(1, PLENTY.times + 1):
         for _ in range(2):
-            pull = torch.from_numpy(rng.uniform(0.1, 1.0, len(node)).astype(np.float32))
-            refiner.accumulate(splats(node), torch.arange(len(node)), pull)
+            gradients = torch.from_numpy(rng.uniform(0.1, 1.0, len(node)).astype(np.float32))
+            refiner.accumulate(splats(node), torch.arange(len(node)), gradients)
         before = len(node)
         refiner.refine(done)
         # Splitting doubles at most.
@@ -203,9 +205,9 @@ def test_there_are_as_many_code_gaussians_as_they_are_to_be(seed: int, first: in
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_empty_nodes_are_refined_too(count: int) -> None:
+def test_empty_nodes_can_be_refined(count: int) -> None:
     node = anchors(count)
     refiner, _ = refiner_of(node)
-    note(refiner, shown(node, torch.ones(count)), torch.ones(count * K), 3)
+    accumulate(refiner, decoded(node, torch.ones(count)), torch.ones(count * K), 3)
     refiner.refine(1, torch.Generator())
     assert len(node) >= count

@@ -8,17 +8,17 @@ def plain(geometry, colours, means, offsets, log_scales):
     """The same in torch."""
     k = offsets.shape[1]
     numbers = geometry.view(-1, 8)
-    drawn = (numbers[:, 0] > 0).nonzero().squeeze(1)
-    parents = drawn // k
+    output = (numbers[:, 0] > 0).nonzero().squeeze(1)
+    parents = output // k
     sizes = log_scales[parents].exp()
-    own = numbers[drawn]
+    own = numbers[output]
     return (
-        means[parents] + offsets[parents, drawn % k] * sizes[:, :3],
+        means[parents] + offsets[parents, output % k] * sizes[:, :3],
         own[:, 4:],
         sizes[:, 3:] * own[:, 1:4].sigmoid(),
         own[:, 0].tanh(),
-        colours.view(-1, 3)[drawn].sigmoid(),
-        drawn,
+        colours.view(-1, 3)[output].sigmoid(),
+        output,
     )
 
 
@@ -38,7 +38,7 @@ def tables(anchors, k=4, seed=0):
 
 
 @pytest.mark.parametrize("anchors", [50, 1, 0, 3000])
-def test_gaussians_and_gradients_are_those_of_plain_torch(anchors):
+def test_gaussians_and_gradients_match_plain_torch(anchors):
     given = tables(anchors)
     found, expected = anchors_to_gaussians(*given), plain(*given)
     for one, other in zip(found, expected, strict=True):
@@ -51,13 +51,13 @@ def test_gaussians_and_gradients_are_those_of_plain_torch(anchors):
         torch.testing.assert_close(one, other, rtol=2e-5, atol=2e-6)
 
 
-def test_nothing_is_drawn_of_anchors_without_opacity():
+def test_transparent_anchors_give_no_gaussians():
     geometry, *rest = tables(20)
     found = anchors_to_gaussians(-geometry.abs(), *rest)
     assert [len(one) for one in found] == [0] * 6
 
 
-def test_the_same_at_any_number_of_threads():
+def test_results_do_not_depend_on_the_number_of_threads():
     given = tables(5000)
     threads = torch.get_num_threads()
     try:
@@ -70,7 +70,7 @@ def test_the_same_at_any_number_of_threads():
     assert all(torch.equal(a, b) for a, b in zip(one, two))
 
 
-def test_extreme_numbers_stay_numbers():
+def test_extreme_inputs_stay_finite():
     geometry, colours, *rest = tables(4)
     found = anchors_to_gaussians(geometry * 1e4, colours * 1e4, *rest)
     assert all(torch.isfinite(one).all() for one in found[:5])

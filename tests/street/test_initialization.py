@@ -26,7 +26,7 @@ def crossing(lanes: int) -> InitialGeometry:
 
 
 @pytest.mark.parametrize("lanes", [2, 4])
-def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: int) -> None:
+def test_ground_stays_within_its_limit_and_covers_the_street(lanes: int) -> None:
     free = ground_seeds(crossing(lanes), 0.5, 15.0)
     assert len(free.means) > 12_000
     capped = ground_seeds(crossing(lanes), 0.5, 15.0, 12_000)
@@ -40,7 +40,7 @@ def test_the_ground_has_no_more_than_it_may_and_covers_the_street_evenly(lanes: 
         assert float(inside.sum() / before.sum()) == pytest.approx(len(capped.means) / len(free.means), rel=0.1)
 
 
-def test_the_sky_is_a_hemisphere_of_equal_areas_that_look_inwards() -> None:
+def test_sky_is_a_hemisphere_of_equal_areas_facing_inwards() -> None:
     count, block = 600, crossing(1)
     dome = sky_seeds(block, count, 4.0, 10)
     means = dome.means.numpy().astype(np.float64)
@@ -63,7 +63,7 @@ def test_the_sky_is_a_hemisphere_of_equal_areas_that_look_inwards() -> None:
     np.testing.assert_allclose(np.abs((thin * directions).sum(1)), 1.0, atol=1e-6)
 
 
-def test_what_is_beyond_the_dome_is_seen_before_it_in_the_same_direction() -> None:
+def test_points_beyond_the_dome_are_moved_inside_along_their_ray() -> None:
     far = np.array([[100.0, 0.0, 20.0], [0.0, 500.0, 0.0], [-900.0, 900.0, 90.0]])
     street = replace(crossing(1), far_m=far)
     seeds = sky_seeds(street, 200, 4.0, 10).means[200:].numpy().astype(np.float64)
@@ -74,6 +74,6 @@ def test_what_is_beyond_the_dome_is_seen_before_it_in_the_same_direction() -> No
     assert ways == {tuple(np.round(one / np.linalg.norm(one), 5)) for one in far}
 
 
-def test_what_fits_is_as_it_was() -> None:
+def test_thinning_keeps_points_within_the_limit() -> None:
     free, capped = (ground_seeds(crossing(1), 1.0, 15.0, most) for most in (None, 20_000))
     assert len(free.means) == len(capped.means) < 20_000

@@ -53,7 +53,7 @@ def some(rng, count, share):
 
 @given(st.integers(0, 10_000), st.integers(1, 60), st.sampled_from([0.02, 0.3, 1.0]))
 @settings(max_examples=40, deadline=None)
-def test_rows_end_where_adam_takes_them_that_is_told_of_zeros(seed, steps, share):
+def test_rows_match_adam_with_zero_gradients(seed, steps, share):
     rng = np.random.default_rng(seed)
     one, exact = node_of(30), node_of(30, torch.float64)
     exact.load_state_dict(one.state_dict())
@@ -67,7 +67,7 @@ def test_rows_end_where_adam_takes_them_that_is_told_of_zeros(seed, steps, share
         )
 
 
-def test_a_row_that_is_seen_once_in_a_thousand_steps_goes_as_far():
+def test_a_row_used_once_in_a_thousand_steps_matches_adam():
     one, exact = node_of(2), node_of(2, torch.float64)
     adam, reference, rng = lazy(one), plain(exact), np.random.default_rng(0)
     for step in range(2001):
@@ -100,7 +100,7 @@ def test_moments_fade_while_the_rate_is_zero():
         )
 
 
-def test_rows_that_were_never_seen_stay_where_they_are():
+def test_unused_rows_do_not_move():
     node = node_of(3)
     before, adam, rng = node.table.detach().clone(), lazy(node), np.random.default_rng(0)
     for _ in range(5):
@@ -110,7 +110,7 @@ def test_rows_that_were_never_seen_stay_where_they_are():
     assert not torch.equal(node.table.detach()[1], before[1])
 
 
-def test_what_is_taken_is_up_to_date_and_what_nothing_is_drawn_of_goes_on():
+def test_gathered_rows_are_up_to_date():
     node = node_of(4)
     adam, rng = lazy(node), np.random.default_rng(0)
     stepped(adam, np.array([0, 2]), rng)
@@ -143,7 +143,7 @@ def test_rows_take_their_moments_with_them():
     stepped(adam, np.arange(3), rng)
 
 
-def test_it_goes_on_exactly_where_it_was_kept():
+def test_restored_optimizer_continues_exactly():
     def begun():
         node = node_of(20)
         return node, lazy(node)
@@ -164,7 +164,7 @@ def test_it_goes_on_exactly_where_it_was_kept():
 
 
 @pytest.mark.parametrize("rows", [[], [0]])
-def test_no_rows_and_an_empty_node_are_fine(rows):
+def test_empty_steps_and_empty_nodes_are_accepted(rows):
     node = node_of(len(rows))
     adam = lazy(node)
     leaves = adam.begin_step(torch.tensor(rows, dtype=torch.int64), RATES)
@@ -173,7 +173,7 @@ def test_no_rows_and_an_empty_node_are_fine(rows):
     adam.catch_up(RATES)
 
 
-def test_the_same_at_any_number_of_threads():
+def test_results_do_not_depend_on_the_number_of_threads():
     threads, found = torch.get_num_threads(), []
     try:
         for count in (1, 2):

@@ -5,7 +5,7 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
-from benchmarks.street.reference_losses import curvature, normals_of
+from benchmarks.street.reference_losses import compute_normals, curvature
 from benchmarks.street.reference_losses import normal_loss as plain_normal_loss
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
@@ -28,7 +28,7 @@ def test_colour_loss_is_the_mean_square_of_scored_pixels():
     torch.testing.assert_close(colour_loss(rendered, taken, scored), expected)
 
 
-def test_pixels_that_are_not_scored_pull_at_nothing():
+def test_unscored_pixels_have_no_gradient():
     rendered = torch.rand(4, 4, 3, requires_grad=True)
     scored = torch.eye(4, dtype=torch.bool)
     colour_loss(rendered, torch.zeros(4, 4, 3), scored).backward()
@@ -36,7 +36,7 @@ def test_pixels_that_are_not_scored_pull_at_nothing():
     assert rendered.grad[scored].all()
 
 
-def test_structure_is_compared_with_what_is_not_scored_as_it_should_be():
+def test_structure_loss_treats_unscored_pixels_as_exact():
     torch.manual_seed(0)
     taken = torch.rand(30, 40, 3)
     scored = torch.zeros(30, 40, dtype=torch.bool)
@@ -58,13 +58,13 @@ def test_structure_is_compared_with_what_is_not_scored_as_it_should_be():
     assert structure_loss(taken, taken, torch.zeros_like(scored)) == 1.0
 
 
-def test_depth_errors_count_as_shares_and_no_more_than_whole():
+def test_depth_errors_are_shares_limited_to_one():
     stereo = torch.tensor([[10.0, 10.0, 10.0, 0.0]])
     rendered = torch.tensor([[11.0, 9.0, 1e6, 5.0]])
     assert depth_loss(rendered, stereo, stereo > 0) == pytest.approx((0.01 + 0.01 + 1.0) / 3)
 
 
-def test_nothing_known_costs_nothing():
+def test_unknown_depth_has_no_loss():
     depth = torch.rand(6, 6, requires_grad=True)
     none = torch.zeros(6, 6, dtype=torch.bool)
     loss = depth_loss(depth, torch.zeros(6, 6), none) + normal_loss(depth, torch.zeros(6, 6), none, K.float())
@@ -74,17 +74,17 @@ def test_nothing_known_costs_nothing():
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, -0.2, 0.9), (0.0, 0.9, 0.4)])
-def test_normals_of_a_plane_are_its_own_and_have_no_curvature(normal):
+def test_plane_has_its_normal_and_no_curvature(normal):
     unit = torch.tensor(normal, dtype=torch.float64)
     unit = unit / unit.norm()
     depth = plane(unit, 8.0, height=20)
-    found = normals_of(depth, K)
+    found = compute_normals(depth, K)
     inner = found[1:-1, 1:-1]
     torch.testing.assert_close(inner, (-unit).expand_as(inner), atol=1e-9, rtol=0.0)
     assert curvature(inner).abs().max() < 1e-15
 
 
-def test_curvature_is_that_of_sobel_convolutions():
+def test_curvature_matches_sobel_convolutions():
     normals = torch.randn(9, 11, 3, dtype=torch.float64)
     x = torch.tensor([[-1.0, 0.0, 1.0], [-2.0, 0.0, 2.0], [-1.0, 0.0, 1.0]], dtype=torch.float64)
     kernels = torch.stack((x, x.T))[:, None]
@@ -103,7 +103,7 @@ def test_normals_of_a_sphere_point_from_its_centre():
     depth = torch.where(hit, (far - root.clamp_min(0).sqrt()) / square, 1.0)
     points = torch.stack((x * depth, y[:, None] * depth, depth), 2)
     points[..., 2] -= far
-    found = normals_of(depth, K)
+    found = compute_normals(depth, K)
     inside = -functional.max_pool2d(-hit[None].double(), 3, 1, 1)[0] > 0.5
     angles = torch.rad2deg(torch.arccos((found * points / radius).sum(2).clamp(-1, 1)))
     assert inside.sum() > 50
@@ -121,7 +121,7 @@ def test_equal_depths_have_no_normal_loss_and_a_step_has():
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (9, 1), (3, 3)])
-def test_pictures_too_small_for_a_curvature_have_no_loss_or_a_finite_one(shape: tuple[int, int]) -> None:
+def test_tiny_images_have_a_finite_normal_loss(shape: tuple[int, int]) -> None:
     depth = torch.full(shape, 5.0, requires_grad=True)
     K = torch.tensor([[40.0, 0.0, 2.0], [0.0, 40.0, 2.0], [0.0, 0.0, 1.0]])
     loss = normal_loss(depth, torch.full(shape, 6.0), torch.ones(shape, dtype=torch.bool), K)
@@ -133,7 +133,7 @@ def test_pictures_too_small_for_a_curvature_have_no_loss_or_a_finite_one(shape: 
 @pytest.mark.parametrize("shape", [(9, 11), (5, 5), (24, 3), (40, 60)])
 @pytest.mark.parametrize("share", [1.0, 0.98, 0.7])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_the_loss_of_normals_is_that_of_plain_torch(shape, share, dtype):
+def test_normal_loss_matches_plain_torch(shape, share, dtype):
     generator = torch.Generator().manual_seed(shape[0])
     depth = 5.0 + torch.rand(shape, generator=generator, dtype=torch.float64)
     depth[0, 0] = 0.0
@@ -154,7 +154,7 @@ def test_the_loss_of_normals_is_that_of_plain_torch(shape, share, dtype):
     torch.testing.assert_close(given.grad.double(), exact.grad, rtol=0.0, atol=rough * scale + 1e-12)
 
 
-def test_depths_at_the_edge_pull_too():
+def test_border_depths_get_gradients():
     generator = torch.Generator().manual_seed(1)
     depth = (5.0 + torch.rand(6, 7, generator=generator)).requires_grad_()
     normal_loss(depth, torch.full((6, 7), 5.0), torch.ones(6, 7, dtype=torch.bool), K.float()).backward()

@@ -15,7 +15,7 @@ from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.splatting.settings import Splatting
 
 
-def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:
+def test_override_changes_only_the_named_setting() -> None:
     usual = Settings(seed=3)
     words = {
         "depth_weight": "0.1",
@@ -32,7 +32,7 @@ def test_a_setting_of_any_depth_is_changed_and_nothing_else() -> None:
     assert override_settings(usual, words) == expected and override_settings(usual, {}) is usual
 
 
-def test_a_bare_word_is_a_word() -> None:
+def test_a_bare_word_is_a_string() -> None:
     assert override_settings(Splatting(), {"weights.pixelwise": "l2"}).weights.pixelwise == "l2"
 
 
@@ -50,7 +50,7 @@ def test_a_bare_word_is_a_word() -> None:
         ("seed", "3", "--seed"),
     ],
 )
-def test_what_is_no_setting_is_refused(name: str, value: str, message: str) -> None:
+def test_unknown_settings_and_values_are_refused(name: str, value: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         override_settings(Settings(), {name: value})
 
@@ -65,7 +65,7 @@ def test_the_old_name_of_a_setting_is_accepted_and_stays_the_serialized_one() ->
     assert TypeAdapter(Settings).validate_python(document) == renamed
 
 
-def test_the_document_of_settings_is_that_of_earlier_versions() -> None:
+def test_settings_document_is_unchanged() -> None:
     for settings in (Settings(seed=3), Splatting(), omnire_style.TUNED, mtgs_style.TUNED, mtgs_style.RELEASED):
         earlier = json.loads(json.dumps(asdict(settings)).replace('"max_anchors"', '"most"'))
         assert json.dumps(settings_document(settings)) == json.dumps(earlier)

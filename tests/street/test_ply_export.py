@@ -25,7 +25,7 @@ UTM = (441_000.0, 4_475_000.0, 600.0)
 LINE = [view(float(x), 0.5) for x in np.arange(-28.0, 4.0, 4.0)]
 
 
-def looks(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
+def select_latents(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.Tensor]:
     latent = appearance(SOURCES[0])
     return latent, latent
 
@@ -41,11 +41,11 @@ def read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     return lines, dict(zip(names, table.T))
 
 
-def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
+def test_ply_has_the_fields_that_viewers_expect(tmp_path: Path) -> None:
     one = street()
     block = Block((0, 0), UTM)
     views = [view(UTM[0] + x, UTM[1], UTM[2] + 1.5) for x in (-20.0, 0.0, 20.0)]
-    exported = export_gaussians([(block, one)], views, looks)
+    exported = export_gaussians([(block, one)], views, select_latents)
     size = write_ply(tmp_path / "street.ply", exported)
     lines, columns = read_ply(tmp_path / "street.ply")
     assert size == (tmp_path / "street.ply").stat().st_size
@@ -67,11 +67,11 @@ def test_the_file_is_what_viewers_expect(tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["f_dc_2"], exported.spherical_harmonics[:, 0, 2].numpy())
 
 
-def test_a_sky_that_is_pulled_in_stands_behind_the_whole_street() -> None:
+def test_pulled_in_sky_stays_behind_the_street() -> None:
     blocks = [(replace(A, origin_m=(100.0 * number, 0.0, 0.0), index=(number, 0)), street()) for number in range(5)]
     views = [view(100.0 * number, 0.5) for number in range(5)]
-    near = export_gaussians(blocks, views, looks, degree=0, sky="clip", reach_m=150.0)
-    whole = export_gaussians(blocks, views, looks, degree=0, sky="pull", reach_m=150.0)
+    near = export_gaussians(blocks, views, select_latents, degree=0, sky="clip", reach_m=150.0)
+    whole = export_gaussians(blocks, views, select_latents, degree=0, sky="pull", reach_m=150.0)
     street_ends, sky = (torch.linalg.norm(one.means[:, :2], dim=1).max() for one in (near, whole))
     assert street_ends > 200.0 and sky >= street_ends
     outer = torch.linalg.norm(whole.means, dim=1)
@@ -79,32 +79,37 @@ def test_a_sky_that_is_pulled_in_stands_behind_the_whole_street() -> None:
     assert (outer < float(street_ends) - 1.0).sum() <= len(near)
 
 
-def test_what_does_not_depend_on_the_view_is_baked_exactly() -> None:
+def test_view_independent_streets_are_exported_exactly() -> None:
     one = street()
     for network in (one.background.geometry, one.background.colour, one.ground.colour, one.sky.colour):
         network.own.data[:, network.code : network.code + 3] = 0.0
     for degree in (0, 1, 3):
-        exported = export_gaussians([(A, one)], LINE, looks, degree=degree, sky="keep")
+        exported = export_gaussians([(A, one)], LINE, select_latents, degree=degree, sky="keep")
         assert exported.spherical_harmonics.shape[1] == (degree + 1) ** 2
-        assert psnr_to_model_db(exported, [(A, one)], LINE[:4], looks) > 45.0
+        assert psnr_to_model_db(exported, [(A, one)], LINE[:4], select_latents) > 45.0
 
 
-def test_harmonics_follow_colours_that_change_with_the_view() -> None:
+def test_spherical_harmonics_follow_view_dependent_colours() -> None:
     one = street()
     for network in (one.background.geometry,):
         network.own.data[:, network.code : network.code + 3] = 0.0
     plain, full = (
         psnr_to_model_db(
-            export_gaussians([(A, one)], LINE, looks, degree=degree, sky="keep"), [(A, one)], LINE[1::2], looks
+            export_gaussians([(A, one)], LINE, select_latents, degree=degree, sky="keep"),
+            [(A, one)],
+            LINE[1::2],
+            select_latents,
         )
         for degree in (0, 3)
     )
     assert full > plain and full > 35.0
 
 
-def test_a_sky_pulled_in_looks_as_before_from_the_middle_and_is_nearer() -> None:
+def test_pulled_in_sky_renders_the_same_from_the_middle() -> None:
     one = street()
-    kept, pulled, clipped = (export_gaussians([(A, one)], LINE, looks, sky=sky) for sky in ("keep", "pull", "clip"))
+    kept, pulled, clipped = (
+        export_gaussians([(A, one)], LINE, select_latents, sky=sky) for sky in ("keep", "pull", "clip")
+    )
     assert kept.means.norm(dim=1).max() > 290.0
     assert pulled.means.norm(dim=1).max() < 150.1 and len(pulled) == len(kept)
     assert clipped.means.norm(dim=1).max() < 150.1 and len(clipped) < len(kept)
@@ -112,25 +117,27 @@ def test_a_sky_pulled_in_looks_as_before_from_the_middle_and_is_nearer() -> None
     assert float((render_gaussians(kept, middle) - render_gaussians(pulled, middle)).abs().mean()) < 1e-3
 
 
-def test_blocks_are_baked_as_one_street() -> None:
+def test_blocks_are_exported_as_one_street() -> None:
     one = street()
     both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
     for node in (one, both[1][1]):
         for network in (node.background.geometry, node.background.colour, node.ground.colour, node.sky.colour):
             network.own.data[:, network.code : network.code + 3] = 0.0
     views = [view(x, 0.5) for x in (-20.0, -10.0, -5.0)]
-    assert psnr_to_model_db(export_gaussians(both, views, looks, sky="keep"), both, views, looks) > 40.0
+    assert (
+        psnr_to_model_db(export_gaussians(both, views, select_latents, sky="keep"), both, views, select_latents) > 40.0
+    )
 
 
-def test_nothing_to_bake_from_is_refused() -> None:
+def test_export_without_views_is_refused() -> None:
     for views, degree in (([], 3), (LINE, 4)):
         with pytest.raises(UsageError, match="degree"):
-            export_gaussians([(A, street())], views, looks, degree=degree)
+            export_gaussians([(A, street())], views, select_latents, degree=degree)
 
 
-def test_a_baked_frame_far_from_the_worlds_origin_draws_the_same() -> None:
+def test_distant_export_origin_renders_the_same() -> None:
     one = street()
-    near = export_gaussians([(A, one)], LINE, looks)
+    near = export_gaussians([(A, one)], LINE, select_latents)
     far = ExportedGaussians(
         near.means, near.quats, near.log_scales, near.logits, near.spherical_harmonics, np.array(UTM)
     )

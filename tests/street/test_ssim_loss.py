@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmarks.street.reference_losses import similarity as plain_similarity
+from benchmarks.street.reference_losses import structural_similarity as plain_similarity
 from hybridworldsim.model.ssim_loss import ssim
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 31), (3, 2), (1, 1)])
-def test_value_and_gradient_are_those_of_the_formula(height, width):
+def test_value_and_gradient_match_the_formula(height, width):
     torch.manual_seed(0)
     x, y, weights = torch.rand(height, width, 3), torch.rand(height, width, 3), torch.rand(height, width)
     x.requires_grad_()
@@ -23,7 +23,7 @@ def test_value_and_gradient_are_those_of_the_formula(height, width):
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_a_flat_picture_is_like_itself_and_pulls_nothing(value):
+def test_a_constant_image_has_ssim_one_and_no_gradient(value):
     x = torch.full((20, 20, 3), value, requires_grad=True)
     found = ssim(x, x.detach().clone())
     torch.testing.assert_close(found, torch.ones(20, 20), rtol=0, atol=1e-4)

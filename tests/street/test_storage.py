@@ -17,7 +17,7 @@ from tests.street.streets import SOURCES, street, view
 BLOCK = Block((1, 2), (441_000.123456789, 4_475_000.1, 612.7))
 
 
-def test_what_is_stored_comes_back(tmp_path: Path) -> None:
+def test_stored_street_is_restored(tmp_path: Path) -> None:
     one = street()
     size = save_block(tmp_path / "model.safetensors", BLOCK, one, about={"seed": 3})
     assert size == (tmp_path / "model.safetensors").stat().st_size
@@ -30,7 +30,7 @@ def test_what_is_stored_comes_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("half", "anchor", "plain"), [(False, 284, 108), (True, 148, 60)])
-def test_an_anchor_takes_no_more_bytes_than_its_numbers(tmp_path: Path, half: bool, anchor: int, plain: int) -> None:
+def test_stored_size_is_that_of_the_numbers(tmp_path: Path, half: bool, anchor: int, plain: int) -> None:
     few, many = street(100), street(1100)
     sizes = [save_block(tmp_path / f"{len(one.background)}", BLOCK, one, half=half) for one in (few, many)]
     # The header writes offsets with more digits.
@@ -41,7 +41,7 @@ def test_an_anchor_takes_no_more_bytes_than_its_numbers(tmp_path: Path, half: bo
     assert 0 <= save_block(tmp_path / "ground", BLOCK, more, half=half) - sizes[0] - 400 * plain <= 128
 
 
-def test_half_precision_hardly_changes_a_picture(tmp_path: Path) -> None:
+def test_half_precision_hardly_changes_a_render(tmp_path: Path) -> None:
     one = street()
     save_block(tmp_path / "half", BLOCK, one, half=True)
     _, other, _ = load_block(tmp_path / "half")
@@ -76,7 +76,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         load_block(tmp_path / "other")
 
 
-def test_another_traversal_takes_one_latent_for_itself_and_one_for_each_camera(tmp_path: Path) -> None:
+def test_a_traversal_adds_one_latent_and_one_for_each_camera(tmp_path: Path) -> None:
     """Memory hardly grows with the number of traversals: the paper's point against a set of colours for each."""
     sizes = {}
     for traversals in (1, 2, 101):

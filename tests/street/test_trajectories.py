@@ -22,14 +22,14 @@ def quarter_turn(by: np.ndarray | float = 0.0) -> Trajectory:
     return Trajectory(np.array([7 * SECOND, 8 * SECOND]), Poses(rotation, np.array([[0.0, 0, 0], [10.0, 0, 0]]) + by))
 
 
-def test_a_shift_to_the_left_is_the_vehicles_left() -> None:
+def test_shift_is_to_the_vehicles_left() -> None:
     moved = quarter_turn().shifted(left_m=2.0, forward_m=1.0)
     np.testing.assert_allclose(moved.world_SE3_ego.translation, [[1.0, 2.0, 0.0], [8.0, 1.0, 0.0]], atol=1e-12)
     aside = quarter_turn(UTM).shifted(left_m=0.001).world_SE3_ego.translation[0] - UTM
     np.testing.assert_allclose(aside, (0.0, 0.001, 0.0), atol=1e-9)
 
 
-def test_any_rate_begins_at_the_first_pose_and_stays_on_the_way() -> None:
+def test_resampled_trajectory_starts_at_the_first_pose_and_stays_on_the_line() -> None:
     for hz in (1.0, 3.0, 10.0, 29.97, 240.0):
         often = quarter_turn().resample(hz)
         assert len(often) == int(hz) + 1
@@ -43,7 +43,7 @@ def test_any_rate_begins_at_the_first_pose_and_stays_on_the_way() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str) -> None:
+def test_poses_are_read_back_from_a_file(tmp_path: Path, suffix: str) -> None:
     line = quarter_turn(UTM)
     table = pd.DataFrame(line.world_SE3_ego.to_columns())
     table["timestamp_ns"] = line.timestamps_ns
@@ -73,13 +73,13 @@ def test_poses_of_a_file_are_those_that_were_written(tmp_path: Path, suffix: str
         ("qw,qx,qy,qz,tx_m,ty_m,tz_m,timestamp_ns\n1,0,0,0,0,1,1,5\n1,0,0,0,0,1,1,5\n", "do not increase"),
     ],
 )
-def test_files_that_hold_no_poses_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+def test_files_without_poses_are_refused(tmp_path: Path, text: str, problem: str) -> None:
     (tmp_path / "poses.csv").write_text(text)
     with pytest.raises(UsageError, match=problem):
         read_trajectory(tmp_path / "poses.csv")
 
 
-def test_a_video_has_as_many_pictures_as_it_was_given(tmp_path: Path) -> None:
+def test_video_has_all_given_images(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     pictures = [np.full((37, 64, 3), 20 * number, np.uint8) for number in range(10)]
     assert write_video(tmp_path / "street.mp4", iter(pictures), 10.0) == 10

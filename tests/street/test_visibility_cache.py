@@ -17,7 +17,7 @@ def rows(*numbers):
     return torch.tensor(numbers, dtype=torch.int64)
 
 
-def test_what_a_picture_did_not_show_is_left_out_until_the_fourth_visit():
+def test_hidden_rows_are_skipped_until_the_fourth_visit():
     sightings, numbers, seen = VisibilityCache(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
     assert [one.tolist() for one in sightings.select_rows(HERE, seen, numbers)] == [[1, 4, 19], [0, 2]]
     for _ in range(2):
@@ -30,7 +30,7 @@ def test_what_a_picture_did_not_show_is_left_out_until_the_fourth_visit():
 
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 16])
-def test_rows_that_are_new_are_never_left_out(count):
+def test_new_rows_are_never_skipped(count):
     sightings = VisibilityCache()
     sightings.record(HERE, [rows()], [torch.arange(count)])
     kept = torch.tensor([0, *range(count, count + 20)])
@@ -38,7 +38,7 @@ def test_rows_that_are_new_are_never_left_out(count):
     assert found.tolist() == list(range(1, 21))
 
 
-def test_rows_keep_their_sightings_when_others_go():
+def test_rows_keep_their_visibility_when_others_are_removed():
     sightings = VisibilityCache()
     sightings.record(HERE, [rows(2, 5)], [torch.arange(8)])
     (found,) = sightings.select_rows(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
@@ -52,7 +52,7 @@ def test_nodes_may_be_empty():
     assert sightings.select_rows(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
 
 
-def test_it_keeps_no_more_than_it_may(monkeypatch):
+def test_visibility_cache_stays_within_its_byte_limit(monkeypatch):
     monkeypatch.setattr(module, "MAX_BYTES", 2)
     sightings, numbers = VisibilityCache(), [torch.arange(8)]
     places = [to_viewpoint(view(float(x)), np.zeros(3)) for x in range(5)]
@@ -61,7 +61,7 @@ def test_it_keeps_no_more_than_it_may(monkeypatch):
     assert [len(sightings.select_rows(place, [rows(0)], numbers)[0]) for place in places] == [0, 0, 1, 1, 1]
 
 
-def test_it_goes_on_where_it_was_kept():
+def test_restored_cache_continues_exactly():
     one, numbers = VisibilityCache(), [torch.arange(50), rows()]
     for place, visits in ((HERE, 2), (THERE, 4)):
         for _ in range(visits):
@@ -91,7 +91,7 @@ def walled():
     return one
 
 
-def test_a_step_learns_the_same_without_what_is_hidden():
+def test_skipping_hidden_rows_does_not_change_a_step():
     one, image = walled(), Painted()(views(1)[0])
     before = {name: table.clone() for name, table in one.state().items()}
     seen = len(one.street.background.visible_ids(image.viewpoint))

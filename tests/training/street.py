@@ -75,7 +75,7 @@ def trainer(settings: Settings = SETTINGS) -> StreetTrainer:
     return StreetTrainer(initial_street(initial(), settings), settings)
 
 
-def picture_of(viewpoint: Viewpoint, night: bool) -> TrainingImage:
+def render_image(viewpoint: Viewpoint, night: bool) -> TrainingImage:
     """Stripes on the wall, a grey road, a sky: by the ray of each pixel."""
     v, u = torch.meshgrid(torch.arange(HEIGHT) + 0.5, torch.arange(WIDTH) + 0.5, indexing="ij")
     across, down = (u - WIDTH / 2) / 20.0, (v - HEIGHT / 2) / 20.0
@@ -101,5 +101,5 @@ class Painted:
 
     def __call__(self, one: RenderView) -> TrainingImage:
         self.opened += 1
-        made = picture_of(to_viewpoint(one, np.zeros(3)), "night" in one.traversal_id)
-        return replace(self.edit(made), name=one.path)
+        image = render_image(to_viewpoint(one, np.zeros(3)), "night" in one.traversal_id)
+        return replace(self.edit(image), name=one.path)

@@ -21,99 +21,98 @@ BACK = (0.5, -0.5, -0.5, 0.5)
 
 
 def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather: str = "clear") -> list[RenderView]:
-    found = []
+    choice = []
     for frame in range(10):
         for camera in cameras:
             one = view(traversal, frame, camera)
             quaternion = BACK if "rear" in camera else one.world_SE3_camera[:4]
             pose = (*quaternion, 1.0 * frame, y_m, 1.5)
-            found.append(one.model_copy(update={"world_SE3_camera": pose, "weather": weather}))
-    return found
+            choice.append(one.model_copy(update={"world_SE3_camera": pose, "weather": weather}))
+    return choice
 
 
 TRAINED = [*line("s.day.0", 0.0), *line("s.day.1", 8.0, weather="rain"), *line("s.night.0", 4.0)]
-SEEN = trained_cameras(TRAINED)
+TRAINED_CAMERAS = trained_cameras(TRAINED)
 
 
-def look(policy: str, asked: list[RenderView], which: int = 0, everywhere: bool = False):
-    return AppearanceSelector(SEEN, policy, asked, everywhere).select(asked[which])
+def select(policy: str, views: list[RenderView], index: int = 0, everywhere: bool = False):
+    return AppearanceSelector(TRAINED_CAMERAS, policy, views, everywhere).select(views[index])
 
 
-def test_what_was_trained_on_keeps_its_look() -> None:
+def test_trained_traversals_keep_their_appearance() -> None:
     for policy in ("nearest", "mean", "night"):
-        assert look(policy, TRAINED).colours == ((Source("s.day.0", "front_wide"), 1.0),)
+        assert select(policy, TRAINED).colours == ((Source("s.day.0", "front_wide"), 1.0),)
 
 
-def test_nearest_is_the_line_driven_beside() -> None:
+def test_nearest_policy_selects_the_nearest_line() -> None:
     for y_m, expected in ((1.0, "s.day.0"), (3.5, "s.night.0"), (30.0, "s.day.1")):
-        found = look("nearest", line("s.new.0", y_m))
-        assert found.colours == ((Source(expected, "front_wide"), 1.0),) and found.content == found.colours[0][0]
+        choice = select("nearest", line("s.new.0", y_m))
+        assert choice.colours == ((Source(expected, "front_wide"), 1.0),) and choice.content == choice.colours[0][0]
 
 
-def test_whole_lines_are_compared_not_the_nearest_picture() -> None:
+def test_complete_lines_are_compared() -> None:
     # It begins where one traversal drove, and goes on where another did.
-    asked = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
-    assert look("nearest", asked).content.traversal_id == "s.day.1"
-    assert AppearanceSelector(SEEN, "nearest").select(asked[0]).content.traversal_id == "s.day.0"
+    views = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
+    assert select("nearest", views).content.traversal_id == "s.day.1"
+    assert AppearanceSelector(TRAINED_CAMERAS, "nearest").select(views[0]).content.traversal_id == "s.day.0"
 
 
-def test_words_mean_light_weather_or_a_traversal() -> None:
-    asked = line("s.new.0", 0.5)
+def test_words_name_light_weather_or_a_traversal() -> None:
+    views = line("s.new.0", 0.5)
     for word, expected in (("night", "s.night.0"), ("rain", "s.day.1"), ("clear", "s.day.0"), ("s.day.1", "s.day.1")):
-        found = look(word, asked)
-        assert found.colours == ((Source(expected, "front_wide"), 1.0),)
-        assert found.content == Source(expected, "front_wide")
+        choice = select(word, views)
+        assert choice.colours == ((Source(expected, "front_wide"), 1.0),)
+        assert choice.content == Source(expected, "front_wide")
 
 
-def test_a_light_that_is_edited_moves_nothing() -> None:
-    for asked in (TRAINED, line("s.new.0", 0.5)):
-        edited = look("night", asked, everywhere=True)
+def test_edited_light_keeps_the_content() -> None:
+    for views in (TRAINED, line("s.new.0", 0.5)):
+        edited = select("night", views, everywhere=True)
         assert edited.colours[0][0].traversal_id == "s.night.0" and edited.content.traversal_id == "s.day.0"
 
 
-def test_blocks_agree_on_a_look_and_take_the_nearest_where_they_have_not_seen_it() -> None:
-    asked = line("s.new.0", 5.0)
+def test_blocks_select_the_same_appearance_or_their_nearest() -> None:
+    views = line("s.new.0", 5.0)
     parts = [
         trained_cameras([one for one in TRAINED if one.traversal_id != absent]) for absent in ("s.night.0", "s.day.0")
     ]
 
     def chosen(policy: str) -> list[str]:
-        return [
-            AppearanceSelector(own, policy, asked, lines=DrivenLines(SEEN, asked)).select(asked[0]).content.traversal_id
-            for own in parts
-        ]
+        lines = DrivenLines(TRAINED_CAMERAS, views)
+        selectors = [AppearanceSelector(cameras, policy, views, lines=lines) for cameras in parts]
+        return [selector.select(views[0]).content.traversal_id for selector in selectors]
 
     assert chosen("nearest") == ["s.day.1", "s.night.0"]
     assert chosen("day") == ["s.day.1", "s.day.1"]
     assert chosen("s.day.0") == ["s.day.0", "s.night.0"]
     with pytest.raises(UsageError, match="'night'"):
-        AppearanceSelector(parts[0], "night", asked)
+        AppearanceSelector(parts[0], "night", views)
     # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
-    assert AppearanceSelector(SEEN, "nearest", asked, lines=DrivenLines(SEEN, asked)).select(
-        asked[0]
-    ) == AppearanceSelector(SEEN, "nearest", asked).select(asked[0])
+    assert AppearanceSelector(TRAINED_CAMERAS, "nearest", views, lines=DrivenLines(TRAINED_CAMERAS, views)).select(
+        views[0]
+    ) == AppearanceSelector(TRAINED_CAMERAS, "nearest", views).select(views[0])
 
 
-def test_mean_is_of_the_camera() -> None:
-    found = look("mean", line("s.new.0", 0.0), which=1)
-    assert {source.camera for source, _ in found.colours} == {"rear"} and len(found.colours) == 3
-    assert sum(weight for _, weight in found.colours) == pytest.approx(1.0)
+def test_mean_policy_averages_one_camera() -> None:
+    choice = select("mean", line("s.new.0", 0.0), index=1)
+    assert {source.camera for source, _ in choice.colours} == {"rear"} and len(choice.colours) == 3
+    assert sum(weight for _, weight in choice.colours) == pytest.approx(1.0)
 
 
-def test_a_sweep_goes_from_one_to_the_other() -> None:
-    asked = line("s.new.0", 0.5)
-    looks = AppearanceSelector(SEEN, "sweep:day:night", asked)
-    shares = [looks.select(one).colours for one in asked[::2]]
+def test_sweep_blends_linearly_between_two_appearances() -> None:
+    views = line("s.new.0", 0.5)
+    selector = AppearanceSelector(TRAINED_CAMERAS, "sweep:day:night", views)
+    shares = [selector.select(one).colours for one in views[::2]]
     assert [blend[1][1] for blend in shares] == pytest.approx(np.linspace(0.0, 1.0, 10).tolist())
     assert {blend[0][0].traversal_id for blend in shares} == {"s.day.0"}
 
 
-def test_cameras_of_other_names_are_told_by_where_they_look() -> None:
-    asked = line("s.new.0", 0.0, ("centre", "rear_view"))
-    assert [look("nearest", asked, which).content.camera for which in (0, 1)] == ["front_wide", "rear"]
+def test_cameras_with_other_names_match_by_direction() -> None:
+    views = line("s.new.0", 0.0, ("centre", "rear_view"))
+    assert [select("nearest", views, index).content.camera for index in (0, 1)] == ["front_wide", "rear"]
 
 
-def test_an_edit_of_the_light_moves_nothing() -> None:
+def test_editing_the_light_changes_colours_only() -> None:
     street = trainer().street
     with torch.no_grad():
         # As after training: what is there depends on the look.
@@ -127,9 +126,9 @@ def test_an_edit_of_the_light_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("policy", ["snow", "sweep:day", "sweep:day:snow", "sweep:a:b:c", ""])
-def test_looks_that_nothing_has_are_refused(policy: str) -> None:
+def test_unknown_policies_are_refused(policy: str) -> None:
     with pytest.raises(UsageError):
-        AppearanceSelector(SEEN, policy, TRAINED)
+        AppearanceSelector(TRAINED_CAMERAS, policy, TRAINED)
 
 
 @given(st.floats(-1e3, 1e3), st.integers(1, 5), st.floats(4e5, 6e6))
@@ -141,29 +140,29 @@ def test_chamfer_is_symmetric_and_does_not_depend_on_the_origin(shift: float, co
     assert chamfer_m(ours, ours) == 0.0
 
 
-def test_a_line_is_filled_up_evenly_and_keeps_its_places() -> None:
+def test_densified_line_is_even_and_keeps_its_places() -> None:
     places = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.0, 0.0], [1.2, 0.4, 0.0]])
     expected = [[0.0, 0, 0], [0.4, 0, 0], [0.8, 0, 0], [1.2, 0, 0], [1.2, 0, 0], [1.2, 0.4, 0]]
     np.testing.assert_allclose(densify_line(places), expected, atol=1e-12)
     np.testing.assert_array_equal(densify_line(places[:1]), places[:1])
 
 
-def test_a_line_that_several_blocks_saw_is_all_of_it() -> None:
+def test_line_of_several_blocks_is_their_union() -> None:
     """Each block knows the part that it was trained on."""
     halves = [
         trained_cameras([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)
     ]
-    asked = line("s.new.0", 1.0)
-    lines = DrivenLines([one for half in halves for one in half], asked)
+    views = line("s.new.0", 1.0)
+    lines = DrivenLines([one for half in halves for one in half], views)
     chosen = {
-        AppearanceSelector(half, "nearest", asked, lines=lines).select(asked[0]).content.traversal_id for half in halves
+        AppearanceSelector(half, "nearest", views, lines=lines).select(views[0]).content.traversal_id for half in halves
     }
     assert chosen == {"s.day.0"}
     reference = [
         chamfer_m(
             np.concatenate(
                 [
-                    densify_line(np.array([one.pose.translation[0] for one in asked if one.camera == camera]))
+                    densify_line(np.array([one.pose.translation[0] for one in views if one.camera == camera]))
                     for camera in CAMERAS
                 ]
             ),
@@ -173,4 +172,4 @@ def test_a_line_that_several_blocks_saw_is_all_of_it() -> None:
         )
         for name in ("s.day.0", "s.night.0")
     ]
-    assert reference[0] < reference[1] and lines.nearest(asked[0], ["s.night.0", "s.day.0"]) == "s.day.0"
+    assert reference[0] < reference[1] and lines.nearest(views[0], ["s.night.0", "s.day.0"]) == "s.day.0"

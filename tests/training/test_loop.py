@@ -68,7 +68,7 @@ def _one_thread():
 
 
 def run(
-    path: Path, steps: int = 60, pictures: Painted | None = None, options: Options | None = None, **more
+    path: Path, steps: int = 60, images: Painted | None = None, options: Options | None = None, **more
 ) -> TrainingOutcome:
     folder = RunFolder(path)
     folder.begin(RUN)
@@ -76,7 +76,7 @@ def run(
     half = more.pop("half", False)
     return train(
         trained,
-        pictures or Painted(),
+        images or Painted(),
         more.pop("views", views()),
         Budget(steps=steps),
         folder,
@@ -86,10 +86,10 @@ def run(
     )
 
 
-def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Path) -> None:
+def test_training_improves_psnr_and_writes_a_complete_folder(tmp_path: Path) -> None:
     one = view("s.day.0", 2)
-    specimen = Preview("training-0", Painted()(one), Painted()(one).viewpoint.source)
-    done = run(tmp_path / "run", 120, options=Options(previews=[specimen]))
+    preview = Preview("training-0", Painted()(one), Painted()(one).viewpoint.source)
+    done = run(tmp_path / "run", 120, options=Options(previews=[preview]))
     rows = read_curves(tmp_path / "run" / "curves.csv", 1000)
     assert done.steps == 120 and done.skipped == 0 and len(rows) == REPORTS
     assert rows[-1]["psnr_db"] > rows[0]["psnr_db"] + 3.0 and done.psnr_db == pytest.approx(rows[-1]["psnr_db"])
@@ -101,7 +101,7 @@ def test_training_brings_pictures_nearer_and_leaves_a_whole_folder(tmp_path: Pat
     assert not list((tmp_path / "run").glob(".*"))
 
 
-def test_the_model_alone_renders_what_the_learner_did(tmp_path: Path) -> None:
+def test_stored_model_renders_as_the_trainer(tmp_path: Path) -> None:
     trained = trainer()
     run(tmp_path / "run", trainer=trained)
     fresh = initial_street(replace_points(), SETTINGS)
@@ -117,7 +117,7 @@ def replace_points():
     return replace(initial(), points_m=initial().points_m[:7])
 
 
-def test_half_precision_takes_half_the_bytes_of_tables_and_hardly_shows(tmp_path: Path) -> None:
+def test_half_precision_halves_tables_and_hardly_changes_renders(tmp_path: Path) -> None:
     trained = trainer()
     whole = run(tmp_path / "whole", trainer=trained)
     half = run(tmp_path / "half", half=True)
@@ -133,7 +133,7 @@ def test_half_precision_takes_half_the_bytes_of_tables_and_hardly_shows(tmp_path
     assert (drawn.rgb - trained.render(viewpoint).rgb).abs().max() < 0.02
 
 
-def test_what_pictures_and_networks_have_stays_whole_in_half_precision(tmp_path: Path) -> None:
+def test_half_precision_keeps_networks_and_image_tables_exact(tmp_path: Path) -> None:
     model = nn.Module()
     model.means, model.codes = nn.Parameter(torch.randn(7, 3)), nn.Parameter(torch.randn(7, 4))
     model.keys, model.out = nn.Parameter(torch.randn(5, 17)), nn.Linear(4, 6)
@@ -144,7 +144,7 @@ def test_what_pictures_and_networks_have_stays_whole_in_half_precision(tmp_path:
     torch.testing.assert_close(back["codes"].float(), model.codes.detach(), rtol=1e-3, atol=1e-4)
 
 
-def test_a_killed_process_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+def test_temporary_files_of_a_killed_process_are_ignored(tmp_path: Path) -> None:
     left = tmp_path / f".run.json.7{TEMPORARY}"
     left.touch()
     assert not is_occupied(tmp_path) and not is_occupied(tmp_path / "new") and is_occupied(left)
@@ -154,7 +154,7 @@ def test_a_killed_process_leaves_nothing_in_the_way(tmp_path: Path) -> None:
         assert not left.exists() and (tmp_path / "run.json").exists()
 
 
-def test_who_asks_does_not_touch_what_another_process_is_writing(tmp_path: Path) -> None:
+def test_lock_refusal_keeps_files_of_the_other_process(tmp_path: Path) -> None:
     run(tmp_path, steps=2)
     folder, writing = RunFolder(tmp_path), tmp_path / f".checkpoint.safetensors.7{TEMPORARY}"
     with folder.lock():
@@ -164,7 +164,7 @@ def test_who_asks_does_not_touch_what_another_process_is_writing(tmp_path: Path)
         assert writing.exists()
 
 
-def test_a_checkpoint_without_all_that_is_kept_is_refused(tmp_path: Path) -> None:
+def test_incomplete_checkpoint_is_refused(tmp_path: Path) -> None:
     trained = trainer()
     run(tmp_path, steps=2, trainer=trained)
 
@@ -200,7 +200,7 @@ run(Path(sys.argv[1]), 160, images=Stuck(), options=Options(checkpoint_s=0.1))
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_killed_and_resumed_it_is_the_same_model(tmp_path: Path, threads: int) -> None:
+def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, threads: int) -> None:
     torch.set_num_threads(threads)
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'baselines'}"}
     child = subprocess.Popen(
@@ -237,7 +237,7 @@ def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
 
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "run", pictures=Interrupting())
+        run(tmp_path / "run", images=Interrupting())
     assert signal.getsignal(signal.SIGINT) is before
     run(tmp_path / "run")
     run(tmp_path / "whole")
@@ -246,7 +246,7 @@ def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
     ).read_bytes()
 
 
-def test_a_done_run_says_so_and_another_is_refused(tmp_path: Path) -> None:
+def test_finished_run_is_returned_and_another_is_refused(tmp_path: Path) -> None:
     run(tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
     assert folder.begin(RUN) == folder.outcome is not None
@@ -254,11 +254,11 @@ def test_a_done_run_says_so_and_another_is_refused(tmp_path: Path) -> None:
         folder.begin(RUN.model_copy(update={"steps": 90, "settings": {"latent": 8}}))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
-    with pytest.raises(UsageError, match="no run began here"):
+    with pytest.raises(UsageError, match="not the folder of a run"):
         RunFolder(tmp_path / "other").begin(RUN)
 
 
-def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
+def test_lock_allows_one_process(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run")
     folder.begin(RUN)
     with folder.lock(), pytest.raises(DatasetError, match="another process"), RunFolder(tmp_path / "run").lock():
@@ -267,7 +267,7 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
         pass
 
 
-def test_a_broken_checkpoint_is_named(tmp_path: Path) -> None:
+def test_broken_checkpoint_is_named_in_the_error(tmp_path: Path) -> None:
     run(tmp_path / "run")
     path = tmp_path / "run" / "checkpoint.safetensors"
     path.write_bytes(path.read_bytes()[:100])
@@ -290,12 +290,12 @@ def edited(**changes):
         ),
     ],
 )
-def test_numbers_that_are_none_are_refused_and_the_checkpoint_stays(tmp_path: Path, field: str, make) -> None:
+def test_images_that_are_not_finite_are_refused_and_the_checkpoint_stays(tmp_path: Path, field: str, make) -> None:
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "run", pictures=stopping_at(20))
+        run(tmp_path / "run", images=stopping_at(20))
     before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
     with pytest.raises(DatasetError, match=r"renders/training/.*finite"):
-        run(tmp_path / "run", pictures=edited(**{field: make}))
+        run(tmp_path / "run", images=edited(**{field: make}))
     assert (tmp_path / "run" / "checkpoint.safetensors").read_bytes() == before
 
 
@@ -309,23 +309,23 @@ def stopping_at(count: int) -> Painted:
     return Stopping()
 
 
-def test_a_loss_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     class Diverging(StreetTrainer):
         def step(self, image, progress):
             return StepReport({"rgb": 0.1, "depth": torch.inf}, 1)
 
-    with pytest.raises(DatasetError, match=r"loss depth is inf at step 0.*look at the poses, masks and depth"):
+    with pytest.raises(DatasetError, match=r"loss depth is inf at step 0.*check the poses, masks and depth"):
         run(tmp_path / "run", trainer=Diverging(trainer().street, SETTINGS))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
 
 
-def test_parameters_that_are_none_reach_no_checkpoint(tmp_path: Path) -> None:
+def test_parameters_that_are_not_finite_are_not_checkpointed(tmp_path: Path) -> None:
     # What they draw is culled, so that no loss tells of them.
     broken = trainer()
     with torch.no_grad():
         broken.street.appearance.drives[0, 0] = torch.nan
     with pytest.raises(
-        DatasetError, match=r"holds numbers that are none at step [12];.*look at the poses, masks and depth"
+        DatasetError, match=r"holds numbers that are not finite at step [12];.*check the poses, masks and depth"
     ):
         run(tmp_path / "run", trainer=broken)
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
@@ -336,7 +336,7 @@ def black(image: TrainingImage) -> TrainingImage:
 
 
 @pytest.mark.parametrize(
-    ("pictures", "chosen"),
+    ("images", "chosen"),
     [
         pytest.param(Painted(black), views(), id="a black traversal"),
         pytest.param(edited(rgb=lambda p: torch.full_like(p.rgb, 0.5)), views(), id="constant images"),
@@ -357,13 +357,13 @@ def black(image: TrainingImage) -> TrainingImage:
         ),
     ],
 )
-def test_odd_pictures_are_trained_through(tmp_path: Path, pictures: Painted, chosen) -> None:
-    done = run(tmp_path / "run", 40, pictures=pictures, views=chosen)
+def test_training_survives_unusual_images(tmp_path: Path, images: Painted, chosen) -> None:
+    done = run(tmp_path / "run", 40, images=images, views=chosen)
     assert done.steps == 40 and done.psnr_db > 5.0
     assert all(table.isfinite().all() for table in load_file(tmp_path / "run" / "model.safetensors").values())
 
 
-def test_what_is_masked_decides_nothing(tmp_path: Path) -> None:
+def test_masked_pixels_do_not_affect_the_model(tmp_path: Path) -> None:
     """Neither colours nor depths of road users and of the vehicle itself reach the model."""
     covered = torch.zeros(20, 32, dtype=torch.bool)
     covered[12:, 8:24] = True
@@ -375,8 +375,8 @@ def test_what_is_masked_decides_nothing(tmp_path: Path) -> None:
         return replace(own, rgb=rgb, depth_m=torch.where(covered, 2.0, own.depth_m))
 
     models = {}
-    for name, pictures in (("plain", plain), ("painted", Painted(painted)), ("unmasked", Painted())):
-        run(tmp_path / name, 40, pictures=pictures)
+    for name, images in (("plain", plain), ("painted", Painted(painted)), ("unmasked", Painted())):
+        run(tmp_path / name, 40, images=images)
         models[name] = (tmp_path / name / "model.safetensors").read_bytes()
     assert models["plain"] == models["painted"] != models["unmasked"]
 
@@ -395,18 +395,18 @@ def test_depth_counts_where_the_render_is_mostly_opaque() -> None:
         assert bool(known.any()) == network_inputs and (report.losses["depth"] > 0.0) == network_inputs
 
 
-def test_pictures_of_which_nothing_is_scored_are_counted_and_left_out(tmp_path: Path) -> None:
+def test_images_without_scored_pixels_are_counted_and_skipped(tmp_path: Path) -> None:
     masked = edited(scored=lambda p: p.scored & (p.rgb.max() > 0.31))
-    done = run(tmp_path / "run", pictures=masked)
+    done = run(tmp_path / "run", images=masked)
     assert done.steps == 60 and 50 <= done.skipped <= 70
 
 
 def test_masks_over_everything_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="masks cover every training image"):
-        run(tmp_path / "run", pictures=edited(scored=lambda p: torch.zeros_like(p.scored)))
+        run(tmp_path / "run", images=edited(scored=lambda p: torch.zeros_like(p.scored)))
 
 
-def test_compiling_a_kernel_is_not_paid_for(tmp_path: Path) -> None:
+def test_budget_excludes_kernel_compilation(tmp_path: Path) -> None:
     """It happens once a machine, and would end a short run before it began."""
 
     @numba.njit
@@ -430,7 +430,7 @@ def test_compiling_a_kernel_is_not_paid_for(tmp_path: Path) -> None:
     assert clock.spent_s - before < 0.2
 
 
-def test_where_nothing_was_learnt_other_settings_begin_anew(tmp_path: Path) -> None:
+def test_untrained_run_may_be_replaced_by_other_settings(tmp_path: Path) -> None:
     """What failed before its first checkpoint does not claim the folder."""
     folder, other = RunFolder(tmp_path / "run"), RUN.model_copy(update={"seed": 1})
     folder.begin(other)
@@ -459,7 +459,7 @@ def test_where_nothing_was_learnt_other_settings_begin_anew(tmp_path: Path) -> N
         ({"depth_weight": 0.0, "normal_weight": 0.0}, {"rgb"}),
     ],
 )
-def test_each_loss_is_switched_off_alone(changes, losses: set[str]) -> None:
+def test_each_loss_can_be_switched_off(changes, losses: set[str]) -> None:
     trained = trainer(replace(SETTINGS, **changes))
     assert set(trained.step(Painted()(view("s.day.0", 1)), 0.0).losses) == losses
     assert trained.reads_depth == bool(losses - {"rgb"})

@@ -1,8 +1,8 @@
-"""Methods of static reconstruction as the entry points ``mirror.methods`` name them."""
+"""Methods of static reconstruction that the entry points ``mirror.methods`` name."""
 
 from __future__ import annotations
 
 import os
 
-# Threads of OpenMP that wait spin by default, and take the time of those that work.
+# By default, waiting OpenMP threads spin and take processor time from working ones.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")

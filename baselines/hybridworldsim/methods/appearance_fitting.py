@@ -1,4 +1,4 @@
-"""Looks that are fitted to a declared part of held-out images, which is not scored: their left half."""
+"""Fits appearances to the left half of held-out images, a declared part that is not scored."""
 
 from __future__ import annotations
 
@@ -20,57 +20,61 @@ from mirror.protocols.views.view import RenderView
 
 _STEPS: Final = 60
 _RATE: Final = 0.05
-_MOST_PICTURES: Final = 8
+_MAX_IMAGES: Final = 8
 
 
 def fit_appearances(street: Street, block: Block, run: Run, appearance: AppearancePolicy) -> tuple[TrainedCamera, ...]:
-    """Add a latent to a street for each traversal and camera of its scene that sees it and that it was not trained on.
+    """Add latents to a street for untrained traversals and cameras of its scene that see it.
 
-    Each begins with the nearest trained one; nothing but the latent is learnt.
+    Each latent begins as the nearest trained one; nothing else is optimised.
 
     Args:
-        street: gets the latents.
-        block: where it is.
-        run: what it was trained on.
-        appearance: with the truth that may be looked at.
+        street: receives the latents.
+        block: block of the street.
+        run: run that trained the street.
+        appearance: policy with the truth that may be read.
 
     Returns:
-        What was trained on or fitted.
+        Cameras that were trained on or fitted.
 
     Raises:
-        UsageError: there is no truth to look at.
+        UsageError: the policy has no truth.
     """
     if appearance.truth is None:
         raise UsageError(
             "there are no held-out images to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = appearance.truth
-    # What was recorded is not what a camera sees that was moved.
-    moved = {group.name for group in plan.protocol.groups if group.ego_shift_m}
-    seen = run.sources
+    # A moved camera does not see what was recorded.
+    moved_groups = {group.name for group in plan.protocol.groups if group.ego_shift_m}
+    trained = run.sources
     images = TrainingImageCache(dataset, plan, np.array(block.origin_m))
-    known = {Source(one.traversal_id, one.camera) for one in seen}
-    looks = AppearanceSelector(seen, "nearest", appearance.views)
+    known = {Source(camera.traversal_id, camera.camera) for camera in trained}
+    selector = AppearanceSelector(trained, "nearest", appearance.views)
     by_source: dict[Source, list[RenderView]] = {}
     for view in select_views(
-        block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved]
+        block, [view for view in plan.views if view.scene_id == run.scene and view.group not in moved_groups]
     ):
         source = Source(view.traversal_id, view.camera)
         if source not in known:
             by_source.setdefault(source, []).append(view)
-    fitted = []
-    for source, own in by_source.items():
-        chosen = np.unique(np.linspace(0, len(own) - 1, min(len(own), _MOST_PICTURES)).round().astype(int))
-        near = looks.select(own[0]).content
-        latent = _fitted(street, near, images, [own[place] for place in chosen])
+    fitted_cameras = []
+    for source, source_views in by_source.items():
+        chosen = np.unique(
+            np.linspace(0, len(source_views) - 1, min(len(source_views), _MAX_IMAGES)).round().astype(int)
+        )
+        nearest = selector.select(source_views[0]).content
+        latent = _fit_latent(street, nearest, images, [source_views[place] for place in chosen])
         street.appearance.add(source, latent)
-        one = next(one for one in seen if (one.traversal_id, one.camera) == near)
-        fitted.append(one.model_copy(update={"traversal_id": source.traversal_id, "camera": source.camera}))
-    return (*seen, *fitted)
+        template = next(camera for camera in trained if (camera.traversal_id, camera.camera) == nearest)
+        fitted_cameras.append(
+            template.model_copy(update={"traversal_id": source.traversal_id, "camera": source.camera})
+        )
+    return (*trained, *fitted_cameras)
 
 
-def _fitted(street: Street, near: Source, images: TrainingImageCache, views: list[RenderView]) -> torch.Tensor:
-    latent = street.appearance(near).detach().clone().requires_grad_()
+def _fit_latent(street: Street, nearest: Source, images: TrainingImageCache, views: list[RenderView]) -> torch.Tensor:
+    latent = street.appearance(nearest).detach().clone().requires_grad_()
     adam = torch.optim.Adam([latent], lr=_RATE)
     for step in range(_STEPS):
         image = images(views[step % len(views)])

@@ -1,4 +1,4 @@
-"""The layers of depth and points that a reconstruction reads; they are made where they are absent."""
+"""The layers of depth and points that a reconstruction reads; missing layers are estimated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 
-BROUGHT: Final = "dataset"
+GIVEN: Final = "dataset"
 PLANE_SWEEP: Final = "plane-sweep"
 
 Kind: TypeAlias = Literal["depth", "points"]
@@ -26,43 +26,43 @@ KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 @dataclass(frozen=True)
 class Layers:
-    """What is read.
+    """The layers that a reconstruction reads.
 
     Attributes:
-        dataset: that reads these layers.
-        depth: ``source@version``; None: there is none.
-        points: ``source@version``; None: there is none.
+        dataset: a view of the dataset that reads these layers.
+        depth: ``source@version``, or None where there is no depth.
+        points: ``source@version``, or None where there are no points.
     """
 
     dataset: Dataset
     depth: str | None
     points: str | None
 
-    def having(self, kind: Kind) -> frozenset[str]:
+    def traversals_with(self, kind: Kind) -> frozenset[str]:
         """Traversals that have the layer of a kind."""
-        return _having(self.dataset, kind, getattr(self, kind))
+        return _traversals_with(self.dataset, kind, getattr(self, kind))
 
-    def lacking(self, kind: Kind, traversals: Sequence[str]) -> list[str]:
-        """Those of some traversals that have no layer of a kind; none, if nothing of that kind is read."""
-        return [] if getattr(self, kind) is None else sorted(set(traversals) - self.having(kind))
+    def traversals_without(self, kind: Kind, traversals: Sequence[str]) -> list[str]:
+        """Which of some traversals lack the layer of a kind; empty if no layer of that kind is read."""
+        return [] if getattr(self, kind) is None else sorted(set(traversals) - self.traversals_with(kind))
 
 
 def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressReporter) -> Layers:
-    """The layers that a task asks for, of the training traversals of its scene.
+    """Select or estimate the layers of a task, for the training traversals of its scene.
 
     Args:
-        dataset: the whole of it.
-        task: what is asked.
-        progress: told of the making.
+        dataset: the complete dataset.
+        task: the task.
+        progress: receives the progress of the estimation.
 
     Raises:
-        UsageError: there are several and none is named, or there is neither an estimator nor a layer of that name.
-        DatasetError: they cannot be made.
+        UsageError: there are several layers and none is named, or the name is neither a layer nor an estimator.
+        DatasetError: the layers cannot be estimated.
     """
-    method = method_of(dataset, task)
+    method = layer_source(dataset, task)
     if method not in get_args(Method):
-        return _brought_layers(dataset, task) if method == BROUGHT else _named(dataset, task, method)
-    done = initialise(
+        return _select_given(dataset, task) if method == GIVEN else _named_layers(dataset, task, method)
+    estimated = initialise(
         dataset.where(scene=task.scene),
         task.split,
         method=method,
@@ -71,80 +71,87 @@ def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressRep
         withheld=task.withheld,
         progress=progress,
     )
-    made = replace(mirror.open(dataset.root), layers=replace(dataset.layers, depth=None, points=None))
-    depth, points = (done.layer if done.layer in _there(made, task, kind) else None for kind in ("depth", "points"))
-    return Layers(made.with_layers(depth=depth, points=points), depth, points)
+    reopened = replace(mirror.open(dataset.root), layers=replace(dataset.layers, depth=None, points=None))
+    depth, points = (
+        estimated.layer if estimated.layer in _layer_names(reopened, task, kind) else None
+        for kind in ("depth", "points")
+    )
+    return Layers(reopened.with_layers(depth=depth, points=points), depth, points)
 
 
-def method_of(dataset: Dataset, task: ReconstructionTask) -> str:
-    """Where layers come from, if a task does not say: ``dataset`` or an estimator."""
-    brings = _brought(dataset, task, "points") and not task.withheld
-    return task.initialise or (BROUGHT if brings else PLANE_SWEEP)
+def layer_source(dataset: Dataset, task: ReconstructionTask) -> str:
+    """The source of the layers if a task does not name one: ``dataset`` or an estimator."""
+    is_given = _given_layers(dataset, task, "points") and not task.withheld
+    return task.initialise or (GIVEN if is_given else PLANE_SWEEP)
 
 
-def are_made(dataset: Dataset, task: ReconstructionTask) -> bool:
-    """Whether all training traversals of a task's scene have the points that `layers_for` would make."""
-    own = _training(dataset, task)
-    return set(own.traversals()) <= _having(own, "points", f"{task.initialise or PLANE_SWEEP}@{_version(task)}")
+def has_estimated_points(dataset: Dataset, task: ReconstructionTask) -> bool:
+    """Whether all training traversals of a task's scene have the points that `layers_for` would estimate."""
+    training = _training_view(dataset, task)
+    return set(training.traversals()) <= _traversals_with(
+        training, "points", f"{task.initialise or PLANE_SWEEP}@{_version(task)}"
+    )
 
 
-def _having(dataset: Dataset, kind: Kind, name: str | None) -> frozenset[str]:
+def _traversals_with(dataset: Dataset, kind: Kind, name: str | None) -> frozenset[str]:
     rows = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
     return frozenset(row["traversal_id"] for row in rows if f"{kind}/{name}" in row["layers"])
 
 
-def _training(dataset: Dataset, task: ReconstructionTask) -> Dataset:
+def _training_view(dataset: Dataset, task: ReconstructionTask) -> Dataset:
     return dataset.where(scene=task.scene, split=task.split, role="train")
 
 
 def _version(task: ReconstructionTask) -> str:
-    """Of other training images or another width they are other layers."""
-    return f"{task.split}-{task.protocol.pixels.max_width_px}{_without(task.withheld)}"
+    """Version of the estimated layers; it differs for other training images and for another width."""
+    return f"{task.split}-{task.protocol.pixels.max_width_px}{_withheld_suffix(task.withheld)}"
 
 
-def _without(withheld: Set[ImageKey]) -> str:
-    named = hashlib.sha256(json.dumps(sorted(withheld)).encode()).hexdigest()
-    return f"-without-{len(withheld)}-{named[:8]}" if withheld else ""
+def _withheld_suffix(withheld: Set[ImageKey]) -> str:
+    digest = hashlib.sha256(json.dumps(sorted(withheld)).encode()).hexdigest()
+    return f"-without-{len(withheld)}-{digest[:8]}" if withheld else ""
 
 
-def _there(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
+def _layer_names(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
     names = {
-        name for row in _training(dataset, task).table("traversals", ["layers"]).column(0).to_pylist() for name in row
+        name
+        for row in _training_view(dataset, task).table("traversals", ["layers"]).column(0).to_pylist()
+        for name in row
     }
     return {name.partition("/")[2] for name in names if name.startswith(f"{kind}/")}
 
 
-def _brought(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
-    """Layers that no estimator of ours made: those may know the images that another split holds out."""
-    return {name for name in _there(dataset, task, kind) if name.partition("@")[0] not in get_args(Method)}
+def _given_layers(dataset: Dataset, task: ReconstructionTask, kind: str) -> set[str]:
+    """Layers that no estimator of this project made; estimated ones may use images that another split holds out."""
+    return {name for name in _layer_names(dataset, task, kind) if name.partition("@")[0] not in get_args(Method)}
 
 
-def _brought_layers(dataset: Dataset, task: ReconstructionTask) -> Layers:
-    """The layers that are chosen, or the only ones: of what was brought, if there are points of that."""
-    there = _brought if _brought(dataset, task, "points") else _there
-    depth, points = (_only(dataset, kind, there(dataset, task, kind)) for kind in ("depth", "points"))
+def _select_given(dataset: Dataset, task: ReconstructionTask) -> Layers:
+    """The chosen layers or the only ones, among the given layers if these include points."""
+    names = _given_layers if _given_layers(dataset, task, "points") else _layer_names
+    depth, points = (_select_layer(dataset, kind, names(dataset, task, kind)) for kind in ("depth", "points"))
     return Layers(dataset.with_layers(depth=depth, points=points), depth, points)
 
 
-def _only(dataset: Dataset, kind: str, there: Set[str]) -> str | None:
+def _select_layer(dataset: Dataset, kind: str, names: Set[str]) -> str | None:
     chosen: str | None = getattr(dataset.layers, kind)
-    if chosen in there:
+    if chosen in names:
         return chosen
-    if chosen is None and len(there) > 1:
+    if chosen is None and len(names) > 1:
         raise UsageError(
-            f"{len(there)} layers of {kind}: {', '.join(sorted(there))}", file=dataset.root,
+            f"{len(names)} layers of {kind}: {', '.join(sorted(names))}", file=dataset.root,
             expected="one that is chosen", remedy="name it: --initialise SOURCE@VERSION",
         )  # fmt: skip
-    return min(there, default=None)
+    return min(names, default=None)
 
 
-def _named(dataset: Dataset, task: ReconstructionTask, name: str) -> Layers:
-    """Depth and points of one name."""
-    depth, points = (name if name in _there(dataset, task, kind) else None for kind in ("depth", "points"))
+def _named_layers(dataset: Dataset, task: ReconstructionTask, name: str) -> Layers:
+    """The layers of depth and points of one name."""
+    depth, points = (name if name in _layer_names(dataset, task, kind) else None for kind in ("depth", "points"))
     if points is None:
-        there = sorted(_there(dataset, task, "points"))
+        names = sorted(_layer_names(dataset, task, "points"))
         raise UsageError(
             f"no layer of points is called {name!r}", place="--initialise", file=dataset.root,
-            expected=f"one of {', '.join((*get_args(Method), BROUGHT, *there))}",
+            expected=f"one of {', '.join((*get_args(Method), GIVEN, *names))}",
         )  # fmt: skip
     return Layers(dataset.with_layers(depth=depth, points=points), depth, points)

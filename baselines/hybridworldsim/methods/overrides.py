@@ -1,4 +1,4 @@
-"""Settings of a method with some of them changed by name, as a command line names them."""
+"""Overrides settings of a method by name, for the command line."""
 
 from __future__ import annotations
 
@@ -18,39 +18,41 @@ _Settings = TypeVar("_Settings")
 _SEED: Final = "seed"
 
 
-def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Settings:
-    """Settings with others in place of some.
+def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Settings:
+    """Replace some settings by others.
 
     Args:
-        settings: a dataclass, of dataclasses.
-        words: values as text (JSON, or a bare word) by names with dots, such as ``refinement.max_anchors``.
+        settings: a dataclass, which may hold dataclasses.
+        overrides: values as text (JSON or a bare word) by dotted names, such as ``refinement.max_anchors``.
 
     Raises:
-        UsageError: there is no such setting, or it has no such value.
+        UsageError: there is no such setting, or the value is invalid.
     """
-    if not words:
+    if not overrides:
         return settings
-    whole = asdict(settings)  # type: ignore[call-overload]
-    known = _leaves(whole)
+    values = asdict(settings)  # type: ignore[call-overload]
+    known = _setting_names(values)
     # The two documents have the same settings in the same order.
-    serialized_names = dict(zip(_leaves(settings_document(settings)), known))
-    for given, text in words.items():
-        name = serialized_names.get(given, given)
+    serialized_names = dict(zip(_setting_names(settings_document(settings)), known))
+    for key, text in overrides.items():
+        name = serialized_names.get(key, key)
         if name == _SEED:
-            raise UsageError("the seed is no setting", place="--set", expected="--seed")
+            raise UsageError("the seed is not a setting", place="--set", expected="--seed")
         if name not in known:
-            near = difflib.get_close_matches(name, known, 3) or sorted(known)
-            raise UsageError(f"no setting {name!r}", place="--set", expected=f"NAME=VALUE, such as {', '.join(near)}")
+            similar = difflib.get_close_matches(name, known, 3) or sorted(known)
+            raise UsageError(
+                f"no setting {name!r}", place="--set", expected=f"NAME=VALUE, such as {', '.join(similar)}"
+            )
         *outer, last = name.split(".")
-        inner = whole
+        group = values
         for key in outer:
-            inner = inner[key]
-        inner[last] = _value(name, text)
-        for number in _numbers(inner[last]):
+            group = group[key]
+        group[last] = _parse_value(name, text)
+        for number in _numbers(group[last]):
             if not 0.0 <= number < math.inf:
                 raise UsageError(f"{number:g}", place=f"--set {name}", expected="a finite number, 0 or more")
     try:
-        return TypeAdapter(type(settings)).validate_python(whole)
+        return TypeAdapter(type(settings)).validate_python(values)
     except ValidationError as error:
         first = error.errors()[0]
         # "Input should be a valid number, unable to parse ..."
@@ -61,36 +63,36 @@ def override_settings(settings: _Settings, words: Mapping[str, str]) -> _Setting
 
 
 def settings_document(settings: Any) -> dict[str, Any]:
-    """Settings as ``run.json`` stores them and as they are hashed: under the names that older versions wrote.
+    """Settings as stored in ``run.json`` and as hashed, under the names that older versions wrote.
 
     Args:
-        settings: a dataclass, of dataclasses.
+        settings: a dataclass, which may hold dataclasses.
     """
     document: dict[str, Any] = TypeAdapter(type(settings)).dump_python(settings, mode="json", by_alias=True)
     return document
 
 
-def _leaves(whole: Mapping[str, Any], under: str = "") -> list[str]:
-    """Names of all settings."""
-    found = []
-    for key, value in whole.items():
-        found += _leaves(value, f"{under}{key}.") if isinstance(value, dict) else [f"{under}{key}"]
-    return found
+def _setting_names(values: Mapping[str, Any], under: str = "") -> list[str]:
+    """Dotted names of all settings."""
+    names = []
+    for key, value in values.items():
+        names += _setting_names(value, f"{under}{key}.") if isinstance(value, dict) else [f"{under}{key}"]
+    return names
 
 
 def _numbers(value: Any) -> Iterator[float]:
     if isinstance(value, list):
-        for one in value:
-            yield from _numbers(one)
+        for number in value:
+            yield from _numbers(number)
     elif isinstance(value, int | float):
         yield float(value)
 
 
-def _value(name: str, text: str) -> Any:
-    def no_number(word: str) -> float:
+def _parse_value(name: str, text: str) -> Any:
+    def refuse_number(word: str) -> float:
         raise UsageError(word, place=f"--set {name}", expected="a finite number")
 
     try:
-        return json.loads(text, parse_constant=no_number)
+        return json.loads(text, parse_constant=refuse_number)
     except ValueError:
         return text

@@ -1,4 +1,4 @@
-"""Trained blocks of any method, ready to render."""
+"""Renderers of trained blocks, for any method."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class Renderer(Protocol):
     """Renders views of a trained model."""
 
     def __call__(self, view: RenderView) -> UInt8:
-        """(H, W, 3) of a view."""
+        """Render the pixels (H, W, 3) of a view."""
         ...
 
     def render(self, view: RenderView) -> Rendering:
-        """A view with its depth."""
+        """Render a view with its depth."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class OpenBlock:
-    """A block and what renders it."""
+    """A block and the method that renders it."""
 
     run: Run
     trainer: TrainableMethod
@@ -48,12 +48,12 @@ def open_block(folder: Path, make: Callable[[InitialGeometry, Any], TrainableMet
     """Read a trained block.
 
     Args:
-        folder: of its run.
-        make: of the method.
-        settings: class of its settings.
+        folder: folder of the block's run.
+        make: makes an untrained model of the method.
+        settings: class of the method's settings.
 
     Raises:
-        DatasetError: the model is missing or another method's.
+        DatasetError: the model is missing or belongs to another method.
     """
     run = read_run(folder)
     trainer = make(_placeholder(run), TypeAdapter(settings).validate_python(run.settings))
@@ -62,12 +62,12 @@ def open_block(folder: Path, make: Callable[[InitialGeometry, Any], TrainableMet
 
 
 class NearestBlockRenderer:
-    """Renders views by the block that the camera is nearest to.
+    """Renders a view by the block that is nearest to its camera.
 
     Args:
-        blocks: at least one.
-        appearance: how images look that were not trained on. Methods without latents know the looks that were trained
-            on and nothing between them.
+        blocks: at least one block.
+        appearance: policy for untrained traversals and cameras. A method without latents has the trained appearances
+            only and cannot mix them.
 
     Raises:
         UsageError: the policy needs latents.
@@ -77,37 +77,37 @@ class NearestBlockRenderer:
         if appearance.policy in (FITTED, MEAN) or appearance.policy.startswith(SWEEP):
             raise UsageError(
                 f"{appearance.policy!r}, but {blocks[0].run.method} has no latents to fit or to mix",
-                place="--appearance", expected="nearest, or one that is given",
+                place="--appearance", expected="nearest, or the name of a traversal, light or weather",
             )  # fmt: skip
         self._blocks = list(blocks)
-        lines = DrivenLines([source for one in blocks for source in one.run.sources], appearance.views)
-        self._looks = [
-            AppearanceSelector(one.run.sources, appearance.policy, appearance.views, appearance.everywhere, lines)
-            for one in blocks
+        lines = DrivenLines([source for block in blocks for source in block.run.sources], appearance.views)
+        self._selectors = [
+            AppearanceSelector(block.run.sources, appearance.policy, appearance.views, appearance.everywhere, lines)
+            for block in blocks
         ]
-        self._centres = np.array([one.run.origin_m[:2] for one in blocks])
+        self._centres = np.array([block.run.origin_m[:2] for block in blocks])
 
     def __call__(self, view: RenderView) -> UInt8:
-        """(H, W, 3) of a view."""
+        """Render the pixels (H, W, 3) of a view."""
         return pixels(self.render(view).rgb)
 
     def render(self, view: RenderView) -> Rendering:
-        """A view with its depth."""
-        here = view.pose.translation[0, :2]
-        place = int(np.abs(self._centres - here).max(axis=1).argmin())
+        """Render a view with its depth."""
+        camera_m = view.pose.translation[0, :2]
+        place = int(np.abs(self._centres - camera_m).max(axis=1).argmin())
         block = self._blocks[place]
-        look = self._looks[place].select(view)
-        ((source, _),) = look.colours
+        choice = self._selectors[place].select(view)
+        ((source, _),) = choice.colours
         viewpoint = to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
         return block.trainer.render(viewpoint)
 
 
 def _placeholder(run: Run) -> InitialGeometry:
-    """Something of the right kinds to make a model of: all its rows are replaced."""
-    flat: Float64 = np.zeros((1, 3))
+    """Geometry of one point, from which a model can be made before all its rows are replaced."""
+    point: Float64 = np.zeros((1, 3))
 
     def ground(places: Float64) -> tuple[Float64, Float64]:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
-    sources = [Source(one.traversal_id, one.camera) for one in run.sources]
-    return InitialGeometry(flat, np.empty((0, 3)), flat, ground, run.radius_m, sources, np.zeros((1, 3), np.uint8))
+    sources = [Source(block.traversal_id, block.camera) for block in run.sources]
+    return InitialGeometry(point, np.empty((0, 3)), point, ground, run.radius_m, sources, np.zeros((1, 3), np.uint8))

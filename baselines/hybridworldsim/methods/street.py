@@ -1,4 +1,4 @@
-"""The method of the paper: streets of anchors and Code-Gaussians, several blocks drawn as one."""
+"""The method of the paper: streets of anchors and Code-Gaussians; several blocks are rendered as one street."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ STRUCTURE_WEIGHT: Final = 0.1
 
 
 class StreetMethod(StaticMethod):
-    """`StaticMethod` whose blocks are composed, and whose looks are latents that can be mixed and fitted."""
+    """A `StaticMethod` with composed blocks and with appearances that can be mixed and fitted."""
 
     def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""
@@ -53,18 +53,20 @@ class StreetMethod(StaticMethod):
     ) -> PlyExport:
         """See `mirror.methods.ply_export.PlyExporter`."""
         street = StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
-        looks = street.latents(views[0])
-        baked = export_gaussians(
-            street.blocks, views, looks, degree=options.degree, sky=options.sky, reach_m=options.reach_m
+        select_latents = street.latents(views[0])
+        exported = export_gaussians(
+            street.blocks, views, select_latents, degree=options.degree, sky=options.sky, reach_m=options.reach_m
         )
-        size = write_ply(out, baked)
-        x, y, z = baked.origin_m.tolist()
-        return PlyExport(len(baked), size, psnr_to_model_db(baked, street.blocks, views, looks), (x, y, z))
+        size = write_ply(out, exported)
+        x, y, z = exported.origin_m.tolist()
+        return PlyExport(
+            len(exported), size, psnr_to_model_db(exported, street.blocks, views, select_latents), (x, y, z)
+        )
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """See `StaticMethod.write`."""
         if not isinstance(trainer, StreetTrainer):
-            raise UsageError(f"a {type(trainer).__name__}", expected="a learner of a street")
+            raise UsageError(f"a {type(trainer).__name__}", expected="a StreetTrainer")
         trainer.catch_up()
         return save_block(path, block, trainer.street, half=half, about={"settings_hash": run.settings_hash})
 
@@ -82,60 +84,59 @@ class StreetRenderer:
     """Renders views by all blocks that they see.
 
     Args:
-        blocks: at least one.
-        appearance: how images look that were not trained on.
+        blocks: at least one block.
+        appearance: policy for untrained traversals and cameras.
 
     Raises:
-        UsageError: nothing that was trained on matches the policy of the looks, or there is nothing to fit, or to fit
-            to.
+        UsageError: no trained appearance matches the policy, or there is nothing to fit or no truth to fit to.
     """
 
     def __init__(self, blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> None:
-        seen = [one.run.sources for one in blocks]
+        trained = [block.run.sources for block in blocks]
         if appearance.policy == FITTED:
-            seen = [fit_appearances(one.street, one.block, one.run, appearance) for one in blocks]
-            if all(len(own) == len(one.run.sources) for own, one in zip(seen, blocks)):
+            trained = [fit_appearances(block.street, block.block, block.run, appearance) for block in blocks]
+            if all(len(cameras) == len(block.run.sources) for cameras, block in zip(trained, blocks)):
                 raise UsageError(
-                    "all looks that are asked for were trained on: nothing to fit", place="--appearance",
-                    expected="a split or protocol with traversals that were not", remedy="--appearance nearest",
+                    "nothing to fit: the model was trained on all requested traversals", place="--appearance",
+                    expected="a split or protocol with other traversals", remedy="--appearance nearest",
                 )  # fmt: skip
-        lines = DrivenLines([source for own in seen for source in own], appearance.views)
-        # Whatever is drawn of a block shares its latents.
-        self._looks = {
-            id(one.street.appearance): AppearanceSelector(
-                own, appearance.policy, appearance.views, appearance.everywhere, lines
+        lines = DrivenLines([source for cameras in trained for source in cameras], appearance.views)
+        # All rendered copies of a block share its latents.
+        self._selectors = {
+            id(block.street.appearance): AppearanceSelector(
+                cameras, appearance.policy, appearance.views, appearance.everywhere, lines
             )
-            for one, own in zip(blocks, seen)
+            for block, cameras in zip(blocks, trained)
         }
-        self.blocks = [(one.block, one.street) for one in blocks]
+        self.blocks = [(block.block, block.street) for block in blocks]
         self._composition = Composition(self.blocks)
 
     def __call__(self, view: RenderView) -> UInt8:
-        """(H, W, 3) of a view."""
+        """Render the pixels (H, W, 3) of a view."""
         return pixels(self.render(view).rgb)
 
     def render(self, view: RenderView) -> Rendering:
-        """A view with its depth."""
+        """Render a view with its depth."""
         output, counts = self._composition.render(view, self.latents(view))
         return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
     def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
-        """Of a block's appearance, what a view's colours and content are drawn with."""
+        """Return a function that selects the latents of a view's colours and content from a block's appearance."""
 
-        def of(appearance: AppearanceLatents) -> tuple[Tensor, Tensor]:
-            look = self._looks[id(appearance)].select(view)
-            return blend_latents(appearance, look.colours), appearance(look.content)
+        def select(appearance: AppearanceLatents) -> tuple[Tensor, Tensor]:
+            choice = self._selectors[id(appearance)].select(view)
+            return blend_latents(appearance, choice.colours), appearance(choice.content)
 
-        return of
+        return select
 
 
 def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:
-    """The latent of a mixture of looks."""
+    """The weighted mean of latents."""
     return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
 
 
 def make(initial: InitialGeometry, settings: Any) -> StreetTrainer:
-    """A street that has seen no image yet."""
+    """Make an untrained street."""
     return StreetTrainer(initial_street(initial, settings), settings)
 
 
@@ -145,12 +146,12 @@ def _open(folder: Path) -> OpenBlock:
 
 
 METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed))
-"""With the paper's three losses, depth's error as a share of the depth, and no others."""
+"""The paper's three losses only; the depth error is a share of the depth."""
 
 STRUCTURE: Final = StreetMethod(
     f"{NAME}_structure", make, lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)
 )
-"""With a loss of structure beside them."""
+"""The paper's losses and a structure loss."""
 
 
 def open_model(folder: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
@@ -158,10 +159,10 @@ def open_model(folder: Path, appearance: AppearancePolicy = AppearancePolicy()) 
 
     Args:
         folder: the folder that ``mirror reconstruct`` wrote.
-        appearance: how images of traversals and cameras look that were not trained on.
+        appearance: policy for untrained traversals and cameras.
 
     Returns:
-        A renderer: called with a view it returns the pixels (H, W, 3), uint8; its `render` also returns the depth.
+        A renderer. Called with a view, it returns the pixels (H, W, 3), uint8; its `render` also returns the depth.
 
     Raises:
         UsageError: no trained traversal matches the appearance policy.

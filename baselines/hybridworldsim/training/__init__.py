@@ -1,1 +1,1 @@
-"""What every method of static reconstruction shares: images, budget, loop, checkpoints, run folder."""
+"""Training shared by all methods of static reconstruction: images, budget, loop, checkpoints and run folder."""

@@ -1,4 +1,4 @@
-"""How long a method trains: a number of steps, or processor time, which other work on the machine does not shorten."""
+"""How long a method trains: a number of steps, or processor time, which does not depend on other load."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class Budget:
-    """One of two; schedules run from progress 0 to 1 under either.
+    """A number of steps or processor time; schedules run from progress 0 to 1 under either.
 
     Attributes:
-        steps: images trained on. Repeats exactly at the same number of threads.
-        core_minutes: processor time of all threads of the process, of training alone: reading ahead counts; rendering
-            for reports does not, nor compiling kernels, which happens once a machine. With it, methods are compared at
-            equal cost on a machine that does other work too.
+        steps: number of training images. Results repeat exactly with the same number of threads.
+        core_minutes: processor time of all threads of the process, spent on training. Reading ahead counts; rendering
+            for reports and the compilation of kernels, which happens once on a machine, do not. With this budget,
+            methods are compared at equal cost on a machine with other load.
     """
 
     steps: int | None = None
@@ -32,70 +32,70 @@ class Budget:
             raise UsageError(f"a budget of {self.steps or self.core_minutes}", expected="more than nothing")
 
     def progress(self, steps: int, spent_s: float) -> float:
-        """From 0 to 1, where training ends.
+        """Progress from 0 to 1, where training ends.
 
         Args:
-            steps: done so far.
+            steps: number of steps so far.
             spent_s: processor time so far.
         """
         share = steps / self.steps if self.steps is not None else spent_s / (60.0 * (self.core_minutes or 1.0))
         return min(share, 1.0)
 
 
-class _Compiling(event.Listener):
-    """How much processor time went into kernels that were not on disk yet."""
+class _CompilationTimer(event.Listener):
+    """Measures the processor time of kernel compilation."""
 
     def __init__(self) -> None:
-        self._before, self._deep, self._since = 0.0, 0, 0.0
+        self._earlier_s, self._depth, self._started_s = 0.0, 0, 0.0
 
     @property
     def spent_s(self) -> float:
-        """So far, of what is being compiled too."""
-        return self._before + (time.process_time() - self._since if self._deep else 0.0)
+        """Processor time so far, including the compilation under way."""
+        return self._earlier_s + (time.process_time() - self._started_s if self._depth else 0.0)
 
     def on_start(self, _: Any) -> None:
-        """Numba begins to compile, one kernel at a time; what that calls is compiled within."""
-        if not self._deep:
-            self._since = time.process_time()
-        self._deep += 1
+        """Count the start of a compilation; compilations may nest."""
+        if not self._depth:
+            self._started_s = time.process_time()
+        self._depth += 1
 
     def on_end(self, _: Any) -> None:
-        """It is done."""
+        """Count the end of a compilation."""
         spent_s = self.spent_s
-        self._deep -= 1
-        if not self._deep:
-            self._before = spent_s
+        self._depth -= 1
+        if not self._depth:
+            self._earlier_s = spent_s
 
 
-_COMPILING: Final = _Compiling()
-event.register("numba:compile", _COMPILING)
+_COMPILATION: Final = _CompilationTimer()
+event.register("numba:compile", _COMPILATION)
 
 
-def _worked_s() -> float:
+def _processor_time_s() -> float:
     """Processor time of this process so far, without compilation."""
-    return time.process_time() - _COMPILING.spent_s
+    return time.process_time() - _COMPILATION.spent_s
 
 
 class Clock:
-    """Processor time of this process without compilation, that can be stopped.
+    """Measures processor time of this process without compilation; it can be paused.
 
     Args:
-        spent_s: where it begins: what an earlier run spent.
+        spent_s: initial value: time that an earlier run spent.
     """
 
     def __init__(self, spent_s: float = 0.0) -> None:
-        self._before, self._since = spent_s, _worked_s()
+        self._earlier_s, self._started_s = spent_s, _processor_time_s()
         self._paused = False
 
     @property
     def spent_s(self) -> float:
-        """So far."""
-        return self._before + (0.0 if self._paused else _worked_s() - self._since)
+        """Time so far."""
+        return self._earlier_s + (0.0 if self._paused else _processor_time_s() - self._started_s)
 
     def pause(self) -> None:
-        """What follows does not count."""
-        self._before, self._paused = self.spent_s, True
+        """Stop counting."""
+        self._earlier_s, self._paused = self.spent_s, True
 
     def resume(self) -> None:
-        """It counts again."""
-        self._since, self._paused = _worked_s(), False
+        """Count again."""
+        self._started_s, self._paused = _processor_time_s(), False

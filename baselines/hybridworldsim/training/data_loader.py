@@ -1,4 +1,4 @@
-"""Training images from the dataset, one after the other: decoded ahead by a thread, memory bounded."""
+"""Loads training images from the dataset: a thread decodes ahead, and memory is bounded."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
 CACHE_BYTES: Final = 512 << 20
-_AHEAD: Final = 3
+_PREFETCHED: Final = 3
 
 
 class TrainingImageCache:
-    """Opens training images of views; those opened last are held, up to a number of bytes.
+    """Opens the training images of views, and caches the latest up to a number of bytes.
 
     Args:
-        dataset: where they lie.
-        plan: whose protocol says raster and masks.
-        origin_m: (3,) of the block, in the world.
-        depth_of: traversals whose depth maps are read, of the chosen layer; others have none.
-        sky: read masks of the sky too, for a method that learns from them.
-        cache_bytes: held at most; memory does not grow with the number of images beyond it.
+        dataset: the dataset.
+        plan: its protocol states raster and masks.
+        origin_m: (3,) origin of the block, in the world.
+        depth_of: traversals with the chosen layer of depth maps; no depth is read for others.
+        sky: whether to read masks of the sky, for a method that learns from them.
+        cache_bytes: limit of the cache; memory does not grow with the number of images beyond it.
 
     Attributes:
-        held_bytes: of images that are held now.
-        opened: images that were opened so far, those that were opened again among them.
+        held_bytes: size of the cached images.
+        opened: number of images opened so far, including repeated openings.
     """
 
     def __init__(
@@ -53,10 +53,10 @@ class TrainingImageCache:
         sky: bool = False,
         cache_bytes: int = CACHE_BYTES,
     ) -> None:
-        self._plan, self._origin, self._most = plan, origin_m, cache_bytes
-        self._sky, self._depth_of = sky, depth_of
+        self._plan, self._origin, self._max_bytes = plan, origin_m, cache_bytes
+        self._reads_sky, self._depth_of = sky, depth_of
         self._source = GroundTruth(dataset, plan.protocol, plan.layers)
-        self._held: OrderedDict[str, TrainingImage] = OrderedDict()
+        self._cache: OrderedDict[str, TrainingImage] = OrderedDict()
         self.held_bytes = 0
         self.opened = 0
 
@@ -64,27 +64,27 @@ class TrainingImageCache:
         """The image of a view.
 
         Raises:
-            DatasetError: a file is missing or broken, or it has several masks of the sky.
-            UsageError: it has several layers of depth and none was chosen.
+            DatasetError: a file is missing or broken, or the image has several masks of the sky.
+            UsageError: the image has several layers of depth and none was chosen.
         """
-        if view.path not in self._held:
-            self._held[view.path] = self._open(view)
+        if view.path not in self._cache:
+            self._cache[view.path] = self._open(view)
             self.opened += 1
-            self.held_bytes += self._held[view.path].bytes
-        self._held.move_to_end(view.path)
-        while self.held_bytes > self._most and len(self._held) > 1:
-            _, old = self._held.popitem(last=False)
-            self.held_bytes -= old.bytes
-        recorded = self._held[view.path]
-        # Held as it was recorded: in float32 colours would take four times the bytes.
+            self.held_bytes += self._cache[view.path].bytes
+        self._cache.move_to_end(view.path)
+        while self.held_bytes > self._max_bytes and len(self._cache) > 1:
+            _, oldest = self._cache.popitem(last=False)
+            self.held_bytes -= oldest.bytes
+        recorded = self._cache[view.path]
+        # The cache holds uint8: float32 colours would take four times the bytes.
         return replace(recorded, rgb=recorded.rgb.to(torch.float32).div_(255.0))
 
     def _open(self, view: RenderView) -> TrainingImage:
-        """The image of a view, its colours as they were recorded: uint8."""
+        """Open the image of a view, with recorded colours (uint8)."""
         rgb = self._source.image(view)
         _, image = self._source.recorded_frame_and_image(view)
         depth = image.depth() if view.traversal_id in self._depth_of else None
-        mask, sky = _sky(image, depth) if self._sky else None, None
+        mask, sky = _select_sky_mask(image, depth) if self._reads_sky else None, None
         if mask is not None:
             raster = cached_raster(image.camera_model, self._plan.protocol.pixels)
             sky = torch.from_numpy(~raster.exclude(mask.decode() == 0))
@@ -100,32 +100,32 @@ class TrainingImageCache:
 
 
 def resample_depth(view: RenderView, lens: Camera, depth_m: Float32) -> Float32:
-    """A depth map as a view's lens has it.
+    """Resample a depth map to the raster of a view.
 
     Args:
-        view: of the same pose; a pinhole.
-        lens: the map's pinhole.
-        depth_m: (H, W) the camera's z, NaN where unknown.
+        view: a pinhole view with the pose of the map.
+        lens: pinhole lens of the map.
+        depth_m: (H, W) camera z, NaN where unknown.
 
     Returns:
-        (height, width) of the view, of the nearest pixel of the map; 0 where that is not known.
+        (height, width) of the view: depth of the nearest pixel of the map, 0 where unknown.
     """
-    across = lens.fx_px * (np.arange(view.width_px) + 0.5 - view.cx_px) / view.fx_px + lens.cx_px
-    down = lens.fy_px * (np.arange(view.height_px) + 0.5 - view.cy_px) / view.fy_px + lens.cy_px
-    # Centres that fall on an edge between two pixels belong to the second, whatever rounding says.
-    columns, rows = (np.floor(places + 1e-6).astype(np.int64) for places in (across, down))
+    columns_px = lens.fx_px * (np.arange(view.width_px) + 0.5 - view.cx_px) / view.fx_px + lens.cx_px
+    rows_px = lens.fy_px * (np.arange(view.height_px) + 0.5 - view.cy_px) / view.fy_px + lens.cy_px
+    # A centre on the edge between two pixels belongs to the second, despite rounding.
+    columns, rows = (np.floor(places + 1e-6).astype(np.int64) for places in (columns_px, rows_px))
     columns_in, rows_in = (columns >= 0) & (columns < lens.width_px), (rows >= 0) & (rows < lens.height_px)
-    found = np.zeros((view.height_px, view.width_px), np.float32)
-    found[np.ix_(rows_in, columns_in)] = np.nan_to_num(depth_m[np.ix_(rows[rows_in], columns[columns_in])], nan=0.0)
-    return found
+    resampled = np.zeros((view.height_px, view.width_px), np.float32)
+    resampled[np.ix_(rows_in, columns_in)] = np.nan_to_num(depth_m[np.ix_(rows[rows_in], columns[columns_in])], nan=0.0)
+    return resampled
 
 
-def _sky(image: Image, depth: DepthImage | None) -> Mask | None:
-    """The image's mask of the sky; of several that which was made with the depth map."""
+def _select_sky_mask(image: Image, depth: DepthImage | None) -> Mask | None:
+    """The image's mask of the sky; of several, the one from the layer of the depth map."""
     masks = [mask for mask in image.masks() if mask.kind == "sky"]
     if len(masks) > 1 and depth is not None:
-        made = depth.source, depth.source_version
-        masks = [mask for mask in masks if (mask.source, mask.source_version) == made] or masks
+        depth_layer = depth.source, depth.source_version
+        masks = [mask for mask in masks if (mask.source, mask.source_version) == depth_layer] or masks
     if len(masks) > 1:
         raise DatasetError(
             f"{len(masks)} masks of the sky: {', '.join(f'{one.source}@{one.source_version}' for one in masks)}",
@@ -134,13 +134,13 @@ def _sky(image: Image, depth: DepthImage | None) -> Mask | None:
     return masks[0] if masks else None
 
 
-def order(seed: int, count: int, first: int) -> Iterator[int]:
-    """Every image once in each round, every round in another order, which depends on the seed and the round alone.
+def shuffled_indices(seed: int, count: int, first: int) -> Iterator[int]:
+    """Yield every image once in each epoch; the order depends on the seed and the epoch only.
 
     Args:
-        seed: of the orders.
-        count: how many images.
-        first: how many have been shown already.
+        seed: seed of the orders.
+        count: number of images.
+        first: number of images already shown.
     """
     epoch, place = divmod(first, count)
     while True:
@@ -150,36 +150,36 @@ def order(seed: int, count: int, first: int) -> Iterator[int]:
 
 
 class NoSupervisionError(DatasetError):
-    """Not one image has a pixel to learn from."""
+    """No image has a pixel to learn from."""
 
 
-def stream(
+def stream_images(
     images: TrainingImageCache, views: Sequence[RenderView], seed: int, first: int
 ) -> Generator[TrainingImage, None, None]:
-    """Training images without end, in the order of `order`; a thread opens the next ones meanwhile.
+    """Yield training images without end, in the order of `shuffled_indices`; a thread opens the next ones.
 
     Raises:
-        NoSupervisionError: not one image has a pixel to learn from.
+        NoSupervisionError: no image has a pixel to learn from.
         DatasetError: a file is missing or broken.
     """
-    barren: set[int] = set()
-    places = order(seed, len(views), first)
-    with ThreadPoolExecutor(1, "pictures") as ahead:
+    unscored: set[int] = set()
+    places = shuffled_indices(seed, len(views), first)
+    with ThreadPoolExecutor(1, "pictures") as executor:
         waiting: list[tuple[int, Future[TrainingImage]]] = []
         try:
             while True:
-                while len(waiting) < _AHEAD:
+                while len(waiting) < _PREFETCHED:
                     place = next(places)
-                    waiting.append((place, ahead.submit(images, views[place])))
+                    waiting.append((place, executor.submit(images, views[place])))
                 place, future = waiting.pop(0)
                 image = future.result()
                 if not image.scored.any():
-                    barren.add(place)
-                    if len(barren) == len(views):
+                    unscored.add(place)
+                    if len(unscored) == len(views):
                         raise NoSupervisionError(
                             "masks cover every training image", expected="pixels of the static street",
-                            remedy="look at the masks: road users, the vehicle itself, and what the lens does not see",
+                            remedy="check the masks of road users, of the vehicle itself and of the lens border",
                         )  # fmt: skip
                 yield image
         finally:
-            ahead.shutdown(wait=True, cancel_futures=True)
+            executor.shutdown(wait=True, cancel_futures=True)

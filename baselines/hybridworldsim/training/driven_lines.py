@@ -1,4 +1,4 @@
-"""Lines that were driven, and how near one is to another."""
+"""Driven lines of traversals, and the distances between them."""
 
 from __future__ import annotations
 
@@ -17,62 +17,62 @@ _STEP_M: Final = 0.5
 
 
 class DrivenLines:
-    """The lines of a street that were trained on, and those that are asked for.
+    """The driven lines of a street's training traversals and of requested views.
 
-    A line is filled up and sorted into a tree once, and two are compared once, however many blocks of the street ask.
+    Lines are densified and indexed once, and two lines are compared once, however many blocks of the street need it.
 
     Args:
-        known: what the street was trained on.
-        views: all that will be rendered: what they tell of a traversal's line decides which is nearest to it.
+        known: trained traversals and cameras of the street.
+        views: all views to render; their positions form the lines of their traversals.
     """
 
     def __init__(self, known: Sequence[TrainedCamera], views: Sequence[RenderView]) -> None:
         self.known = tuple(known)
         self._views = views
         self._trees: dict[str, cKDTree] | None = None
-        self._asked: dict[str, cKDTree] | None = None
-        self._apart_m: dict[tuple[str, str], float] = {}
+        self._view_trees: dict[str, cKDTree] | None = None
+        self._distances_m: dict[tuple[str, str], float] = {}
 
     def nearest(self, view: RenderView, names: Sequence[str]) -> str:
-        """Of traversals that were trained on, the one whose line is nearest to that of a view's traversal.
+        """The name of the trained traversal with the line nearest to that of a view's traversal.
 
-        A traversal that is not among what is asked for is judged by the one view.
+        A traversal that is not among the requested views is compared by the position of the one view.
         """
-        if self._asked is None:
+        if self._view_trees is None:
             by_camera: dict[Source, list[Float64]] = {}
-            for one in self._views:
-                by_camera.setdefault(Source(one.traversal_id, one.camera), []).append(one.pose.translation[0])
-            self._asked = _trees((source.traversal_id, places) for source, places in by_camera.items())
-        line = self._asked.get(view.traversal_id)
-        if line is None:
-            alone = cKDTree(view.pose.translation)
-            return min(names, key=lambda name: _apart_m(alone, self._line(name)))
+            for viewed in self._views:
+                by_camera.setdefault(Source(viewed.traversal_id, viewed.camera), []).append(viewed.pose.translation[0])
+            self._view_trees = _trees((source.traversal_id, places) for source, places in by_camera.items())
+        view_line = self._view_trees.get(view.traversal_id)
+        if view_line is None:
+            camera = cKDTree(view.pose.translation)
+            return min(names, key=lambda name: _chamfer_m(camera, self._line(name)))
 
-        def apart_m(name: str) -> float:
+        def distance_m(name: str) -> float:
             key = (view.traversal_id, name)
-            if key not in self._apart_m:
-                self._apart_m[key] = _apart_m(line, self._line(name))
-            return self._apart_m[key]
+            if key not in self._distances_m:
+                self._distances_m[key] = _chamfer_m(view_line, self._line(name))
+            return self._distances_m[key]
 
-        return min(names, key=apart_m)
+        return min(names, key=distance_m)
 
     def _line(self, name: str) -> cKDTree:
         if self._trees is None:
-            self._trees = _trees((one.traversal_id, one.centre_m) for one in self.known)
+            self._trees = _trees((source.traversal_id, source.centre_m) for source in self.known)
         return self._trees[name]
 
 
 def chamfer_m(ours: Float64, theirs: Float64) -> float:
-    """Mean distance of two sets of places (N, 3), (M, 3) to the nearest of the other, there and back."""
-    return _apart_m(cKDTree(ours), cKDTree(theirs))
+    """Sum of the mean distances between places (N, 3) and (M, 3), each to the nearest place of the other set."""
+    return _chamfer_m(cKDTree(ours), cKDTree(theirs))
 
 
-def _apart_m(ours: cKDTree, theirs: cKDTree) -> float:
+def _chamfer_m(ours: cKDTree, theirs: cKDTree) -> float:
     return float(theirs.query(ours.data)[0].mean() + ours.query(theirs.data)[0].mean())
 
 
 def _trees(driven: Iterable[tuple[str, Sequence[Sequence[float] | Float64]]]) -> dict[str, cKDTree]:
-    """Of each traversal that which its cameras drove."""
+    """A search tree of the line of each traversal, over all its cameras."""
     lines: dict[str, list[Float64]] = {}
     for name, places in driven:
         lines.setdefault(name, []).append(densify_line(np.array(places)))
@@ -80,7 +80,7 @@ def _trees(driven: Iterable[tuple[str, Sequence[Sequence[float] | Float64]]]) ->
 
 
 def densify_line(places: Float64) -> Float64:
-    """Places (N, 3) of a line, with others between them: neighbours are half a metre apart at most."""
+    """Insert places into a line (N, 3), so that neighbours are at most half a metre apart."""
     steps = np.diff(places, axis=0)
     counts = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / _STEP_M), 1.0).astype(np.int64)
     ends = np.repeat(counts.cumsum(), counts)

@@ -1,4 +1,4 @@
-"""The loop that trains every method: images in, checkpoints, curves and a model out."""
+"""The training loop of all methods: reads images, writes checkpoints, curves and a model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Final
 from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
-from hybridworldsim.training.data_loader import TrainingImageCache, stream
+from hybridworldsim.training.data_loader import TrainingImageCache, stream_images
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import RunFolder, TrainingOutcome
 from hybridworldsim.training.run.previews import Preview, write_previews
@@ -27,23 +27,23 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import RenderView
 
 REPORTS: Final = 40
-"""Rows of the curves, at equal steps of progress."""
+"""Number of rows of the curves, at equal steps of progress."""
 
-_PICTURES_EVERY: Final = 10
+_PREVIEW_EVERY: Final = 10
 _THOUSAND: Final = 1000
-_LIVE: Final = 0.02
+_SMOOTHING: Final = 0.02
 _LEAST_MSE: Final = 1e-10
-_DIVERGED: Final = "look at the poses, masks and depth of the images; the last checkpoint stays as it is"
+_DIVERGED: Final = "check the poses, masks and depth of the images; the last checkpoint is unchanged"
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a run is looked after. But for the specimens, before which a street catches up, nothing of it shows after.
+    """Options of a run that do not change its result, except that previews bring the rows of a street up to date.
 
     Attributes:
-        checkpoint_s: a checkpoint is written at the first step after so many seconds.
-        specimens: images that are rendered as training goes on.
-        title: of the chart.
+        checkpoint_s: a checkpoint is written at the first step after this many seconds.
+        previews: images that are rendered during training.
+        title: title of the chart.
     """
 
     checkpoint_s: float = 30.0
@@ -61,72 +61,70 @@ def train(
     *,
     seed: int = 0,
     options: Options | None = None,
-    watch: ProgressReporter | None = None,
+    reporter: ProgressReporter | None = None,
 ) -> TrainingOutcome:
-    """Train until the budget is spent; go on where an earlier call stopped.
+    """Train until the budget is spent; continue where an earlier call stopped.
 
-    Under a budget of steps and at one number of threads the model is the same however often it was interrupted.
+    Under a budget of steps and at one number of threads, interruptions do not change the model.
 
     Args:
-        trainer: as it begins; it is taken to the checkpoint if there is one.
-        images: opens them.
-        views: what is trained on, at least one.
-        budget: how long.
-        folder: that the run began in.
-        write: writes what was learnt to a path, and says how many bytes it has.
-        seed: of the order of the images.
+        trainer: an untrained model; its state is restored from the checkpoint if there is one.
+        images: opens the images.
+        views: training views, at least one.
+        budget: how long to train.
+        folder: folder in which the run began.
+        write: writes the model to a path, and returns its size in bytes.
+        seed: seed of the order of the images.
         options: see `Options`.
-        watch: told how it goes.
+        reporter: receives the progress.
 
     Raises:
-        DatasetError: an image is missing or broken, masks cover every one of them, or training came to numbers that
-            are none; the last checkpoint stays.
+        DatasetError: an image is missing or broken, masks cover all images, or training diverged; the last checkpoint
+            is kept.
         KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
     """
-    options, watch = options or Options(), watch or NullProgress()
+    options, reporter = options or Options(), reporter or NullProgress()
     position = folder.resume(trainer)
-    clock, wall = Clock(position.spent_s), _Wall(position.wall_s)
-    kept = time.monotonic()
-    watch.start("training", _THOUSAND)
-    network_inputs = 0
-    live: float | None = None
+    clock, wall = Clock(position.spent_s), _WallClock(position.wall_s)
+    last_checkpoint_s = time.monotonic()
+    status = _Status(reporter)
     gaussians = 0
     progress = budget.progress(position.steps, position.spent_s)
-    with _interruptible() as interrupted, closing(stream(images, views, seed, position.shown)) as coming:
+    with _interruptible() as interrupted, closing(stream_images(images, views, seed, position.shown)) as stream:
         while progress < 1.0:
-            image = next(coming)
+            image = next(stream)
             position = replace(position, shown=position.shown + 1)
             if not image.scored.any():
                 continue
-            _require_numbers(image)
+            _require_finite_image(image)
             report = trainer.step(image, progress)
-            _require_learnt(report, image, position.steps)
+            _require_finite_losses(report, image, position.steps)
             gaussians = report.gaussians
-            psnr = psnr_of(report.losses["rgb"])
-            live = psnr if live is None else live + _LIVE * (psnr - live)
-            position = replace(position, steps=position.steps + 1, sums=_added(position.sums, report, psnr))
+            position = replace(position, steps=position.steps + 1, sums=_add_step(position.sums, report))
             progress = budget.progress(position.steps, clock.spent_s)
             clock.pause()
             wall.pause()
             position = replace(position, spent_s=clock.spent_s, wall_s=wall.spent_s)
-            if int(progress * _THOUSAND) > network_inputs:
-                watch.status(f"{live:.2f} dB, loss {report.losses['rgb']:.5f}, {gaussians} Gaussians")
-                watch.advance(int(progress * _THOUSAND) - network_inputs)
-                network_inputs = int(progress * _THOUSAND)
+            status.update(report, progress)
             if progress * REPORTS >= position.reports + 1 or progress >= 1.0:
-                position = _report(folder, position, progress, gaussians, trainer, options, watch)
-            if interrupted.is_set() or time.monotonic() - kept > options.checkpoint_s:
-                _require_sound(trainer, position)
+                position = _report(folder, position, progress, gaussians, trainer, options, reporter)
+            if interrupted.is_set() or time.monotonic() - last_checkpoint_s > options.checkpoint_s:
+                _require_finite_parameters(trainer, position)
                 folder.save_checkpoint(trainer, position)
-                kept = time.monotonic()
+                last_checkpoint_s = time.monotonic()
             if interrupted.is_set():
-                watch.message(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
+                reporter.message(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
                 raise KeyboardInterrupt
             clock.resume()
             wall.resume()
     folder.save_checkpoint(trainer, position)
+    return folder.finish(write, _outcome(folder, position))
+
+
+def _outcome(folder: RunFolder, position: Position) -> dict[str, float]:
+    """The fields of `TrainingOutcome` that the loop knows."""
     last = folder.last
-    outcome = {
+    return {
         "steps": position.steps,
         "skipped": position.shown - position.steps,
         "core_s": position.spent_s,
@@ -134,11 +132,35 @@ def train(
         "psnr_db": last["psnr_db"],
         "gaussians": int(last["gaussians"]),
     }
-    return folder.finish(write, outcome)
 
 
-def psnr_of(mean_square: float) -> float:
-    """PSNR, peak 1, in dB; not above 100."""
+class _Status:
+    """Updates a progress bar at every thousandth of the budget, with a smoothed PSNR.
+
+    Args:
+        reporter: receives the progress.
+    """
+
+    def __init__(self, reporter: ProgressReporter) -> None:
+        self._reporter = reporter
+        self._reported = 0
+        self._psnr_db: float | None = None
+        reporter.start("training", _THOUSAND)
+
+    def update(self, report: StepReport, progress: float) -> None:
+        """Add one step."""
+        psnr = psnr_db(report.losses["rgb"])
+        self._psnr_db = psnr if self._psnr_db is None else self._psnr_db + _SMOOTHING * (psnr - self._psnr_db)
+        reached = int(progress * _THOUSAND)
+        if reached > self._reported:
+            loss = report.losses["rgb"]
+            self._reporter.status(f"{self._psnr_db:.2f} dB, loss {loss:.5f}, {report.gaussians} Gaussians")
+            self._reporter.advance(reached - self._reported)
+            self._reported = reached
+
+
+def psnr_db(mean_square: float) -> float:
+    """PSNR for peak 1, in dB; at most 100."""
     return -10.0 * math.log10(max(mean_square, _LEAST_MSE))
 
 
@@ -149,10 +171,10 @@ def _report(
     gaussians: int,
     trainer: TrainableMethod,
     options: Options,
-    watch: ProgressReporter,
+    reporter: ProgressReporter,
 ) -> Position:
-    """Write a row of the curves, and images at every so many-th."""
-    _require_sound(trainer, position)
+    """Write a row of the curves, and previews at every tenth row."""
+    _require_finite_parameters(trainer, position)
     sums = position.sums
     losses = {name: total / count for name, (total, count) in sums.losses.items()}
     row = {
@@ -165,37 +187,37 @@ def _report(
         **losses,
     }
     folder.append_row(row, options.title)
-    watch.report(
+    reporter.report(
         f"{progress:4.0%}  step {position.steps}  {position.spent_s / 60.0:.2f} core-minutes  "
         f"PSNR {row['psnr_db']:.2f} dB  loss {losses['rgb']:.5f}  {gaussians} Gaussians"
     )
     # A step may be longer than the time between reports.
     reports = max(int(progress * REPORTS), position.reports + 1)
-    if reports // _PICTURES_EVERY > position.reports // _PICTURES_EVERY:
-        write_previews(folder.pictures, options.previews, trainer, position.steps)
+    if reports // _PREVIEW_EVERY > position.reports // _PREVIEW_EVERY:
+        write_previews(folder.previews, options.previews, trainer, position.steps)
     return replace(position, reports=reports, rows=position.rows + 1, sums=Sums())
 
 
-def _require_sound(trainer: TrainableMethod, position: Position) -> None:
-    # The rasterizer leaves out what has no place, so that no loss tells of such parameters.
+def _require_finite_parameters(trainer: TrainableMethod, position: Position) -> None:
+    # The rasterizer drops Gaussians that are not finite, so that no loss shows such parameters.
     for name, parameter in trainer.model.named_parameters():
         if not bool(parameter.detach().sum().isfinite()):
             raise DatasetError(
-                f"{name} holds numbers that are none at step {position.steps}",
+                f"{name} holds numbers that are not finite at step {position.steps}",
                 expected="finite parameters", remedy=_DIVERGED,
             )  # fmt: skip
 
 
-def _added(sums: Sums, report: StepReport, psnr: float) -> Sums:
+def _add_step(sums: Sums, report: StepReport) -> Sums:
     losses = dict(sums.losses)
     for name, value in report.losses.items():
         total, count = losses.get(name, (0.0, 0))
         losses[name] = (total + value, count + 1)
-    return Sums(sums.steps + 1, sums.psnr_db + psnr, losses)
+    return Sums(sums.steps + 1, sums.psnr_db + psnr_db(report.losses["rgb"]), losses)
 
 
-def _require_numbers(image: TrainingImage) -> None:
-    # A sum is finite only if all of it is, and the cheapest to ask.
+def _require_finite_image(image: TrainingImage) -> None:
+    # A sum is finite only if all terms are; it is the cheapest test.
     tensors: dict[str, Tensor | None] = {
         "colours": image.rgb,
         "depths": image.depth_m,
@@ -205,12 +227,12 @@ def _require_numbers(image: TrainingImage) -> None:
     for what, tensor in tensors.items():
         if tensor is not None and not bool(tensor.sum().isfinite()):
             raise DatasetError(
-                f"{what} that are no finite numbers", place=image.name or str(image.viewpoint.source),
-                expected="an image of finite numbers", remedy="leave the image out, or correct its pose and depth",
+                f"{what} that are not finite", place=image.name or str(image.viewpoint.source),
+                expected="finite numbers", remedy="leave the image out, or correct its pose and depth",
             )  # fmt: skip
 
 
-def _require_learnt(report: StepReport, image: TrainingImage, step: int) -> None:
+def _require_finite_losses(report: StepReport, image: TrainingImage, step: int) -> None:
     for name, loss in report.losses.items():
         if not math.isfinite(loss):
             raise DatasetError(
@@ -219,8 +241,8 @@ def _require_learnt(report: StepReport, image: TrainingImage, step: int) -> None
             )  # fmt: skip
 
 
-class _Wall:
-    """Time on the wall, that can be stopped as `Clock` can."""
+class _WallClock:
+    """Measures wall time; it can be paused as `Clock` can."""
 
     def __init__(self, spent_s: float) -> None:
         self.spent_s, self._since = spent_s, time.monotonic()
@@ -234,14 +256,14 @@ class _Wall:
 
 @contextmanager
 def _interruptible() -> Iterator[threading.Event]:
-    """Ctrl-C is heard between steps, since half a step is no state to keep; a second one at once."""
+    """Catch Ctrl-C between steps, because the state within a step cannot be saved; the second interrupts at once."""
     interrupted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield interrupted
         return
-    before = signal.getsignal(signal.SIGINT)
-    if before == signal.SIG_IGN:
-        # In the background of a script that is how it is meant.
+    previous = signal.getsignal(signal.SIGINT)
+    if previous == signal.SIG_IGN:
+        # A shell starts background jobs with SIGINT ignored: keep it ignored.
         yield interrupted
         return
 
@@ -254,4 +276,4 @@ def _interruptible() -> Iterator[threading.Event]:
     try:
         yield interrupted
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)

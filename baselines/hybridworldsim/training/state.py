@@ -1,4 +1,4 @@
-"""Parameters and Adam's moments as named tensors, whose sizes may have changed since the model was made."""
+"""Parameters and Adam's moments as named tensors; their number of rows may differ from the initial model's."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 def dump(module: nn.Module, optimizer: Optimizer) -> dict[str, Tensor]:
-    """All parameters and moments, by name.
+    """Return all parameters and moments, by name.
 
     Args:
         module: the model.
-        optimizer: Adam of it.
+        optimizer: the model's Adam optimiser.
     """
-    found: dict[str, Tensor] = {}
+    tensors: dict[str, Tensor] = {}
     for name, parameter in module.named_parameters():
-        found[f"model.{name}"] = parameter.detach()
+        tensors[f"model.{name}"] = parameter.detach()
         for moment in _MOMENTS:
             if moment in optimizer.state.get(parameter, {}):
-                found[f"adam.{name}.{moment}"] = optimizer.state[parameter][moment]
-    return found
+                tensors[f"adam.{name}.{moment}"] = optimizer.state[parameter][moment]
+    return tensors
 
 
 def load(module: nn.Module, state: Mapping[str, Tensor], optimizer: Optimizer | None = None) -> None:
-    """Set parameters, of whatever number of rows, and moments.
+    """Set parameters and moments; the number of rows may differ.
 
     Args:
-        module: of the same kind as the one that was dumped.
-        state: of `dump`; what is neither of the model nor of Adam is left alone.
-        optimizer: Adam of the module; None: it is not to learn.
+        module: a module of the same kind as the dumped one.
+        state: result of `dump`; other entries are ignored.
+        optimizer: the module's Adam optimiser; None: the module is not trained further.
 
     Raises:
         DatasetError: a parameter is missing.

@@ -1,4 +1,4 @@
-"""What a method of static reconstruction is to the training loop."""
+"""The interface between a method of static reconstruction and the training loop."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Rendering:
     Attributes:
         rgb: (H, W, 3) float32.
         alpha: (H, W).
-        depth_m: (H, W) expected camera z: the mean of what is seen, weighted as colours are.
-        counts: of Gaussians and anchors: held, decoded, drawn.
+        depth_m: (H, W) expected camera z: the mean over the Gaussians of a pixel, weighted as colours are.
+        counts: numbers of Gaussians and anchors that are held, decoded and drawn.
     """
 
     rgb: Tensor
@@ -31,11 +31,11 @@ class Rendering:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step tells.
+    """The result of a step.
 
     Attributes:
-        losses: by name, unweighted; ``rgb`` is the mean square error of scored pixels.
-        gaussians: held by the model.
+        losses: unweighted losses by name; ``rgb`` is the mean square error of the scored pixels.
+        gaussians: number of Gaussians of the model.
     """
 
     losses: Mapping[str, float]
@@ -43,35 +43,35 @@ class StepReport:
 
 
 class TrainableMethod(Protocol):
-    """A model with its optimisers: one a method."""
+    """A model with its optimisers."""
 
     @property
     def model(self) -> nn.Module:
-        """What is learnt: its parameters are all that rendering needs."""
+        """The trained module; its parameters are all that rendering needs."""
         ...
 
     @property
     def reads_depth(self) -> bool:
-        """Whether it learns from depth maps: they are not read otherwise."""
+        """Whether the method learns from depth maps; otherwise none are read."""
         ...
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one image.
+        """Train on one image.
 
         Args:
-            image: what was taken.
+            image: the training image.
             progress: from 0 to 1, for the schedules.
         """
         ...
 
     def render(self, viewpoint: Viewpoint) -> Rendering:
-        """Render without gradients; the appearance is that of the viewpoint's source, which was trained on."""
+        """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
         ...
 
     def state(self) -> dict[str, Tensor]:
-        """All that training needs to go on exactly: parameters, moments, statistics, generators."""
+        """Everything that training needs to continue exactly: parameters, moments, statistics, random generators."""
         ...
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """The opposite of `state`."""
+        """Restore what `state` returned."""
         ...

@@ -1,4 +1,4 @@
-"""One training image as a method gets it."""
+"""One training image as a method receives it."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class TrainingImage:
-    """What a step learns from.
+    """An image that a step learns from.
 
     Attributes:
-        viewpoint: where it was taken.
+        viewpoint: camera of the image.
         rgb: (H, W, 3) float32 in [0, 1].
-        scored: (H, W) bool: pixels that are the static street; not road users, the vehicle itself, or outside the lens.
-        sky: (H, W) bool, or None where the dataset has no such mask, or the method does not read it.
+        scored: (H, W) bool: pixels of the static street, without road users, the vehicle itself and the lens border.
+        sky: (H, W) bool, or None where the dataset has no such mask or the method does not read it.
         depth_m: (H, W) float32 camera z of multi-view stereo, 0 where unknown; None where the dataset has none.
-        name: for messages.
+        name: name of the image in messages.
     """
 
     viewpoint: Viewpoint
@@ -31,6 +31,6 @@ class TrainingImage:
 
     @property
     def bytes(self) -> int:
-        """That it holds in memory."""
-        held = (self.rgb, self.scored, self.sky, self.depth_m)
-        return sum(tensor.nbytes for tensor in held if tensor is not None)
+        """Bytes in memory."""
+        tensors = (self.rgb, self.scored, self.sky, self.depth_m)
+        return sum(tensor.nbytes for tensor in tensors if tensor is not None)

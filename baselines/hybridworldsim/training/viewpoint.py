@@ -15,11 +15,11 @@ from mirror.protocols.views.view import RenderView
 
 
 class Source(NamedTuple):
-    """Who took an image: what its appearance depends on.
+    """The camera that recorded an image, on which its appearance depends.
 
     Attributes:
         traversal_id: one drive's pass through the scene.
-        camera: of its rig.
+        camera: name of the camera in the rig.
     """
 
     traversal_id: str
@@ -28,14 +28,14 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Where an image is seen from.
+    """A camera for rendering.
 
     Attributes:
-        width_px: of the image.
-        height_px: of the image.
+        width_px: width of the image.
+        height_px: height of the image.
         K: (3, 3) float32 intrinsics, pixels; the centre of the first pixel is at 0.5.
         viewmat: (4, 4) float32 ``camera_SE3_block``.
-        source: whose appearance it has.
+        source: traversal and camera of the appearance.
     """
 
     width_px: int
@@ -46,16 +46,16 @@ class Viewpoint:
 
     @property
     def centre(self) -> Tensor:
-        """(3,) of the camera, in the block's frame, metres."""
+        """(3,) centre of the camera in the block's frame, metres."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def with_source(self, source: Source) -> Viewpoint:
-        """The same place with another appearance."""
+        """The same camera with another appearance."""
         return replace(self, source=source)
 
 
 def require_pinhole(view: RenderView) -> None:
-    """See that a view can be rasterized.
+    """Require that a view can be rasterized.
 
     Raises:
         UsageError: its lens is not a pinhole.
@@ -63,16 +63,16 @@ def require_pinhole(view: RenderView) -> None:
     if view.model != "pinhole" or view.distortion:
         raise UsageError(
             f"a lens of model {view.model}", place=view.path, expected="a pinhole: pixels.space = 'undistorted'",
-            remedy="name a protocol that says so: --protocol",
+            remedy="name such a protocol: --protocol",
         )  # fmt: skip
 
 
 def to_viewpoint(view: RenderView, origin_m: Float64) -> Viewpoint:
-    """The viewpoint of a view of a protocol.
+    """Convert a view of a protocol to a viewpoint.
 
     Args:
-        view: with an undistorted lens.
-        origin_m: (3,) of the block, in the scene's world frame; subtracted in float64.
+        view: a view with an undistorted lens.
+        origin_m: (3,) origin of the block in the scene's world frame; subtracted in float64.
 
     Raises:
         UsageError: the lens is not a pinhole.

@@ -1,4 +1,4 @@
-"""Which images a block is trained on: those of the training traversals that see it, not one of a standing vehicle."""
+"""Selects the images that a scene is trained on, without images of a stationary vehicle."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class TrainingViews:
-    """Training images as views: raster, lens and pose of each, none of them opened.
+    """Training images as views: raster, lens and pose of each; no image is opened.
 
     Attributes:
-        plan: of all training frames; its protocol says the raster and the masks.
-        views: those of the scene that are trained on, in order of traversal, frame and camera.
-        standing: how many were left out since the vehicle had hardly moved.
+        plan: plan of all training frames; its protocol states the raster and the masks.
+        views: training views of the scene, in order of traversal, frame and camera.
+        stationary_count: number of views left out because the vehicle had hardly moved.
     """
 
     plan: Plan
@@ -40,19 +40,19 @@ def training_views(
     withheld: Set[ImageKey] = frozenset(),
     stationary_m: float = STATIONARY_M,
 ) -> TrainingViews:
-    """The training images of a scene, in the raster and with the masks of a protocol.
+    """Select the training images of a scene, in the raster and with the masks of a protocol.
 
     Args:
-        dataset: where they lie.
-        protocol: what the method will be scored by; its groups and its choice of frames do not matter.
-        split: whose training traversals are meant.
-        scene: which scene.
+        dataset: the dataset.
+        protocol: the protocol that the method will be scored by; its groups and its choice of frames are ignored.
+        split: split with the training traversals.
+        scene: id of the scene.
         withheld: images that are left out.
-        stationary_m: an image is left out where its camera is nearer than this to the last one kept.
+        stationary_m: an image is left out if its camera is nearer than this to the last selected one.
 
     Raises:
         UsageError: a lens is not a pinhole in the protocol's raster.
-        DatasetError: no such split, or no training traversal with images in the scene.
+        DatasetError: there is no such split, or no training traversal with images in the scene.
     """
     every = protocol.model_copy(
         update={
@@ -61,14 +61,16 @@ def training_views(
         }
     )
     plan = plan_views(dataset.where(scene=scene), every, split)
-    own = [view for view in plan.views if (view.traversal_id, view.camera, view.timestamp_ns) not in withheld]
-    if not own:
+    selected = [view for view in plan.views if (view.traversal_id, view.camera, view.timestamp_ns) not in withheld]
+    if not selected:
         raise DatasetError(
             f"scene {scene} has no training image", file=dataset.root, place=f"split {split}",
             expected=f"training traversals with images, besides the {len(withheld)} that are held out",
             remedy="choose another scene or split, or a protocol that asks for fewer",
         )  # fmt: skip
-    for view in own:
+    for view in selected:
         require_pinhole(view)
-    kept = select_moving((((view.traversal_id, view.camera), view.pose.translation[0]) for view in own), stationary_m)
-    return TrainingViews(plan, tuple(own[position] for position in kept), len(own) - len(kept))
+    kept = select_moving(
+        (((view.traversal_id, view.camera), view.pose.translation[0]) for view in selected), stationary_m
+    )
+    return TrainingViews(plan, tuple(selected[position] for position in kept), len(selected) - len(kept))

@@ -1,4 +1,4 @@
-"""A floor below the floor: each view is one colour, the mean of its camera's training images."""
+"""The lowest floor: each view is one colour, the mean of its camera's training images."""
 
 from __future__ import annotations
 

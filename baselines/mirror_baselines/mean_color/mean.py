@@ -1,4 +1,4 @@
-"""The mean colour of the training images of each camera, and images that show nothing else."""
+"""The mean colour of each camera's training images, and images of that colour."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mirror.methods.training_images import list_training_images
 from mirror.protocols.views import Plan, RenderView
 
 MAX_IMAGES: Final = 200
-"""So many images of a camera, evenly through all of them, are opened at most: the mean hardly changes with more."""
+"""Largest number of images opened for a camera, evenly spaced; with more the mean hardly changes."""
 
 
 def mean_colour(images: Sequence[Image]) -> Float64:
     """The mean colour (3,), RGB, 0 to 255, of at most `MAX_IMAGES` of some images.
 
-    It is the mean of 8-bit sRGB values, which the squared error that PSNR is made of asks for, not of light.
+    It is the mean of 8-bit sRGB values, not of light, because PSNR is computed from the squared error of these values.
 
     Args:
         images: (N,) N >= 1.
@@ -36,12 +36,12 @@ def mean_colour(images: Sequence[Image]) -> Float64:
 
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
-    """One image a camera, scene and size; see `mirror.evaluation.submission.writing.Renderer`."""
-    colours = {key: mean_colour(own.images) for key, own in list_training_images(dataset, plan).items()}
-    alike: dict[tuple[str, str, int, int], list[RenderView]] = {}
+    """Render one image for each scene, camera and size; see `mirror.evaluation.submission.writing.Renderer`."""
+    colours = {key: mean_colour(training.images) for key, training in list_training_images(dataset, plan).items()}
+    views_by_size: dict[tuple[str, str, int, int], list[RenderView]] = {}
     for view in plan.views:
-        alike.setdefault((view.scene_id, view.camera, view.width_px, view.height_px), []).append(view)
-    for (scene, camera, width, height), views in alike.items():
+        views_by_size.setdefault((view.scene_id, view.camera, view.width_px, view.height_px), []).append(view)
+    for (scene, camera, width, height), views in views_by_size.items():
         image: UInt8 = np.empty((height, width, 3), np.uint8)
         image[:] = colours[scene, camera].round().astype(np.uint8)
         yield views, image

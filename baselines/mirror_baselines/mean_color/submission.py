@@ -1,4 +1,4 @@
-"""What the manifest of a submission says of the method."""
+"""The method and the appearance policy that the manifest of a submission states."""
 
 from __future__ import annotations
 

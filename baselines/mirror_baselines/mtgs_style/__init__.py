@@ -1,6 +1,6 @@
 """Multi-traversal Gaussian splatting after MTGS (Li et al. 2025): each traversal adds its own spherical harmonics.
 
-A traversal that was not trained on is shown as the source that its viewpoint names, the nearest one for instance.
+An untrained traversal is rendered with the appearance of the viewpoint's source, for instance the nearest one.
 """
 
 from __future__ import annotations

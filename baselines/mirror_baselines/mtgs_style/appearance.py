@@ -1,4 +1,4 @@
-"""Colours of MTGS: a traversal has its own higher bands, and a training image its exposure."""
+"""Colours of MTGS: each traversal has its own higher bands, and each training image its exposure."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _IDENTITY: Final = torch.eye(3, 4)
 
 
 class TraversalAppearance(AppearanceModel):
-    """Spherical harmonics with a part for each traversal: memory grows with their number.
+    """Spherical harmonics with a part for each traversal; memory grows with the number of traversals.
 
     Args:
-        sh_degree: of colours.
-        sources: whose images are trained on.
+        sh_degree: degree of the spherical harmonics.
+        sources: traversals and cameras of the training images.
         adapters: whether traversals differ in the constant band too.
-        exposure: learning rate of each training image's 3 x 4 matrix; None: there are none.
+        exposure: learning rate of each training image's 3 x 4 colour matrix; None: there are no matrices.
     """
 
     def __init__(self, sh_degree: int, sources: Sequence[Source], *, adapters: bool, exposure: Rate | None) -> None:
@@ -38,10 +38,10 @@ class TraversalAppearance(AppearanceModel):
     def tables(self, count: int) -> dict[str, Tensor]:
         """See `AppearanceModel`."""
         rest = (self.sh_degree + 1) ** 2 - 1
-        found = {f"shN_{place}": torch.zeros(count, rest, 3) for place in self._traversals.values()}
+        bands = {f"shN_{place}": torch.zeros(count, rest, 3) for place in self._traversals.values()}
         if self._adapters:
-            found |= {f"adapter_{place}": torch.zeros(count, 1, 3) for place in self._traversals.values()}
-        return found
+            bands |= {f"adapter_{place}": torch.zeros(count, 1, 3) for place in self._traversals.values()}
+        return bands
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
         """See `AppearanceModel`.
@@ -54,14 +54,14 @@ class TraversalAppearance(AppearanceModel):
             raise UsageError(
                 f"no appearance of {source.traversal_id}",
                 expected=f"one of the {len(self._traversals)} traversals that were trained on",
-                remedy="render it as seen by the nearest of them",
+                remedy="render it with the appearance of the nearest of them",
             )
-        found = [("sh0", 0, 1)]
+        bands = [("sh0", 0, 1)]
         if degree:
-            found.append((f"shN_{place}", 1, (degree + 1) ** 2))
+            bands.append((f"shN_{place}", 1, (degree + 1) ** 2))
         if self._adapters:
-            found.append((f"adapter_{place}", 0, 1))
-        return found
+            bands.append((f"adapter_{place}", 0, 1))
+        return bands
 
     def optimizers(self) -> list[Optimizer]:
         """See `AppearanceModel`."""
@@ -78,7 +78,7 @@ class TraversalAppearance(AppearanceModel):
         self.exposures.update(viewpoint)
 
     def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
-        """See `AppearanceModel`; SSIM is of what no matrix has touched."""
+        """See `AppearanceModel`; SSIM compares the colours before the matrix."""
         row = self.exposures.row(viewpoint)
         if row is None:
             return FinishedImage(rgb, rgb)

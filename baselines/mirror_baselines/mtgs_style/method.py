@@ -1,4 +1,4 @@
-"""The MTGS-style method, as its entry point names it."""
+"""The MTGS-style method for its entry point."""
 
 from __future__ import annotations
 

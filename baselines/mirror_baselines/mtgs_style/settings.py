@@ -1,4 +1,4 @@
-"""Settings of the MTGS-style method: as MTGS releases them, and as tuned for small budgets."""
+"""Settings of the MTGS-style method: as released by MTGS, and as tuned for small budgets."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mirror_baselines.splatting.settings import Densification, GaussianInit, Lea
 
 @dataclass(frozen=True)
 class MtgsStyle(Splatting):
-    """Those of all methods of explicit Gaussians, and MTGS's own.
+    """The settings of `Splatting` and those of MTGS.
 
     Attributes:
-        exposure: learning rate of each training image's matrix; None: there are none.
+        exposure: learning rate of each training image's colour matrix; None: there are no matrices.
     """
 
     exposure: Rate | None = None
@@ -33,9 +33,9 @@ RELEASED: Final = MtgsStyle(
     antialiased=True,
     exposure=Rate(1e-3, 1e-4),
 )
-"""Of MTGS's config/MTGS.py (commit 8e16dbb5); counts and schedules as shares of 30,000 steps. Colours that differ by
-traversal are the higher bands alone there: its `features_adapters` have the learning rate 0, and are left out. Large
-Gaussians stay, as its sky does; its normals are of LiDAR, here the street's loss with the street's weight."""
+"""From MTGS's config/MTGS.py (commit 8e16dbb5); counts and schedules are shares of 30,000 steps. There, traversals
+differ in the higher bands only: its `features_adapters` have the learning rate 0 and are left out here. Large Gaussians
+are kept, as its sky is; its normals come from LiDAR, here the street's normal loss is used with the street's weight."""
 
 BY_HAND: Final = MtgsStyle(
     seeding=tuned.SEEDING,
@@ -45,7 +45,8 @@ BY_HAND: Final = MtgsStyle(
     sh_degree=1,
     antialiased=True,
 )
-"""The middle of the tuning's grid. Traversals differ in the constant band, and no band is higher than the first."""
+"""The middle of the tuning grid. Traversals differ in the constant band, and the first band is the highest."""
 
 TUNED: Final = scale_splatting(BY_HAND, rates=1.0, sizes=2.0)
-"""The best cell at these rates: twice those end higher after two core-minutes, lower after ten (docs/results.md)."""
+"""The best cell at these rates: twice the rates score higher after two core-minutes, and lower after ten
+(docs/results.md)."""

@@ -1,4 +1,4 @@
-"""A learner of the MTGS-style method."""
+"""Makes a trainer of the MTGS-style method."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
 def make(initial: InitialGeometry, settings: MtgsStyle) -> SplattingTrainer:
-    """A model that has seen no image yet.
+    """Make an untrained model.
 
     Args:
-        initial: what is known of the block; its sources say which traversals there are.
+        initial: geometry of the block; its sources name the traversals.
         settings: `RELEASED`, `TUNED` or others.
     """
-    look = TraversalAppearance(
+    appearance = TraversalAppearance(
         settings.sh_degree,
         initial.sources,
         adapters=settings.rates.adapter is not None,
         exposure=settings.exposure,
     )
-    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), look), settings)
+    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), appearance), settings)

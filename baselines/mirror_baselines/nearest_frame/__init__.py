@@ -1,4 +1,4 @@
-"""The floor of every benchmark: each view is shown the nearest training image of its camera, as it was taken."""
+"""The floor of every benchmark: each view shows the nearest recorded training image of its camera."""
 
 from __future__ import annotations
 

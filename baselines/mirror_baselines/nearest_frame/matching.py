@@ -1,4 +1,4 @@
-"""Finds the nearest pose and shows its image; only chosen images are opened, and each of them once."""
+"""Finds the nearest pose and shows its image; only the needed images are opened, each once."""
 
 from __future__ import annotations
 
@@ -19,54 +19,59 @@ from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.views import Plan, RenderView
 
 METRES_PER_RADIAN: Final = 10.0
-"""What a turn counts as: what is this far away moves by as much in the image when the camera moves by it."""
+"""Distance that a rotation of one radian counts as. A point at this distance moves in the image as much when the camera
+moves by this distance as when it rotates by one radian."""
 
 PAIRS_AT_ONCE: Final = 4_000_000
 
 
-def find_nearest(wanted: Poses, there: Poses) -> Int64:
-    """The pose nearest to each of others, by position and heading.
+def find_nearest(queries: Poses, candidates: Poses) -> Int64:
+    """Find the nearest pose for each query, by position and heading.
 
-    The distance of two cameras is the root of the squared distance of their centres and the squared chord between
-    their viewing directions, a radian counting as `METRES_PER_RADIAN`. Of equally near ones the first is taken.
+    The distance of two cameras is the root of the sum of the squared distance of their centres and the squared chord
+    between their viewing directions, where a radian counts as `METRES_PER_RADIAN`. Among equally near poses the first
+    is returned.
 
     Args:
-        wanted: (N) ``world_SE3_camera``.
-        there: (M) ``world_SE3_camera``, M >= 1.
+        queries: (N) ``world_SE3_camera``.
+        candidates: (M) ``world_SE3_camera``, M >= 1.
 
     Returns:
-        (N,) rows of ``there``.
+        (N,) rows of ``candidates``.
     """
-    # World coordinates may be large, and their squares cancel.
-    origin = there.translation.mean(axis=0)
-    ours, theirs = _features(wanted, origin), _features(there, origin)
-    step = max(PAIRS_AT_ONCE // len(theirs), 1)
-    rows = [_closest(ours[start : start + step], theirs) for start in range(0, len(ours), step)]
+    # World coordinates may be large: squares of centred ones lose no precision.
+    origin = candidates.translation.mean(axis=0)
+    query_features, candidate_features = _pose_features(queries, origin), _pose_features(candidates, origin)
+    step = max(PAIRS_AT_ONCE // len(candidate_features), 1)
+    rows = [
+        _closest_rows(query_features[start : start + step], candidate_features)
+        for start in range(0, len(query_features), step)
+    ]
     return np.concatenate(rows) if rows else np.empty(0, np.int64)
 
 
 def render(dataset: Dataset, plan: Plan) -> Iterator[Render]:
-    """The image of each view, those that share one together; see `mirror.evaluation.submission.writing.Renderer`."""
+    """Render each view, grouped by shared image; see `mirror.evaluation.submission.writing.Renderer`."""
     images = list_training_images(dataset, plan)
     views: dict[tuple[str, str], list[RenderView]] = {}
     for view in plan.views:
         views.setdefault((view.scene_id, view.camera), []).append(view)
-    for key, own in views.items():
-        there = images[key]
-        rows = find_nearest(_poses(own), there.world_SE3_camera)
+    for key, group in views.items():
+        candidates = images[key]
+        rows = find_nearest(_poses(group), candidates.world_SE3_camera)
         for row in np.unique(rows).tolist():
-            sharing = [own[place] for place in np.flatnonzero(rows == row).tolist()]
-            yield from _shown(there.images[row], sharing, plan.protocol.pixels)
+            same_image = [group[place] for place in np.flatnonzero(rows == row).tolist()]
+            yield from _to_renders(candidates.images[row], same_image, plan.protocol.pixels)
 
 
-def _features(poses: Poses, origin: Float64) -> Float64:
-    """(N, 6): where a camera is and where it looks, in metres."""
+def _pose_features(poses: Poses, origin: Float64) -> Float64:
+    """(N, 6): position and scaled viewing direction of cameras, in metres."""
     forward = poses.matrix()[:, :3, 2]
     return np.concatenate((poses.translation - origin, METRES_PER_RADIAN * forward), axis=1)
 
 
-def _closest(ours: Float64, theirs: Float64) -> Int64:
-    squares = ((ours[:, None, :] - theirs[None, :, :]) ** 2).sum(axis=2)
+def _closest_rows(query_features: Float64, candidate_features: Float64) -> Int64:
+    squares = ((query_features[:, None, :] - candidate_features[None, :, :]) ** 2).sum(axis=2)
     return np.asarray(squares.argmin(axis=1), np.int64)
 
 
@@ -75,12 +80,17 @@ def _poses(views: list[RenderView]) -> Poses:
     return Poses(numbers[:, :4], numbers[:, 4:])
 
 
-def _shown(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:
-    """One recorded image in the raster of its own camera, scaled where a view's has another size."""
-    picture = cached_raster(image.camera_model, pixels).to_final(image.decode())
+def _to_renders(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:
+    """One recorded image in the raster of its camera, resized for views of another size."""
+    image_pixels = cached_raster(image.camera_model, pixels).to_final(image.decode())
     sizes: dict[tuple[int, int], list[RenderView]] = {}
     for view in views:
         sizes.setdefault((view.width_px, view.height_px), []).append(view)
-    for size, own in sizes.items():
-        fits = picture.shape[1::-1] == size
-        yield own, picture if fits else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    for size, group in sizes.items():
+        has_size = image_pixels.shape[1::-1] == size
+        yield (
+            group,
+            image_pixels
+            if has_size
+            else np.asarray(cv2.resize(image_pixels, size, interpolation=cv2.INTER_AREA), np.uint8),
+        )

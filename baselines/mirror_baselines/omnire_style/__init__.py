@@ -1,7 +1,7 @@
-"""Gaussian splatting of one traversal after OmniRe (Chen et al. 2025): a cube of sky, an affine map an image.
+"""Gaussian splatting of one traversal after OmniRe (Chen et al. 2025): a sky cube, and a colour map for each image.
 
-OmniRe knows no traversals: all its images share their colours but for an affine map. It is meant for the images of
-one traversal, the nearest to the one that is to be rendered; who trains it chooses them, and it runs on several too.
+OmniRe does not model traversals: all its images share their colours up to an affine map. It is meant for the images of
+one traversal, the nearest to the one to be rendered. The user selects these images; it also accepts several traversals.
 """
 
 from __future__ import annotations

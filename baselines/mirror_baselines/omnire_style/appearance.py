@@ -1,4 +1,4 @@
-"""Colours of OmniRe: a cube of sky behind the Gaussians, and an affine map of colours for each image."""
+"""Colours of OmniRe: a sky cube behind the Gaussians, and an affine map of colours for each image."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _IDENTITY: Final = torch.eye(3, 4)
 
 
 class AffineAppearance(AppearanceModel):
-    """Spherical harmonics before a sky, through a map of colours that an image's embedding gives.
+    """Spherical harmonics in front of a sky, followed by an affine colour map that depends on the image's embedding.
 
-    An image that was not trained on has the mean of all embeddings, as in OmniRe.
+    An untrained image uses the mean of all embeddings, as in OmniRe.
 
     Args:
-        sources: whose images are trained on.
+        sources: traversals and cameras of the training images.
         settings: sizes and rates.
     """
 
@@ -68,17 +68,17 @@ class AffineAppearance(AppearanceModel):
 
     def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
         """See `AppearanceModel`."""
-        whole = rgb + (1.0 - alpha)[..., None] * self.cube(viewpoint)
+        composited = rgb + (1.0 - alpha)[..., None] * self.cube(viewpoint)
         row = self.embeddings.row(viewpoint)
         table = self.embeddings.table
         if row is None and not len(table):
-            return FinishedImage(whole, whole)
+            return FinishedImage(composited, composited)
         matrix = self.affine(table.mean(0) if row is None else table[row]).view(3, 4) + _IDENTITY
-        mapped = whole @ matrix[:, :3].T + matrix[:, 3]
+        mapped = composited @ matrix[:, :3].T + matrix[:, 3]
         return FinishedImage(mapped, mapped)
 
     def losses(self, alpha: Tensor, image: TrainingImage) -> dict[str, tuple[float, Tensor]]:
-        """Cross entropy of what is opaque and what is not sky, where the dataset has masks of the sky."""
+        """Cross entropy between the alpha and the pixels that are not sky, where the dataset has masks of the sky."""
         if image.sky is None or not self.settings.opacity_weight:
             return {}
         solid = (~image.sky).to(alpha.dtype)

@@ -1,4 +1,4 @@
-"""The OmniRe-style method, as its entry point names it."""
+"""The OmniRe-style method for its entry point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of the OmniRe-style method: as drivestudio releases them, and as tuned for small budgets."""
+"""Settings of the OmniRe-style method: as released in drivestudio, and as tuned for small budgets."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mirror_baselines.splatting.settings import Densification, GaussianInit, Lea
 
 @dataclass(frozen=True)
 class OmnireStyle(Splatting):
-    """Those of all methods of explicit Gaussians, and OmniRe's own.
+    """The settings of `Splatting` and those of OmniRe.
 
     Attributes:
-        embedding: numbers an image.
-        hidden: width of the network that reads its colours' affine map from them.
+        embedding: size of an image's embedding.
+        hidden: width of the network that computes the affine colour map from the embedding.
         affine: learning rate of both.
-        sky_px: width of a face of the cube of sky.
-        sky: learning rate of the cube.
-        opacity_weight: of the cross entropy between the Gaussians' alpha and what is not sky.
+        sky_px: width of a face of the sky cube.
+        sky: learning rate of the sky cube.
+        opacity_weight: weight of the cross entropy between the Gaussians' alpha and the pixels that are not sky.
     """
 
     embedding: int = 4
@@ -39,8 +39,8 @@ RELEASED: Final = OmnireStyle(
     weights=Weights(depth=0.01, depth_kind="metres"),
     near_m=0.1,
 )
-"""Of drivestudio's configs/omnire.yaml (commit e59bda4f); counts and schedules as shares of 30,000 steps. Its faces of
-sky are 1024 pixels wide for images of 1600; these are for 240."""
+"""From drivestudio's configs/omnire.yaml (commit e59bda4f); counts and schedules are shares of 30,000 steps. Its sky
+faces are 1024 pixels wide for images of 1600; these are for images of 240."""
 
 BY_HAND: Final = OmnireStyle(
     seeding=replace(tuned.SEEDING, sky_count=0),
@@ -50,7 +50,7 @@ BY_HAND: Final = OmnireStyle(
     sh_degree=1,
     affine=Rate(1e-3, 1e-4),
 )
-"""The middle of the tuning's grid."""
+"""The middle of the tuning grid."""
 
 TUNED: Final = scale_splatting(BY_HAND, rates=2.0, sizes=2.0)
 """The best cell of the grid (docs/results.md)."""

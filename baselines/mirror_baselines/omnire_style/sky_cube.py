@@ -1,4 +1,4 @@
-"""Sky as a cube of images at infinity."""
+"""The sky as a cube of images at infinity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _GREY = 0.5
 
 
 class SkyCube(nn.Module):
-    """Six faces, looked up by direction.
+    """Six faces, sampled by direction.
 
     Args:
         size_px: width of a face.
@@ -20,31 +20,31 @@ class SkyCube(nn.Module):
 
     def __init__(self, size_px: int) -> None:
         super().__init__()
-        # Side by side: one look-up serves all six.
+        # The faces lie side by side, so that one lookup samples all six.
         self.faces = nn.Parameter(torch.full((1, 3, size_px, 6 * size_px), _GREY))
 
     def forward(self, viewpoint: Viewpoint) -> Tensor:
-        """(H, W, 3) of a viewpoint; where it stands does not matter."""
+        """The sky (H, W, 3) of a viewpoint; its position has no effect."""
         return self.sample(ray_directions(viewpoint))
 
     def sample(self, rays: Tensor) -> Tensor:
-        """(H, W, 3) in directions (H, W, 3) of any length."""
+        """The sky (H, W, 3) in directions (H, W, 3) of any length."""
         size = self.faces.shape[2]
         longest, axis = rays.abs().max(-1)
         along = rays.gather(-1, axis[..., None])[..., 0]
         face = 2 * axis + (along < 0.0)
         across, up = (rays.gather(-1, ((axis + step) % 3)[..., None])[..., 0] / longest for step in (1, 2))
-        # To the centres of a face's outermost pixels and no farther: beyond them lies another face.
+        # Clamp to the centres of a face's outermost pixels: beyond them lies another face.
         inner = 1.0 - 1.0 / size
         places = torch.stack(
             ((2.0 * face + 1.0 + across.clamp(-inner, inner)) / 6.0 - 1.0, up.clamp(-inner, inner)), -1
         )
-        found = functional.grid_sample(self.faces, places[None], mode="bilinear", align_corners=False)
-        return found[0].permute(1, 2, 0)
+        sampled = functional.grid_sample(self.faces, places[None], mode="bilinear", align_corners=False)
+        return sampled[0].permute(1, 2, 0)
 
 
 def ray_directions(viewpoint: Viewpoint) -> Tensor:
-    """(H, W, 3) of the pixels' rays in the block's frame, of any length."""
+    """Directions (H, W, 3) of the pixels' rays in the block's frame, of any length."""
     K = viewpoint.K
     x = (torch.arange(viewpoint.width_px) + 0.5 - K[0, 2]) / K[0, 0]
     y = (torch.arange(viewpoint.height_px) + 0.5 - K[1, 2]) / K[1, 1]

@@ -1,4 +1,4 @@
-"""A learner of the OmniRe-style method."""
+"""Makes a trainer of the OmniRe-style method."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
 def make(initial: InitialGeometry, settings: OmnireStyle) -> SplattingTrainer:
-    """A model that has seen no image yet; the same for the same input and seed.
+    """Make an untrained model; equal input and seed give an equal model.
 
     Args:
-        initial: what is known of the block; its sources say whose images are trained on.
+        initial: geometry of the block; its sources name the traversals and cameras.
         settings: `RELEASED`, `TUNED` or others.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        look = AffineAppearance(initial.sources, settings)
-    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), look), settings)
+        appearance = AffineAppearance(initial.sources, settings)
+    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), appearance), settings)

@@ -1,1 +1,1 @@
-"""Explicit Gaussians trained on images: what vanilla 3DGS, MTGS-style and OmniRe-style reconstruction share."""
+"""Explicit Gaussians trained on images: the parts that the 3DGS, MTGS-style and OmniRe-style methods share."""

@@ -1,4 +1,4 @@
-"""How Gaussians get colours, and what is done to an image of them: the part in which the methods differ."""
+"""Colours of Gaussians and processing of rendered images: the part in which the methods differ."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hybridworldsim.training.viewpoint import Source, Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class FinishedImage:
-    """An image as it is compared.
+    """A processed image.
 
     Attributes:
-        rgb: (H, W, 3).
-        plain: (H, W, 3) for the structural loss.
+        rgb: (H, W, 3) final colours.
+        plain: (H, W, 3) colours for the structure loss.
     """
 
     rgb: Tensor
@@ -28,11 +28,11 @@ class FinishedImage:
 class AppearanceModel(nn.Module):
     """Spherical harmonics, the same in all images: vanilla 3DGS.
 
-    Its parameters are those that belong to no Gaussian; tables with a row a Gaussian are held by the learner, for
+    Its parameters do not belong to single Gaussians. Tables with a row for each Gaussian are held by the trainer, for
     densification.
 
     Args:
-        sh_degree: of colours.
+        sh_degree: degree of the spherical harmonics.
     """
 
     def __init__(self, sh_degree: int) -> None:
@@ -40,36 +40,36 @@ class AppearanceModel(nn.Module):
         self.sh_degree = sh_degree
 
     def tables(self, count: int) -> dict[str, Tensor]:
-        """Further parameters of so many Gaussians; what is before "_" in a name says whose learning rate it has."""
+        """Further parameters of `count` Gaussians; the part of a name before "_" selects the learning rate."""
         return {"shN": torch.zeros(count, (self.sh_degree + 1) ** 2 - 1, 3)}
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
-        """Of which tables a source's spherical harmonics are the sum: name, first band coefficient, and the one past.
+        """Tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
 
         Args:
-            source: whose appearance.
-            degree: of the harmonics: (degree + 1)^2 coefficients.
+            source: traversal and camera of the appearance.
+            degree: degree of the spherical harmonics: (degree + 1)^2 coefficients.
         """
         count = (degree + 1) ** 2
         return [("sh0", 0, 1), ("shN", 1, count)] if degree else [("sh0", 0, 1)]
 
     def optimizers(self) -> list[Optimizer]:
-        """Of the parameters that belong to no Gaussian."""
+        """Optimisers of the parameters that do not belong to single Gaussians."""
         return []
 
     def update(self, viewpoint: Viewpoint) -> None:
-        """Take a step with the gradients of these parameters, which then are none."""
+        """Take a step with the gradients of these parameters, and clear the gradients."""
 
     def prepare(self, viewpoint: Viewpoint, progress: float) -> None:
-        """An image from here is about to be learnt from; learning rates are to be those of progress, from 0 to 1."""
+        """Prepare for training on an image: set the learning rates for a progress from 0 to 1."""
 
     def finish(self, rgb: Tensor, alpha: Tensor, viewpoint: Viewpoint) -> FinishedImage:
-        """What the image becomes.
+        """Compute the final colours of an image.
 
         Args:
             rgb: (H, W, 3) as rasterized, over black.
             alpha: (H, W).
-            viewpoint: the camera.
+            viewpoint: camera of the image.
         """
         return FinishedImage(rgb, rgb)
 

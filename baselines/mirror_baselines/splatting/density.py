@@ -1,4 +1,4 @@
-"""Adding and removing Gaussians by gsplat's `DefaultStrategy`, in rounds that progress tells, not steps."""
+"""Adds and removes Gaussians by gsplat's `DefaultStrategy`, in rounds of progress instead of steps."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ _STATISTICS = ("grad2d", "count")
 
 
 class DensityControl:
-    """The strategy with its clock, its cap and its chance.
+    """gsplat's strategy with a schedule of rounds, a cap and a seed.
 
-    The strategy reads step numbers: here every round has two, the even one at which it refines and the odd one that
-    stands for all steps until the next. The cap, which rises from round to round, is kept by raising the gradient above
-    which Gaussians grow, so that those that need it most do. Scenes are in metres, hence its scene scale is 1.
+    The strategy reads step numbers. Here each round has two: the even one, at which it refines, and the odd one, which
+    stands for all steps until the next round. The cap rises from round to round; it is kept by raising the gradient
+    threshold for growth, so that the Gaussians with the largest gradients grow. Scenes are in metres, hence the
+    strategy's scene scale is 1.
 
     Args:
-        settings: when and what.
-        seed: of where the halves of a split Gaussian go.
-        first: Gaussians to begin with.
+        settings: schedule and thresholds.
+        seed: seed of the positions of split Gaussians.
+        initial_count: initial number of Gaussians.
     """
 
-    def __init__(self, settings: Densification, seed: int, first: int) -> None:
+    def __init__(self, settings: Densification, seed: int, initial_count: int) -> None:
         self.settings, self._seed = settings, seed
-        self._first, self._most = first, max(settings.most, first)
-        self._rounds_a_reset = max(settings.rounds // max(settings.resets, 1), 1)
+        self._initial_count, self._max_count = initial_count, max(settings.most, initial_count)
+        self._rounds_per_reset = max(settings.rounds // max(settings.resets, 1), 1)
         self._strategy = DefaultStrategy(
             prune_opa=settings.least_opacity,
             grow_grad2d=settings.gradient,
@@ -41,7 +42,7 @@ class DensityControl:
             refine_start_iter=0,
             refine_stop_iter=2 * settings.rounds + 1,
             refine_every=2,
-            reset_every=2 * self._rounds_a_reset,
+            reset_every=2 * self._rounds_per_reset,
             absgrad=settings.absolute,
         )
         self._state: dict[str, Any] = self._strategy.initialize_state(scene_scale=1.0)
@@ -49,23 +50,23 @@ class DensityControl:
 
     @property
     def is_active(self) -> bool:
-        """Whether gradients in the image are still asked for."""
+        """Whether image gradients are still needed."""
         return self._round < self.settings.rounds
 
     def before_backward(self, meta: dict[str, Any]) -> None:
-        """To be called before gradients are computed."""
+        """Prepare for the backward pass."""
         if self.is_active:
             meta["means2d"].retain_grad()
 
     def after_backward(
         self, tables: nn.ParameterDict, optimizers: Mapping[str, Optimizer], meta: dict[str, Any], progress: float
     ) -> bool:
-        """To be called with gradients; whether tables were replaced.
+        """Collect gradients and refine if a round is due; returns whether tables were replaced.
 
         Args:
             tables: parameters of all Gaussians.
-            optimizers: of each.
-            meta: of the rasterizer, packed, whose ``gaussian_ids`` are rows of the tables.
+            optimizers: optimiser of each table.
+            meta: packed results of the rasterizer; ``gaussian_ids`` are rows of the tables.
             progress: from 0 to 1.
         """
         if not self.is_active or meta["means2d"].grad is None:
@@ -79,48 +80,48 @@ class DensityControl:
         self._round = due
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self._seed * 1_000_003 + due)
-            self._cap(len(tables["means"]), due / settings.rounds)
-            # What this step told is known by now: the cap had to be set after it.
-            self._strategy.step_post_backward(tables, optimizers, self._state, 2 * due, _unseen(meta), packed=True)
-        self._resets(tables, optimizers)
+            self._set_growth_threshold(len(tables["means"]), due / settings.rounds)
+            # The gradients of this step are counted by now: the threshold depends on them.
+            self._strategy.step_post_backward(tables, optimizers, self._state, 2 * due, _empty_meta(meta), packed=True)
+        self._reset_opacities(tables, optimizers)
         return True
 
-    def _cap(self, count: int, share: float) -> None:
+    def _set_growth_threshold(self, count: int, share: float) -> None:
         self._strategy.grow_grad2d = self.settings.gradient
-        room = max(self._first + int(share * (self._most - self._first)) - count, 0)
+        free_count = max(self._initial_count + int(share * (self._max_count - self._initial_count)) - count, 0)
         means = self._state["grad2d"] / self._state["count"].clamp_min(1.0)
-        if room < len(means):
-            # Each that grows adds one, be it doubled or split.
-            highest = float(means.topk(room + 1).values[-1])
+        if free_count < len(means):
+            # A Gaussian that grows adds one, whether it is doubled or split.
+            highest = float(means.topk(free_count + 1).values[-1])
             self._strategy.grow_grad2d = max(self.settings.gradient, highest)
 
-    def _resets(self, tables: nn.ParameterDict, optimizers: Mapping[str, Optimizer]) -> None:
-        """Lower all opacities; gsplat 1.5.3 never does, its condition `0 & step > 0` being false at every step."""
-        due = min(self._round // self._rounds_a_reset, self.settings.resets)
+    def _reset_opacities(self, tables: nn.ParameterDict, optimizers: Mapping[str, Optimizer]) -> None:
+        """Lower all opacities. gsplat 1.5.3 never does: its condition `0 & step > 0` is false at every step."""
+        due = min(self._round // self._rounds_per_reset, self.settings.resets)
         if due > self._reset and self.is_active:
             self._reset = due
             reset_opa(tables, optimizers, self._state, 2.0 * self.settings.least_opacity)
 
     def state(self) -> dict[str, Tensor]:
-        """Statistics and where in the schedule."""
-        known = {name: self._state[name] for name in _STATISTICS if self._state[name] is not None}
+        """Statistics and position in the schedule, for a checkpoint."""
+        statistics = {name: self._state[name] for name in _STATISTICS if self._state[name] is not None}
         return {
             "density.clock": torch.tensor([self._round, self._reset]),
-            **{f"density.{n}": t for n, t in known.items()},
+            **{f"density.{n}": t for n, t in statistics.items()},
         }
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """The opposite of `state`."""
+        """Restore what `state` returned."""
         self._round, self._reset = state["density.clock"].tolist()
         for name in _STATISTICS:
-            known = state.get(f"density.{name}")
-            self._state[name] = None if known is None else known.clone()
+            statistics = state.get(f"density.{name}")
+            self._state[name] = None if statistics is None else statistics.clone()
 
 
-def _unseen(meta: dict[str, Any]) -> dict[str, Any]:
-    """What the rasterizer tells of an image that shows nothing."""
+def _empty_meta(meta: dict[str, Any]) -> dict[str, Any]:
+    """Results of the rasterizer for an image that shows no Gaussian."""
     means2d = torch.zeros(0, 2)
     means2d.grad = torch.zeros(0, 2)
     vars(means2d)["absgrad"] = torch.zeros(0, 2)
-    none = torch.zeros(0, dtype=torch.int64)
-    return {**meta, "means2d": means2d, "gaussian_ids": none, "radii": torch.zeros(0, 2)}
+    no_ids = torch.zeros(0, dtype=torch.int64)
+    return {**meta, "means2d": means2d, "gaussian_ids": no_ids, "radii": torch.zeros(0, 2)}

@@ -1,4 +1,4 @@
-"""Gaussians before any image: points of the background, the ground and the sky, where the street has them too."""
+"""Initial Gaussians: points of the background, the ground and the sky, at the places where a street has them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _GREY = 0.5
 
 
 def initial_gaussians(initial: InitialGeometry, settings: GaussianInit) -> dict[str, Tensor]:
-    """Parameters of explicit Gaussians by the names that gsplat's strategies know, and the constant band of colour.
+    """Compute the initial parameters of explicit Gaussians, named as in gsplat's strategies.
 
     Args:
-        initial: what is known of the block.
-        settings: how many of what.
+        initial: geometry of the block.
+        settings: counts and spacings.
 
     Returns:
-        ``means`` (N, 3) metres, ``quats`` (N, 4), ``scales`` (N, 3) logarithms, ``opacities`` (N,) logits and ``sh0``
-        (N, 1, 3).
+        ``means`` (N, 3) metres, ``quats`` (N, 4), ``scales`` (N, 3) logarithms, ``opacities`` (N,) logits and the
+        constant band ``sh0`` (N, 1, 3).
     """
     ground = ground_seeds(initial, settings.ground_spacing_m, settings.ground_reach_m)
     sky = _sky(initial, settings)
@@ -52,7 +52,7 @@ def _sky(initial: InitialGeometry, settings: GaussianInit) -> Seeds:
     seeds = sky_seeds(initial, max(count, 1), settings.sky_radii, settings.far_count)
     if count:
         return seeds
-    # Whose sky is no Gaussians has the points beyond the block alone.
+    # A method without sky Gaussians keeps only the points beyond the block.
     return Seeds(seeds.means[1:], seeds.quats[1:], seeds.scales[1:], seeds.opacity)
 
 

@@ -1,4 +1,4 @@
-"""Numbers that belong to one training image: an image is known by its source and its pose."""
+"""Parameters of single training images; an image is identified by its source and its pose."""
 
 from __future__ import annotations
 
@@ -14,53 +14,53 @@ _KEY = 17
 
 
 class PerImageTable(nn.Module):
-    """A table with a row an image, which grows as images are met.
+    """A table with one row for each image; a row is added when its image is first used.
 
     Args:
-        sources: whose images there are.
-        size: numbers an image.
+        sources: traversals and cameras of the images.
+        size: number of parameters of an image.
     """
 
     def __init__(self, sources: Sequence[Source], size: int) -> None:
         super().__init__()
         self._sources = {source: place for place, source in enumerate(sources)}
         self.table = nn.Parameter(torch.empty(0, size))
-        # Saved like all that rendering needs.
+        # A parameter, so that it is stored with the model.
         self.keys = nn.Parameter(torch.empty(0, _KEY), requires_grad=False)
         self._rows: dict[bytes, int] = {}
         self.adam = RowAdam(self.table)
 
     def row(self, viewpoint: Viewpoint) -> int | None:
-        """That of an image; None: it was not trained on."""
+        """The row of an image; None if the image was not trained on."""
         if len(self._rows) != len(self.keys):
             self._rows = {key.tobytes(): row for row, key in enumerate(self.keys.numpy())}
         key = self._key(viewpoint)
         return None if key is None else self._rows.get(key.numpy().tobytes())
 
     def add_image(self, viewpoint: Viewpoint, first: Tensor) -> None:
-        """Give an image a row unless it has one.
+        """Add a row for an image unless it has one.
 
         Args:
-            viewpoint: of the image.
-            first: (size,) what its row is to be.
+            viewpoint: camera of the image.
+            first: (size,) initial row.
         """
         key = self._key(viewpoint)
         if key is None or self.row(viewpoint) is not None:
             return
-        longer = nn.Parameter(torch.cat([self.table.detach(), first[None]]))
+        table = nn.Parameter(torch.cat([self.table.detach(), first[None]]))
         moments = self.adam.state.pop(self.table, {})
         for name in ("exp_avg", "exp_avg_sq"):
             if name in moments:
                 moments[name] = torch.cat([moments[name], torch.zeros_like(first)[None]])
         if moments:
-            self.adam.state[longer] = moments
-        self.adam.param_groups[0]["params"] = [longer]
-        self.table = longer
+            self.adam.state[table] = moments
+        self.adam.param_groups[0]["params"] = [table]
+        self.table = table
         self._rows[key.numpy().tobytes()] = len(self.keys)
         self.keys = nn.Parameter(torch.cat([self.keys, key[None]]), requires_grad=False)
 
     def update(self, viewpoint: Viewpoint) -> None:
-        """Take a step on an image's row."""
+        """Take a step on the row of an image."""
         row = self.row(viewpoint)
         if row is not None and self.table.grad is not None:
             self.adam.update(torch.tensor([row]), self.table.grad[row][None])

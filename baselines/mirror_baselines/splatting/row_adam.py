@@ -1,4 +1,4 @@
-"""Adam for tables of which a step sees some rows: the others cost nothing, as in Taming 3DGS's and gsplat's."""
+"""Adam for tables of which a step uses some rows: the others cost nothing, as in Taming 3DGS and gsplat."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _BETA1, _BETA2 = 0.9, 0.999
 
 
 class RowAdam(Optimizer):
-    """Adam of one table (N, ...); rows that a step does not see keep their moments and do not move.
+    """Adam for one table (N, ...); rows that a step does not use keep their moments and do not move.
 
-    `update` takes a step, and `step` does not: it would need gradients of the whole table. The state has the names of
-    torch's Adam, so that gsplat's strategies add and remove rows of it.
+    `update` takes a step; `step` does not, because it would need gradients of the complete table. The state has the
+    names of torch's Adam, so that gsplat's strategies can add and remove rows.
 
     Args:
         table: the parameter.
@@ -29,13 +29,13 @@ class RowAdam(Optimizer):
 
     @torch.no_grad()
     def update(self, rows: Tensor, gradients: Tensor, first: int = 0, count: int | None = None) -> None:
-        """One step; of numbers, a row of the table as it lies in memory.
+        """Take a step on some rows; the columns of a row are counted in memory order.
 
         Args:
-            rows: (M,) int64, each once.
-            gradients: (M, ...), among them those of the table's leading numbers.
-            first: how many numbers of a row of the gradients come before.
-            count: how many numbers of the table they are of; None: all.
+            rows: (M,) int64, without repetition.
+            gradients: (M, ...) gradients; columns `first` to `first + count` belong to the table.
+            first: first column of the gradients.
+            count: number of columns; None: all columns of the table.
         """
         if not len(rows):
             return
@@ -48,7 +48,7 @@ class RowAdam(Optimizer):
         state["step"] += 1.0
         steps = int(state["step"])
         values, first_moments, second_moments = (
-            one.detach().view(len(table), -1).numpy() for one in (table, state["exp_avg"], state["exp_avg_sq"])
+            table.detach().view(len(table), -1).numpy() for table in (table, state["exp_avg"], state["exp_avg_sq"])
         )
         _update(
             rows.numpy(),
@@ -67,7 +67,7 @@ class RowAdam(Optimizer):
 def _update(
     rows: Any,
     gradients: Any,
-    before: int,
+    offset: int,
     count: int,
     table: Any,
     first: Any,
@@ -81,7 +81,7 @@ def _update(
     for place in range(len(rows)):
         row = rows[place]
         for column in range(count):
-            gradient = gradients[place, before + column]
+            gradient = gradients[place, offset + column]
             mean = b1 * first[row, column] + c1 * gradient
             square = b2 * second[row, column] + c2 * gradient * gradient
             first[row, column] = mean

@@ -1,4 +1,4 @@
-"""Settings with all learning rates, or all numbers of Gaussians, times something: the cells of the tuning's grid."""
+"""Scales all learning rates or all numbers of Gaussians of settings, for the cells of the tuning grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _Settings = TypeVar("_Settings", bound=Splatting)
 
 
 def scale_splatting(settings: _Settings, rates: float, sizes: float) -> _Settings:
-    """Settings with all learning rates and all numbers of Gaussians times something."""
+    """Multiply all learning rates by `rates` and all numbers of Gaussians by `sizes`."""
     seeding, density = settings.seeding, settings.densification
     return replace(
         scale_rates(settings, rates),
@@ -27,7 +27,7 @@ def scale_splatting(settings: _Settings, rates: float, sizes: float) -> _Setting
 
 
 def scale_rates(settings: _T, times: float) -> _T:
-    """A dataclass whose learning rates are times something."""
-    own = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    rates = {name: rate for name, rate in own.items() if isinstance(rate, Rate)}
+    """Multiply the learning rates of a dataclass by a factor."""
+    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
+    rates = {name: rate for name, rate in values.items() if isinstance(rate, Rate)}
     return replace(settings, **{name: Rate(times * rate.first, times * rate.last) for name, rate in rates.items()})

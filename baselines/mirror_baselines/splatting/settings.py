@@ -1,4 +1,4 @@
-"""Every number of a method of explicit Gaussians; schedules are shares of progress, since a budget may be time."""
+"""All numbers of a method of explicit Gaussians; schedules are shares of progress, because a budget may be a time."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Learning rates of Adam; those of 3DGS (gsplat's `simple_trainer`) on a block of some 50 m.
+    """Learning rates of Adam; those of 3DGS (gsplat's `simple_trainer`) for a block of about 50 m.
 
     Attributes:
-        means: metres a step.
+        means: metres per step.
         quats: of rotations.
         scales: of logarithms.
         opacities: of logits.
         sh0: of the constant band of colour.
-        shN: of the others.
-        adapter: of what a traversal adds to the constant band, where a method has that.
+        shN: of the other bands.
+        adapter: of a traversal's part of the constant band, where a method has one.
     """
 
     means: Rate = field(default=Rate(8e-3, 8e-5))
@@ -34,19 +34,19 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class GaussianInit:
-    """What training begins with: the points of the street's own beginning.
+    """The initial Gaussians: the points with which a street begins.
 
     Attributes:
-        most: background points, thinned to so many at most.
-        spacing_m: and to one a cell of this size.
-        share: but no closer than this share of the distance from where vehicles drive.
-        size: a Gaussian begins with this share of the distance to its neighbours.
-        opacity: of a point's Gaussian.
-        ground_spacing_m: of the grid on the ground.
-        ground_reach_m: how far from a driven line there is ground.
-        sky_count: Gaussians on the hemisphere.
-        sky_radii: of the hemisphere, in block radii.
-        far_count: points beyond the block, at most.
+        most: largest number of background points after thinning.
+        spacing_m: smallest cell that keeps one point.
+        share: a cell is at least this share of the distance to the nearest driven place.
+        size: initial size of a Gaussian, as a share of the distance to its neighbours.
+        opacity: initial opacity of a point's Gaussian.
+        ground_spacing_m: step of the grid on the ground.
+        ground_reach_m: largest distance of the ground from a driven line.
+        sky_count: number of Gaussians on the hemisphere.
+        sky_radii: radius of the hemisphere, in block radii.
+        far_count: largest number of points beyond the block.
     """
 
     most: int = 40_000
@@ -72,16 +72,16 @@ class Densification:
     """When gsplat's `DefaultStrategy` adds and removes Gaussians, and which.
 
     Attributes:
-        begin: progress.
-        end: progress.
-        rounds: in between.
-        resets: of opacities, in between; each `rounds / resets` rounds but for the last.
-        most: Gaussians in the end, at most; it rises to this evenly.
-        gradient: grow where the mean gradient in the image, in half widths of it, exceeds this.
-        split_m: those larger are split, others doubled.
-        least_opacity: below it, a Gaussian goes.
-        largest_m: above it, a Gaussian goes, once opacities have been reset; None: never.
-        absolute: sum gradients of pixels without their signs (AbsGS).
+        begin: progress at which it begins.
+        end: progress at which it ends.
+        rounds: number of rounds in between.
+        resets: number of opacity resets in between, one every `rounds / resets` rounds except the last.
+        most: largest number of Gaussians at the end; the cap rises to it evenly.
+        gradient: Gaussians grow where the mean image gradient, in units of half the width, is larger.
+        split_m: larger Gaussians are split, others are doubled.
+        least_opacity: Gaussians with a smaller opacity are removed.
+        largest_m: larger Gaussians are removed once opacities have been reset; None: never.
+        absolute: sum the gradients of pixels without their signs (AbsGS).
     """
 
     begin: float = 1.0 / 60.0
@@ -106,15 +106,16 @@ class Densification:
 
 @dataclass(frozen=True)
 class Weights:
-    """Of losses.
+    """Weights of losses.
 
     Attributes:
-        structure: share w of 1 - SSIM; the pixelwise loss has 1 - w.
+        structure: weight w of 1 - SSIM; the pixelwise loss has the weight 1 - w.
         pixelwise: mean absolute or mean square difference.
-        depth: of the depth loss; 0: none.
-        depth_kind: "share" of the depth, squared, as the street's; "inverse", absolute, in 1/m; "metres", absolute.
-        normal: of the street's loss of normals; 0: none.
-        normal_every: it is computed at each so many-th step, with so many times the weight.
+        depth: weight of the depth loss; 0: none.
+        depth_kind: "share": square of the error as a share of the depth, as for the street; "inverse": absolute error
+            of the inverse depth, 1/m; "metres": absolute error.
+        normal: weight of the street's normal loss; 0: none.
+        normal_every: the normal loss is computed every so many steps, with its weight times this number.
     """
 
     structure: float = 0.2
@@ -130,18 +131,18 @@ class Weights:
 
 @dataclass(frozen=True)
 class Splatting:
-    """What all methods of explicit Gaussians have.
+    """Settings of all methods of explicit Gaussians.
 
     Attributes:
-        seeding: what training begins with.
+        seeding: initial Gaussians.
         rates: learning rates.
-        densification: of the Gaussians.
-        weights: of losses.
-        sh_degree: of colours, in the end.
-        sh_step: one more band each time that progress is through so large a share.
-        antialiased: opacities shrink by what the rasterizer's blur widened.
-        near_m: Gaussians nearer are not drawn.
-        seed: of everything that is left to chance.
+        densification: densification of the Gaussians.
+        weights: weights of losses.
+        sh_degree: final degree of the spherical harmonics.
+        sh_step: share of progress after which the degree rises by one.
+        antialiased: lower opacities by as much as the rasterizer's blur widens Gaussians.
+        near_m: nearer Gaussians are not rendered.
+        seed: seed of all random numbers.
     """
 
     seeding: GaussianInit = field(default_factory=GaussianInit)

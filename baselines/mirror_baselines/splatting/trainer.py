@@ -1,4 +1,4 @@
-"""Explicit Gaussians that learn from images; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
+"""Trains explicit Gaussians on images; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from mirror_baselines.splatting.settings import Splatting
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """An image with what the optimiser reads.
+    """A rendered image, with what the optimiser reads.
 
     Attributes:
         finished: colours.
         alpha: (H, W).
-        depth_m: (H, W) expected.
-        rows: (M,) int64 of the tables that may be seen.
-        geometry: these rows of each table of geometry, leaves of which gradients are asked.
-        harmonics: (M, K, 3) of these rows, likewise.
-        meta: of the rasterizer, whose ``gaussian_ids`` are rows of the tables.
+        depth_m: (H, W) expected depth.
+        rows: (M,) int64 rows of the tables that may be visible.
+        geometry: copies of these rows of each table of geometry, leaves that may require gradients.
+        spherical_harmonics: (M, K, 3) coefficients of these rows, likewise.
+        meta: results of the rasterizer; ``gaussian_ids`` are rows of the tables.
     """
 
     finished: FinishedImage
@@ -42,16 +42,16 @@ class RenderOutput:
     depth_m: Tensor
     rows: Tensor
     geometry: dict[str, Tensor]
-    harmonics: Tensor
+    spherical_harmonics: Tensor
     meta: dict[str, Any]
 
 
 class SplattingTrainer:
-    """Gaussians, their optimisers, and how their number changes.
+    """Gaussians with their optimisers and their densification.
 
     Args:
-        model: what learns, changed in place.
-        settings: how.
+        model: the model, changed in place.
+        settings: its settings.
     """
 
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
@@ -61,12 +61,12 @@ class SplattingTrainer:
         self._steps = 0
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
-        """Learn from one image; see `TrainableMethod`."""
-        settings, look = self.settings, self.model.look
+        """Train on one image; see `TrainableMethod`."""
+        settings, appearance = self.settings, self.model.look
         self.model.sh_degree.fill_(min(int(progress / settings.sh_step), settings.sh_degree))
         for name, adam in self._adams.items():
             adam.param_groups[0]["lr"] = getattr(settings.rates, name.split("_")[0]).at(progress)
-        look.prepare(image.viewpoint, progress)
+        appearance.prepare(image.viewpoint, progress)
         output = self._render(image.viewpoint, learning=True)
         weights = settings.weights
         losses = {
@@ -74,7 +74,7 @@ class SplattingTrainer:
             **surface_losses(
                 output.depth_m, output.alpha, image, weights, normals=self._steps % weights.normal_every == 0
             ),
-            **look.losses(output.alpha, image),
+            **appearance.losses(output.alpha, image),
         }
         total = torch.stack([weight * loss for weight, loss in losses.values() if weight]).sum()
         self.density.before_backward(output.meta)
@@ -88,9 +88,9 @@ class SplattingTrainer:
         for name, leaf in output.geometry.items():
             if leaf.grad is not None:
                 self._adams[name].update(output.rows, leaf.grad)
-        if output.harmonics.grad is not None:
+        if output.spherical_harmonics.grad is not None:
             for name, first, past in self.model.look.bands(image.viewpoint.source, int(self.model.sh_degree)):
-                self._adams[name].update(output.rows, output.harmonics.grad, 3 * first, 3 * (past - first))
+                self._adams[name].update(output.rows, output.spherical_harmonics.grad, 3 * first, 3 * (past - first))
         self.model.look.update(image.viewpoint)
 
     @property
@@ -108,15 +108,15 @@ class SplattingTrainer:
     def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
         model, settings = self.model, self.settings
         rows = model.visible_ids(viewpoint)
-        geometry, harmonics = model.geometry(rows), model.harmonics(rows, viewpoint.source)
-        for leaf in (*geometry.values(), harmonics):
+        geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
+        for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
         images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
             geometry["opacities"].sigmoid(),
-            harmonics,
+            spherical_harmonics,
             viewpoint.viewmat[None],
             viewpoint.K[None],
             viewpoint.width_px,
@@ -131,22 +131,24 @@ class SplattingTrainer:
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
         alpha = alphas[0, ..., 0]
         finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
-        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, harmonics, meta)
+        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, spherical_harmonics, meta)
 
     def state(self) -> dict[str, Tensor]:
         """See `TrainableMethod`."""
         moments = self._moments()
-        for one in self._optimizers():
-            moments.state.update(one.state)
+        for optimizer in self._optimizers():
+            moments.state.update(optimizer.state)
         return {"counters": torch.tensor([self._steps]), **self.density.state(), **dump(self.model, moments)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """See `TrainableMethod`."""
         moments = self._moments()
         load(self.model, state, moments)
-        for one in self._optimizers():
-            for group in one.param_groups:
-                one.state.update({table: moments.state[table] for table in group["params"] if table in moments.state})
+        for optimizer in self._optimizers():
+            for group in optimizer.param_groups:
+                optimizer.state.update(
+                    {table: moments.state[table] for table in group["params"] if table in moments.state}
+                )
         self.density.restore(state)
         (self._steps,) = state["counters"].tolist()
 
@@ -154,5 +156,5 @@ class SplattingTrainer:
         return [*self._adams.values(), *self.model.look.optimizers()]
 
     def _moments(self) -> Optimizer:
-        """An optimiser of everything that only remembers: gsplat wants one for each table, checkpoints one in all."""
+        """An optimiser that only stores moments: gsplat needs one for each table, checkpoints need one in all."""
         return SGD(self.model.parameters(), lr=0.0)

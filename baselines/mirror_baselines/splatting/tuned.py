@@ -1,11 +1,11 @@
-"""What small budgets want of all methods of explicit Gaussians: found by trials of one and two core-minutes.
+"""Settings for small budgets that all methods of explicit Gaussians share, found by trials of one and two core-minutes.
 
-Trials were on one block with 525 images of 240 x 135 of four traversals, a held-out fifth beside them. Against the
-released values: rates of colours eight times as high, of places and sizes twice as high, all falling to a tenth or
-less; fewer Gaussians, half opaque from the beginning and never reset; as many grown as the cap lets in, in the order of
-their gradients, which are summed without signs. Square errors with a tenth of a loss of structure ended 0.2 to 0.8 dB
-above 3DGS's mixture of absolute errors and structure, and points 0.2 m apart 0.1 dB above those 0.3 m apart (two scenes
-of the comparison, 4,000 and 5,000 steps).
+The trials used one block with 525 images of 240 x 135 of four traversals, with a fifth traversal held out. Compared to
+the released values, learning rates of colours are eight times as high, those of places and sizes twice as high, and all
+fall to a tenth or less. There are fewer Gaussians; their initial opacity is one half and is never reset. As many grow
+as the cap allows, in the order of their gradients, which are summed without signs. Square errors with a tenth of a
+structure loss scored 0.2 to 0.8 dB above 3DGS's mixture of absolute errors and structure, and points 0.2 m apart
+0.1 dB above points 0.3 m apart (two scenes of the comparison, 4,000 and 5,000 steps).
 """
 
 from __future__ import annotations

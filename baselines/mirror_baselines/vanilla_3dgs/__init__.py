@@ -1,4 +1,4 @@
-"""3D Gaussian splatting as published (Kerbl et al. 2023): one set of colours for all traversals."""
+"""3D Gaussian splatting as published (Kerbl et al. 2023): all traversals share one set of colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""3D Gaussian splatting as published, as its entry point names it."""
+"""3D Gaussian splatting as published, for its entry point."""
 
 from __future__ import annotations
 

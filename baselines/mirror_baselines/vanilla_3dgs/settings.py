@@ -17,7 +17,7 @@ BY_HAND: Final = Splatting(
     densification=tuned.DENSIFICATION,
     weights=tuned.WEIGHTS,
 )
-"""The middle of the tuning's grid."""
+"""The middle of the tuning grid."""
 
 TUNED: Final = scale_splatting(BY_HAND, rates=1.0, sizes=2.0)
 """The best cell of the grid (docs/results.md)."""

@@ -1,4 +1,4 @@
-"""A learner of vanilla 3DGS."""
+"""Makes a trainer of vanilla 3DGS."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
 def make(initial: InitialGeometry, settings: Splatting) -> SplattingTrainer:
-    """A model that has seen no image yet.
+    """Make an untrained model.
 
     Args:
-        initial: what is known of the block.
+        initial: geometry of the block.
         settings: `RELEASED`, `TUNED` or others.
     """
     return SplattingTrainer(

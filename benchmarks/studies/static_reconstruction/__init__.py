@@ -1,1 +1,1 @@
-"""Static reconstruction: ours against vanilla 3DGS, MTGS-style and OmniRe-style, at equal cost, on declared scenes."""
+"""Compares static reconstruction by our method with 3DGS, MTGS-style and OmniRe-style, at equal cost."""

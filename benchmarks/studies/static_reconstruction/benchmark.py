@@ -1,4 +1,4 @@
-"""Static reconstruction: ours against vanilla 3DGS, MTGS-style and OmniRe-style, at equal cost, on declared scenes."""
+"""Compares static reconstruction by our method with 3DGS, MTGS-style and OmniRe-style, at equal cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the benchmark."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks static_reconstruction")
 
-    # Torch and all methods: not for a line of help.
+    # Imported late, because torch and all methods are slow to import for `--help`.
     from benchmarks.studies.static_reconstruction.declaration import load_declaration
     from benchmarks.studies.static_reconstruction.verbs import VERBS
 

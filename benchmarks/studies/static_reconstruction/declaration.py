@@ -52,7 +52,7 @@ class Declaration:
 def load_declaration() -> Declaration:
     """Load the committed declaration; its hash is of its values, not of their formatting."""
     document = tomllib.loads(FILE.read_text())
-    scenes, pictures, training = document["scenes"], document["pictures"], document["training"]
+    scenes, images, training = document["scenes"], document["pictures"], document["training"]
     grid = document["tuning"]
     return Declaration(
         preset=scenes["preset"],
@@ -60,9 +60,9 @@ def load_declaration() -> Declaration:
         split=scenes["split"],
         split_seed=scenes["split_seed"],
         scenes=tuple(scenes["names"]),
-        protocol=pictures["protocol"],
-        width_px=pictures["width_px"],
-        width_long_px=pictures["width_long_px"],
+        protocol=images["protocol"],
+        width_px=images["width_px"],
+        width_long_px=images["width_long_px"],
         initialise=document["beginning"]["initialise"],
         seeds=tuple(training["seeds"]),
         core_minutes=training["core_minutes"],

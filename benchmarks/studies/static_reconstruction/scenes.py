@@ -10,7 +10,7 @@ from typing import Final
 import mirror
 from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING, Declaration
 from benchmarks.studies.static_reconstruction.methods import REDUCED_COUNTS, reduced_split
-from hybridworldsim.methods.layers import are_made, layers_for
+from hybridworldsim.methods.layers import has_estimated_points, layers_for
 from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import manifest_sha256
@@ -94,7 +94,7 @@ def require_prepared(
     dataset = open_scenes(folder)
     for scene in scenes:
         for split in splits:
-            if not are_made(dataset, make_task(declaration, scene, split, width_px, 1.0, 0)):
+            if not has_estimated_points(dataset, make_task(declaration, scene, split, width_px, 1.0, 0)):
                 raise DatasetError(
                     f"{scene} has no layers of split {split}, {width_px} px", file=folder,
                     remedy="`prepare` with the same --group, --width and --entries",

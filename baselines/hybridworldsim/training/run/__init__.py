@@ -1,1 +1,1 @@
-"""The folder of a run: what it was asked, how it went, and what it knows."""
+"""The folder of a run: its settings, its progress and its state."""

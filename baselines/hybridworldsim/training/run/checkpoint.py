@@ -1,4 +1,4 @@
-"""Checkpoints: all that a run needs to go on exactly, written under another name and renamed."""
+"""Checkpoints: everything that a run needs to continue exactly, written to a temporary name and renamed."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from mirror.errors import DatasetError
 from mirror.schema.files import write_bytes
 
 FORMAT: Final = "mirror-checkpoint/1"
-_ANEW: Final = "remove the file to train the block anew"
+_REMEDY: Final = "remove the file to train the block from the beginning"
 
 
 @dataclass(frozen=True)
 class Sums:
-    """What steps since the last report told.
+    """Sums over the steps since the last report.
 
     Attributes:
-        steps: how many.
+        steps: number of steps.
         psnr_db: sum of their PSNR.
-        losses: by name, sum and in how many steps it was computed.
+        losses: by name, the sum and the number of steps in which the loss was computed.
     """
 
     steps: int = 0
@@ -34,16 +34,16 @@ class Sums:
 
 @dataclass(frozen=True)
 class Position:
-    """How far a run is.
+    """The progress of a run.
 
     Attributes:
-        steps: images that were learnt from.
-        shown: with those of which nothing is scored.
+        steps: number of images trained on.
+        shown: number of images read, including those without a scored pixel.
         spent_s: processor time of training.
-        wall_s: time on the wall, of training.
-        reports: how many of the equal steps of progress are reported.
-        rows: of the curves, written so far.
-        sums: of the steps since.
+        wall_s: wall time of training.
+        reports: number of equal steps of progress that have been reported.
+        rows: number of rows of the curves written so far.
+        sums: sums over the steps since then.
     """
 
     steps: int = 0
@@ -56,35 +56,35 @@ class Position:
 
 
 def write_checkpoint(path: Path, state: Mapping[str, Tensor], position: Position) -> None:
-    """Write a checkpoint; whoever is killed meanwhile leaves the one before.
+    """Write a checkpoint; if the process is killed meanwhile, the previous one remains.
 
     Raises:
         DatasetError: the folder is not writable, or the disk is full.
     """
     from safetensors.torch import save
 
-    # Equal storages may not be named twice.
+    # safetensors refuses tensors that share memory.
     tensors = {name: tensor.detach().contiguous().clone() for name, tensor in state.items()}
     write_bytes(path, save(tensors, {"format": FORMAT, "position": json.dumps(asdict(position))}))
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], Position]:
-    """The state of a learner and where it was.
+    """Read the state of a trainer and its position.
 
     Raises:
-        DatasetError: it is broken, or no checkpoint.
+        DatasetError: the file is broken or is not a checkpoint.
     """
     from safetensors import SafetensorError, safe_open
 
     try:
         with safe_open(path, framework="pt") as file:
-            said = file.metadata() or {}
+            metadata = file.metadata() or {}
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
-        raise DatasetError(f"cannot be read ({error})", file=path, expected="a checkpoint", remedy=_ANEW) from error
-    if said.get("format") != FORMAT:
-        raise DatasetError(f"of format {said.get('format')!r}", file=path, expected=FORMAT, remedy=_ANEW)
-    plain = json.loads(said["position"])
-    sums = plain.pop("sums")
+        raise DatasetError(f"cannot be read ({error})", file=path, expected="a checkpoint", remedy=_REMEDY) from error
+    if metadata.get("format") != FORMAT:
+        raise DatasetError(f"of format {metadata.get('format')!r}", file=path, expected=FORMAT, remedy=_REMEDY)
+    document = json.loads(metadata["position"])
+    sums = document.pop("sums")
     losses = {name: (total, count) for name, (total, count) in sums.pop("losses").items()}
-    return state, Position(**plain, sums=Sums(**sums, losses=losses))
+    return state, Position(**document, sums=Sums(**sums, losses=losses))

@@ -1,4 +1,4 @@
-"""How a run went, a row a report: written as it goes, drawn at the end."""
+"""The curves of a run: one row for each report, and a chart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COLOURS: Final = ("#1f6fb4", "#c8502a")
 
 
 def write_curves(path: Path, rows: Sequence[Row]) -> None:
-    """Write all rows, whole or not at all: there are some dozens."""
+    """Write all rows, replacing the file; there are a few dozen."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     sink = io.StringIO()
     writer = csv.DictWriter(sink, columns, restval="", lineterminator="\n")
@@ -27,21 +27,21 @@ def write_curves(path: Path, rows: Sequence[Row]) -> None:
     write_bytes(path, sink.getvalue().encode())
 
 
-def read_curves(path: Path, most: int) -> list[Row]:
-    """The first rows; none where there is no file yet."""
+def read_curves(path: Path, max_rows: int) -> list[Row]:
+    """Read the first rows; empty if there is no file yet."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
         rows = [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
-    return list(rows[:most])
+    return list(rows[:max_rows])
 
 
 def write_chart(path: Path, rows: Sequence[Row], title: str) -> None:
-    """PSNR and Gaussians over processor time, as SVG; nothing where there is nothing to draw."""
+    """Write PSNR and number of Gaussians over processor time as SVG; nothing without rows."""
     if not rows:
         return
     minutes = [row["core_s"] / 60.0 for row in rows]
-    drawn = "".join(
+    lines = "".join(
         _line(minutes, [row[name] for row in rows], colour, place, label)
         for name, colour, place, label in (
             ("psnr_db", _COLOURS[0], 0, "PSNR of training images, dB"),
@@ -50,39 +50,39 @@ def write_chart(path: Path, rows: Sequence[Row], title: str) -> None:
     )
     text = f'<text x="16" y="22" font-size="14">{_escaped(title)}</text>'
     frame = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 640 420" font-family="sans-serif">'
-    write_bytes(path, f'{frame}<rect width="640" height="420" fill="white"/>{text}{drawn}</svg>\n'.encode())
+    write_bytes(path, f'{frame}<rect width="640" height="420" fill="white"/>{text}{lines}</svg>\n'.encode())
 
 
 def _line(x: Sequence[float], y: Sequence[float], colour: str, place: int, label: str) -> str:
     top, height, left, width = 48 + 186 * place, 130, 70, 540
     ticks = _round_ticks(min(y), max(y))
-    low, high, wide = ticks[0], ticks[-1], max(x) or 1.0
+    low, high, x_max = ticks[0], ticks[-1], max(x) or 1.0
 
-    def down(value: float) -> float:
+    def y_px(value: float) -> float:
         return top + height * (high - value) / (high - low)
 
-    points = " ".join(f"{left + width * a / wide:.1f},{down(b):.1f}" for a, b in zip(x, y))
-    words = [
+    points = " ".join(f"{left + width * a / x_max:.1f},{y_px(b):.1f}" for a, b in zip(x, y))
+    labels = [
         (left, top - 8.0, "start", label),
         (left, top + height + 16.0, "start", "0"),
         (left + width, top + height + 16.0, "end", f"{max(x):.3g} core-minutes"),
-        *((left - 6, down(tick) + 4.0, "end", f"{tick:,g}") for tick in ticks),
+        *((left - 6, y_px(tick) + 4.0, "end", f"{tick:,g}") for tick in ticks),
     ]
     texts = "".join(
-        f'<text x="{a}" y="{b:.1f}" font-size="11" text-anchor="{side}">{_escaped(word)}</text>'
-        for a, b, side, word in words
+        f'<text x="{a}" y="{b:.1f}" font-size="11" text-anchor="{side}">{_escaped(label_text)}</text>'
+        for a, b, side, label_text in labels
     )
-    lines = "".join(f'<path d="M {left} {down(tick):.1f} h {width}" stroke="#ddd"/>' for tick in ticks)
+    lines = "".join(f'<path d="M {left} {y_px(tick):.1f} h {width}" stroke="#ddd"/>' for tick in ticks)
     return f'{lines}<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>{texts}'
 
 
 def _round_ticks(low: float, high: float) -> list[float]:
-    """Three to six multiples of 1, 2 or 5 times a power of ten; all values lie between the first and the last."""
+    """Three to six multiples of 1, 2 or 5 times a power of ten, whose range contains all values."""
     span = (high - low) or abs(high) or 1.0
     power = 10.0 ** math.floor(math.log10(span / 4.0))
     step = next(power * times for times in (1.0, 2.0, 5.0, 10.0) if power * times >= span / 4.0)
     first, last = math.floor(low / step), math.ceil(high / step)
-    # A line that is flat lies between two of them.
+    # A constant line lies between two ticks.
     return [step * count for count in range(first, max(last, first + 1) + 1)]
 
 

@@ -1,4 +1,4 @@
-"""A run folder: what the run is, its checkpoint, its curves, its images, its model."""
+"""A run folder: the run's document, its checkpoint, its curves, its previews and its model."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ MODEL: Final = "model.safetensors"
 
 
 class TrainedCamera(Document):
-    """A traversal and camera that was trained on.
+    """A camera in a traversal that was trained on.
 
     Attributes:
         traversal_id: the traversal.
-        camera: of its rig.
-        light: of the traversal.
-        weather: of the traversal.
-        centre_m: (N, 3) some of the places that the camera was at, in the scene's world frame.
-        forward: (N, 3) where it looked from there.
+        camera: name of the camera in the rig.
+        light: light of the traversal.
+        weather: weather of the traversal.
+        centre_m: (N, 3) some of the camera's positions, in the scene's world frame.
+        forward: (N, 3) viewing directions at these positions.
     """
 
     traversal_id: str
@@ -41,35 +41,35 @@ class TrainedCamera(Document):
 
 
 class Run(Document):
-    """``run.json``: all that decides what comes of a run.
+    """``run.json``: everything that determines the result of a run.
 
     Attributes:
         format: always ``mirror-run``.
-        version: of this document.
-        method: its entry point's name.
-        settings: of the method.
-        seed: of all that is left to chance.
+        version: version of this document.
+        method: name of the method's entry point.
+        settings: settings of the method.
+        seed: seed of all random numbers.
         steps: the budget, or None.
         core_minutes: the budget, or None.
-        threads: of torch: results repeat exactly at the same number.
-        scene: id.
-        split: name.
-        block: name within the scene.
-        origin_m: of the block's frame, in the scene's world frame.
-        radius_m: of the block.
-        width_px: images are no wider.
-        half: the model is written in half precision.
-        dataset_hash: of what the split was made of.
-        plan_hash: of the training images, their raster and the layers of masks.
-        settings_hash: of the method's settings.
-        depth: ``source@version`` of the layers of depth maps that were read, or None.
-        points: ``source@version`` of the layers of points that were read, or None.
+        threads: number of torch threads; results repeat exactly with the same number.
+        scene: id of the scene.
+        split: name of the split.
+        block: name of the block within the scene.
+        origin_m: origin of the block's frame, in the scene's world frame.
+        radius_m: radius of the block.
+        width_px: largest width of images.
+        half: whether the model is written in half precision.
+        dataset_hash: hash of the data that the split was made of.
+        plan_hash: hash of the training images, their raster and the layers of masks.
+        settings_hash: hash of the method's settings.
+        depth: ``source@version`` of the layers of depth maps, or None.
+        points: ``source@version`` of the layers of points, or None.
         poses: layer of poses.
         calibrations: layer of calibrations.
-        stage: of calibration, or None for the best of each traversal.
-        images: how many are trained on.
-        withheld: ``traversal/camera/timestamp_ns`` of training traversals' images that are not looked at.
-        sources: traversals and cameras that are trained on.
+        stage: stage of calibration, or None for the best of each traversal.
+        pictures: number of training images.
+        withheld: ``traversal/camera/timestamp_ns`` of images of training traversals that are not read.
+        sources: trained traversals and cameras.
     """
 
     format: Literal["mirror-run"] = "mirror-run"
@@ -101,16 +101,16 @@ class Run(Document):
 
 
 class TrainingOutcome(Document):
-    """``outcome.json``: what came of it, once it is done.
+    """``outcome.json``: the result of a finished run.
 
     Attributes:
-        steps: images that were learnt from.
-        skipped: images of which nothing is scored.
+        steps: number of images trained on.
+        skipped: number of images without a scored pixel.
         core_s: processor time of training.
-        wall_s: time on the wall, of training.
-        psnr_db: of the last images that were trained on; their scored pixels.
-        gaussians: held.
-        model_bytes: of ``model.safetensors``.
+        wall_s: wall time of training.
+        psnr_db: PSNR of the last training images, over their scored pixels.
+        gaussians: number of Gaussians.
+        model_bytes: size of ``model.safetensors``.
     """
 
     steps: int
@@ -123,39 +123,39 @@ class TrainingOutcome(Document):
 
 
 class RunFolder:
-    """One run of one block.
+    """The folder of one run of one block.
 
     Args:
-        path: made if need be.
+        path: the folder; it is created if needed.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.pictures, self.model = path, path / "pictures", path / MODEL
+        self.path, self.previews, self.model = path, path / "pictures", path / MODEL
         self._checkpoint, self._curves = path / "checkpoint.safetensors", path / "curves.csv"
         self._rows: list[Row] = []
 
     def begin(self, run: Run) -> TrainingOutcome | None:
-        """Say what the run is, or see that it is the one that began here, or that what began here learnt nothing.
+        """Write the run's document, or require that it equals the earlier one, unless the earlier run learned nothing.
 
         Returns:
-            What came of it, if it is done.
+            The outcome, if the run is finished.
 
         Raises:
-            UsageError: the folder holds another run, or something else.
-            DatasetError: it is not writable.
+            UsageError: the folder holds another run or other files.
+            DatasetError: the folder is not writable.
         """
         if not (self.path / RUN).exists():
             if is_occupied(self.path):
-                raise UsageError("not empty, and no run began here", file=self.path, remedy="name a new folder")
+                raise UsageError("not empty, and not the folder of a run", file=self.path, remedy="name a new folder")
             write_json(self.path / RUN, run)
             return None
         before = read_json(self.path / RUN, Run)
-        # What is done is done, whoever did it.
-        now = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
-        differing = _differing(before.model_dump(mode="json"), now.model_dump(mode="json"))
+        # The number of threads does not matter for a finished run.
+        current = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
+        differing = _differing(before.model_dump(mode="json"), current.model_dump(mode="json"))
         if differing and not self._is_untrained:
             elsewhere = "name another folder with --out"
-            threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != now.threads else elsewhere
+            threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != current.threads else elsewhere
             raise UsageError(
                 f"a run of other settings began here: {'; '.join(differing[:4])}", file=self.path,
                 expected="the same dataset, method and settings", remedy=threads,
@@ -163,31 +163,31 @@ class RunFolder:
         return self.outcome
 
     def claim(self, run: Run) -> None:
-        """Of who is `alone`: make the run this one, where another began and learnt nothing.
+        """Under the `lock`, replace the document of another run that had learned nothing.
 
         Raises:
-            UsageError: another one learnt something meanwhile.
+            UsageError: the other run has learned something meanwhile.
         """
         if self.begin(run) is None:
             write_json(self.path / RUN, run)
 
     @property
     def _is_untrained(self) -> bool:
-        """Whether nothing was learnt yet: what began here failed before it had anything to keep."""
+        """Whether nothing has been saved yet, because the run failed early."""
         return self.outcome is None and not self._checkpoint.exists() and not self._curves.exists()
 
     @property
     def outcome(self) -> TrainingOutcome | None:
-        """What came of the run; None: it is not done."""
+        """The result of the run; None while it is not finished."""
         path = self.path / OUTCOME
         return read_json(path, TrainingOutcome) if path.exists() else None
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """One process at a time trains a run; the lock goes when its holder dies, however it dies.
+        """Lock the run for one process; the lock ends with its process, even if the process is killed.
 
         Raises:
-            DatasetError: another one does.
+            DatasetError: another process holds the lock.
         """
         with (self.path / ".lock").open("a") as handle:
             try:
@@ -196,16 +196,16 @@ class RunFolder:
                 raise DatasetError(
                     "another process is training here", file=self.path, remedy="let it finish, or name another folder"
                 ) from error
-            # Left by a process that was killed; another one's are not touched.
-            for left in self.path.glob(f".*{TEMPORARY}"):
-                left.unlink(missing_ok=True)
+            # Temporary files of a killed process; under the lock no other process writes here.
+            for leftover in self.path.glob(f".*{TEMPORARY}"):
+                leftover.unlink(missing_ok=True)
             yield
 
     def resume(self, trainer: TrainableMethod) -> Position:
-        """Take a learner to where the run is; the beginning, where there is no checkpoint yet.
+        """Restore a trainer from the checkpoint, if there is one, and return the position.
 
         Raises:
-            DatasetError: the checkpoint is broken, or another method's.
+            DatasetError: the checkpoint is broken or belongs to another method.
         """
         position = Position()
         if self._checkpoint.exists():
@@ -215,7 +215,7 @@ class RunFolder:
             except KeyError as error:
                 raise DatasetError(
                     f"without {error}", file=self._checkpoint, expected="a checkpoint of this version of the method",
-                    remedy="remove the run folder and train anew",
+                    remedy="remove the run folder and train again",
                 ) from error  # fmt: skip
         self._rows = read_curves(self._curves, position.rows)
         return position
@@ -225,10 +225,10 @@ class RunFolder:
         """The last row of the curves.
 
         Raises:
-            DatasetError: there is none.
+            DatasetError: there is no row.
         """
         if not self._rows:
-            raise DatasetError("no report yet", file=self._curves, remedy="remove the run folder and train anew")
+            raise DatasetError("no report yet", file=self._curves, remedy="remove the run folder and train again")
         return self._rows[-1]
 
     def save_checkpoint(self, trainer: TrainableMethod, position: Position) -> None:
@@ -236,17 +236,17 @@ class RunFolder:
         write_checkpoint(self._checkpoint, trainer.state(), position)
 
     def append_row(self, row: Row, title: str) -> None:
-        """Write one more row of the curves, and the chart of a title anew."""
+        """Append a row to the curves, and write the chart again."""
         self._rows.append(row)
         write_curves(self._curves, self._rows)
         write_chart(self.path / "curves.svg", self._rows, title)
 
     def finish(self, write: Callable[[Path], int], outcome: Mapping[str, Any]) -> TrainingOutcome:
-        """Write model and outcome, in this order.
+        """Write the model, then the outcome.
 
         Args:
-            write: writes the model to a path, and says how many bytes it has.
-            outcome: but for these bytes.
+            write: writes the model to a path, and returns its size in bytes.
+            outcome: fields of the outcome, without the model's size.
         """
         size = write(self.model)
         done = TrainingOutcome(**outcome, model_bytes=size)
@@ -255,32 +255,32 @@ class RunFolder:
 
 
 def is_occupied(path: Path) -> bool:
-    """Whether a path is a file, or a folder with more in it than what a killed process left behind."""
+    """Whether a path is a file, or a folder that holds more than temporary files of a killed process."""
     if not path.is_dir():
         return path.exists()
-    return any(not (one.name.startswith(".") and one.name.endswith(TEMPORARY)) for one in path.iterdir())
+    return any(not (entry.name.startswith(".") and entry.name.endswith(TEMPORARY)) for entry in path.iterdir())
 
 
 def read_run(path: Path) -> Run:
-    """The run of a folder.
+    """Read the document of a run.
 
     Raises:
-        DatasetError: none began there.
-        SchemaError: its document is broken.
+        DatasetError: no run began in the folder.
+        SchemaError: the document is broken.
     """
     return read_json(path / RUN, Run)
 
 
-def _differing(before: Mapping[str, Any], now: Mapping[str, Any], under: str = "") -> list[str]:
-    """What two documents differ in, in words."""
-    found = []
-    for key in before.keys() | now.keys():
-        old, new = before.get(key), now.get(key)
+def _differing(before: Mapping[str, Any], current: Mapping[str, Any], under: str = "") -> list[str]:
+    """The differences of two documents, in words."""
+    differences = []
+    for key in before.keys() | current.keys():
+        old, new = before.get(key), current.get(key)
         if isinstance(old, dict) and isinstance(new, dict):
-            found += _differing(old, new, f"{under}{key}.")
+            differences += _differing(old, new, f"{under}{key}.")
         elif old != new:
-            found.append(f"{under}{key} {_short(old)}, now {_short(new)}")
-    return sorted(found)
+            differences.append(f"{under}{key} {_short(old)}, now {_short(new)}")
+    return sorted(differences)
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,4 @@
-"""``model.safetensors``: the parameters of a trained model alone, in single or half precision."""
+"""``model.safetensors``: the parameters of a trained model, in single or half precision."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def write_parameters(path: Path, model: nn.Module, *, half: bool) -> int:
 
     Args:
         path: the file.
-        model: what was trained.
-        half: what has a row for each Gaussian in 16 bits, but for its places, since metres of a block do not fit.
+        model: the trained model.
+        half: store tables with a row for each Gaussian in 16 bits, except positions, which need 32.
 
     Returns:
-        Bytes of the file.
+        Size of the file, bytes.
 
     Raises:
         DatasetError: the folder is not writable, or a number does not fit.
@@ -54,29 +54,29 @@ def _is_places(name: str) -> bool:
 
 
 def read_parameters(path: Path) -> dict[str, Tensor]:
-    """Parameters by name, in the precision of the file.
+    """Read parameters by name, in the precision of the file.
 
     Raises:
-        DatasetError: it is missing, broken, or no model.
+        DatasetError: the file is missing or broken, or is not a model.
     """
     from safetensors import SafetensorError, safe_open
 
     try:
         with safe_open(path, framework="pt") as file:
-            said = file.metadata() or {}
-            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise DatasetError(f"cannot be read ({error})", file=path, expected="a trained model") from error
-    if said.get("format") != FORMAT:
-        raise DatasetError(f"of format {said.get('format')!r}", file=path, expected=FORMAT)
-    return found
+    if metadata.get("format") != FORMAT:
+        raise DatasetError(f"of format {metadata.get('format')!r}", file=path, expected=FORMAT)
+    return tensors
 
 
 def set_parameters(model: nn.Module, parameters: Mapping[str, Tensor]) -> None:
-    """Give a model its trained parameters, of whatever number of rows.
+    """Set the parameters of a model; the number of rows may differ.
 
     Raises:
-        DatasetError: they are those of another model.
+        DatasetError: the parameters belong to another model.
     """
     own = dict(model.named_parameters())
     if set(own) != set(parameters):

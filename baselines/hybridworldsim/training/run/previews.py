@@ -1,4 +1,4 @@
-"""Images of a run: a few views as they are rendered, beside the truth and the depth, at every report."""
+"""Previews of a run: renders of a few views beside truth and depth, at every report."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _QUALITY: Final = 90
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """One image that is looked at again and again.
+    """An image that is rendered repeatedly during training.
 
     Attributes:
-        name: of its files.
-        image: what was taken.
-        source: whose appearance it is rendered with.
+        name: prefix of its files.
+        image: the recorded image.
+        source: traversal and camera of the appearance.
     """
 
     name: str
@@ -38,21 +38,21 @@ class Preview:
 
 
 def write_previews(folder: Path, previews: Sequence[Preview], trainer: TrainableMethod, step: int) -> None:
-    """Render all of them: ``<name>-<step>.jpg``, render | truth | depth.
+    """Render all previews to ``<name>-<step>.jpg``: render | truth | depth.
 
     Raises:
         DatasetError: the folder is not writable.
     """
-    for one in previews:
-        rendered = trainer.render(one.image.viewpoint.with_source(one.source))
-        parts = (pixels(rendered.rgb), pixels(one.image.rgb), _depth_colours(rendered.depth_m))
+    for preview in previews:
+        rendered = trainer.render(preview.image.viewpoint.with_source(preview.source))
+        parts = (pixels(rendered.rgb), pixels(preview.image.rgb), _depth_colours(rendered.depth_m))
         sheet = np.concatenate(parts, axis=1)[..., ::-1]
         data = cv2.imencode(".jpg", np.ascontiguousarray(sheet), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
-        write_bytes(folder / f"{one.name}-{step:06d}.jpg", data)
+        write_bytes(folder / f"{preview.name}-{step:06d}.jpg", data)
 
 
 def pixels(rgb: torch.Tensor) -> UInt8:
-    """(H, W, 3) 8-bit colours of float ones."""
+    """Convert colours (H, W, 3) from float to 8 bits."""
     shown = rgb.detach().clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
     return np.asarray(shown.cpu().numpy(), np.uint8)
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import torch
 
-from benchmarks.street.benchmark import HEIGHT, PAPER_MS, WIDTH, timed
+from benchmarks.street.benchmark import HEIGHT, PAPER_MS, WIDTH, time_views
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel, evenly_chosen
 from mirror.protocols.views.view import RenderView
 
@@ -22,8 +22,8 @@ def measure_costs(trained: TrainedModel) -> dict[str, Any]:
     """Times of 8-bit renders of held-out views, and the size of the model."""
     chosen = [_wide(view) for view in evenly_chosen(trained.views("novel"), _MOST_VIEWS)]
     renderer = trained.open()
-    _, wall_ms = timed(renderer, chosen)
-    _, core_ms = timed(renderer, chosen, time.process_time)
+    _, wall_ms = time_views(renderer, chosen)
+    _, core_ms = time_views(renderer, chosen, time.process_time)
     costs = trained.costs
     return {
         "wall_ms": wall_ms,

@@ -149,7 +149,7 @@ class StreetTruth:
         stage = own.stage_lit_by(other)
         stamps = np.array([moment.true_ns])
         drive = own.drive
-        picture = stage.render(
+        rendering = stage.render(
             stage.at(moment.seconds, drive.world_SE3_ego(stamps)),
             drive.lenses[view.camera],
             view.pose if as_recorded else drive.world_SE3_camera(view.camera, stamps),
@@ -158,7 +158,7 @@ class StreetTruth:
         )
         _, image = self.recorded.recorded_frame_and_image(view)
         raster = cached_raster(image.camera_model, self._pixels)
-        return raster.to_final(np.ascontiguousarray(picture.bgr[..., ::-1]))
+        return raster.to_final(np.ascontiguousarray(rendering.bgr[..., ::-1]))
 
     def _moment(self, view: RenderView) -> _Moment:
         drive = self._drive(view.traversal_id)

@@ -26,7 +26,7 @@ def write_sweep(trained: TrainedModel, path: Path) -> None:
     view = views[len(views) // 2]
     target, street = target_traversal(trained, after, view), trained.street
     tiles = [("recorded", street.recorded.image(view))]
-    tiles += [(f"{share:.0%} {after}", picture) for share, picture in zip(_SHARES, _renders(trained, view, target))]
+    tiles += [(f"{share:.0%} {after}", image) for share, image in zip(_SHARES, _renders(trained, view, target))]
     tiles.append((f"true {after}", street.relit(view, target)))
     write_bytes(path, encode_png(sheet([tiles])))
 

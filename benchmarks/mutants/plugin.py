@@ -1,4 +1,4 @@
-"""The pytest plug-in of mutants' runs: records tests, or puts the likeliest first and ends those that hang.
+"""The pytest plug-in of runs with mutants: records tests, or runs the likeliest first and ends those that hang.
 
 The environment variable MIRROR_MUTANTS names a JSON file: ``{"record": file}`` or ``{"order": [test], "limit_s": {test:
 seconds}}``.
@@ -32,11 +32,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Record a test, or end the run if the test takes too long."""
-    return (yield from _record(item) if "record" in _PLAN else _limit(item))
+    return (yield from _run_recorded(item) if "record" in _PLAN else _run_limited(item))
 
 
-def _limit(item: pytest.Item) -> Iterator[None]:
-    # From a thread of its own, which compiled code does not hold up.
+def _run_limited(item: pytest.Item) -> Iterator[None]:
+    # Runs in its own thread, which compiled code does not block.
     faulthandler.dump_traceback_later(_PLAN["limit_s"].get(item.nodeid, _NEW_TEST_S), exit=True)
     try:
         return (yield)
@@ -44,15 +44,15 @@ def _limit(item: pytest.Item) -> Iterator[None]:
         faulthandler.cancel_dump_traceback_later()
 
 
-def _record(item: pytest.Item) -> Iterator[None]:
+def _run_recorded(item: pytest.Item) -> Iterator[None]:
     called: set[tuple[str, int]] = set()
 
-    def note(frame: FrameType, event: str, argument: object) -> None:
+    def record_call(frame: FrameType, event: str, argument: object) -> None:
         if event == "call":
             called.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
 
     begin = time.perf_counter()
-    sys.setprofile(note)
+    sys.setprofile(record_call)
     try:
         return (yield)
     finally:

@@ -1,16 +1,16 @@
-"""Mutants: 300 changes of one token in the source, each run against the tests of its room.
+"""Changes single tokens in the source, runs the tests against each change, and lists the changes that no test detects.
 
-``python -m benchmarks mutants`` draws the mutants, runs those that have no outcome yet, and prints the survivors.
-``benchmarks/mutants.toml`` holds the survivors that are equivalent, each with its reason. Exit code 1: a survivor has
-no reason, less than 85 % are killed, or some have not run.
+``python -m benchmarks mutants`` draws 300 mutants, runs those that have no outcome yet, and prints the survivors.
+``benchmarks/mutants/equivalent.toml`` lists the survivors that are equivalent to the source, each with its reason. The
+exit code is 1 if a survivor has no reason, if less than 85 % are killed, or if some have not run.
 
-The draw ranks all mutants by a hash of the line before and after the change and of the line that it follows; outcomes
-and reasons are kept under the same text. Lines that move to another place or file keep theirs.
+The draw ranks all mutants by a hash of three lines: the line before, the line, and the changed line. Outcomes and
+reasons are stored under the same text, so that lines that move to another place or file keep theirs.
 
 Nothing runs in the checkout: every mutant gets a fresh copy of the tracked files and of the real recordings (of
-MIRROR_REAL_DATA). First the tests run without a mutant and must pass. This records how long each test takes and which
-functions it calls, so that of a mutant's tests the likeliest run first. Compiled kernels are removed from the copy if
-their module imports the changed one, in however many steps.
+MIRROR_REAL_DATA). First the tests run without a mutant and must pass; this run records how long each test takes and
+which functions it calls, so that the tests most likely to fail run first. Compiled kernels are removed from the copy if
+their module imports the changed one, directly or indirectly.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks._mutations import Mutant, compiles, mutant_name, mutants
+from benchmarks.mutants.mutations import Mutant, compiles, mutant_name, mutants
 from benchmarks.report import OUT
 from mirror.errors import ExitCode
 
-ROOT: Final = Path(__file__).resolve().parents[1]
+ROOT: Final = Path(__file__).resolve().parents[2]
 ROOMS: Final = {
     "mirror/geometry": ("tests/geometry",),
     "mirror/metrics": ("tests/metrics",),
@@ -50,24 +50,24 @@ ROOMS: Final = {
     "baselines/hybridworldsim/kernels": ("tests/rasterizer",),
     "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
 }
-_EQUIVALENT: Final = ROOT / "benchmarks" / "mutants.toml"
+_EQUIVALENT: Final = Path(__file__).parent / "equivalent.toml"
 _BAR: Final = 0.85
-# A test may take ten times as long as without a mutant, and this: its kernels may have to be compiled.
+# A test may take ten times as long as without a mutant, plus this time for compiling kernels.
 _PATIENCE_S: Final = 120.0
 _ROOM_S: Final = 1800.0
 _MEMORY_BYTES: Final = 3 * 2**33
 # Tests of speed fail on a busy machine.
-_TESTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "benchmarks._mutant_plugin",
+_TESTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "benchmarks.mutants.plugin",
                  "--hypothesis-seed=0", "-k", "not fast_enough")  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Draw, run, report."""
+    """Draw mutants, run them, and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--hours", type=float, default=4.0, help="processor time after which no new mutant is begun")
-    parser.add_argument("--state", type=Path, default=OUT / "mutants", help="where copies and outcomes lie")
+    parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of copies and outcomes")
     parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
     parser.add_argument("--report", action="store_true", help="run nothing")
     options = parser.parse_args(argv)
@@ -85,7 +85,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def draw(count: int, seed: int) -> list[Mutant]:
-    """The mutants whose hashes come first, of all rooms together."""
+    """The mutants with the smallest hashes, of all rooms together."""
     texts = {path.relative_to(ROOT).as_posix(): path.read_text() for room in ROOMS for path in _sources(ROOT / room)}
     every = [mutant for file, text in texts.items() for mutant in mutants(file, text)]
     every.sort(key=lambda mutant: hashlib.sha256(f"{seed} {mutant.name}".encode()).digest())
@@ -99,7 +99,7 @@ def draw(count: int, seed: int) -> list[Mutant]:
 
 
 class _Run:
-    """The copies that mutants run in, and what came of them."""
+    """The copies in which mutants run, and their outcomes."""
 
     def __init__(self, state: Path) -> None:
         self.clean, self.work = state / "clean", state / "work"
@@ -113,7 +113,7 @@ class _Run:
         return float(sum(one["cpu_s"] for one in self.outcomes.values())) / 3600
 
     def begin(self) -> None:
-        """Copy the tree, and run in the copy the tests of rooms that have not passed as they are now."""
+        """Copy the tree, and run the tests of rooms that have changed since their last recorded run."""
         words = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
         listed = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split("\0")
         texts = {name: (ROOT / name).read_bytes() for name in listed if name and (ROOT / name).is_file()}
@@ -136,7 +136,7 @@ class _Run:
             self._tests[room] = recorded[room]["tests"]
 
     def _copy(self, texts: Mapping[str, bytes]) -> None:
-        """Bring the copy up to date; files that are as they were keep their compiled kernels."""
+        """Update the copy; unchanged files keep their compiled kernels."""
         self.clean.mkdir(parents=True, exist_ok=True)
         old = {path.relative_to(self.clean).as_posix(): path for path in self.clean.rglob("*") if path.is_file()}
         for name, path in old.items():
@@ -154,7 +154,7 @@ class _Run:
             shutil.copytree(data, self.clean / "real_data", copy_function=shutil.copy)
 
     def try_mutant(self, mutant: Mutant) -> None:
-        """Run a room's tests against a mutant and keep the outcome, if they pass without it."""
+        """Run a room's tests against a mutant and store the outcome, if the tests pass without it."""
         room = next(room for room in ROOMS if mutant.file.startswith(f"{room}/"))
         if room not in self._tests:
             return
@@ -218,7 +218,7 @@ class _Run:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End what a run has left running."""
+    """Kill the remaining processes of a run."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -239,7 +239,7 @@ def _sources(folder: Path) -> list[Path]:
 
 
 def _importers(file: str, tree: Path) -> set[str]:
-    """A source file and all files of the rooms that import it, in however many steps."""
+    """A source file and all files of the rooms that import it, directly or indirectly."""
     texts = {path.relative_to(tree).as_posix(): path.read_text() for room in ROOMS for path in _sources(tree / room)}
     found, fresh = {file}, {file}
     while fresh:
@@ -254,13 +254,13 @@ def _importers(file: str, tree: Path) -> set[str]:
 
 
 def _forget_kernels(file: Path) -> None:
-    """Delete what numba has compiled of a source file."""
+    """Delete numba's compiled kernels of a source file."""
     for kernel in file.parent.glob(f"__pycache__/{file.stem}.*.nb[ic]"):
         kernel.unlink()
 
 
 def _digest(texts: Mapping[str, bytes], room: str) -> str:
-    """A hash of the source, of what tests share, and of the room's own tests."""
+    """A hash of the source, of shared test code, and of the room's own tests."""
     own = tuple(f"{folder}/" for folder in ("mirror", "baselines", *ROOMS[room]))
     used = [
         name for name in sorted(texts) if name.startswith(own) or (name.startswith("tests/") and "/test_" not in name)

@@ -12,9 +12,9 @@ from typing import Final
 
 _SWAPS: Final = "+ - / += -= / *= /= / & | / << >> / == != / and or / True False / min max / minimum maximum / any all"
 _PAIRS: Final = [pair.split() for pair in f"{_SWAPS} / argmin argmax / break continue".split(" / ")]
-# What a token may become; a number becomes one more, or twice as large where one more is little.
+# Replacements of a token; a number is increased by one, or doubled where one is too little.
 _OTHERS: Final[Mapping[str, tuple[str, ...]]] = {
-    **{old: (new,) for one, two in _PAIRS for old, new in ((one, two), (two, one))},
+    **{old: (new,) for text, two in _PAIRS for old, new in ((text, two), (two, text))},
     **{"*": ("+", "/"), "/": ("*",), "//": ("*",), "%": ("*",), "**": ("*",), "~": ("",), "not": ("",)},
     **{"<": ("<=", ">"), "<=": ("<", ">="), ">": (">=", "<"), ">=": (">", "<="), "is": ("is not",), "in": ("not in",)},
 }
@@ -26,17 +26,17 @@ _Place = tuple[int, int]
 
 @dataclass(frozen=True)
 class Mutant:
-    """One token changed.
+    """A change of one token.
 
     Attributes:
         file: path in the tree.
         row: number of the line, from 1.
-        new_line: the whole line with the change.
+        new_line: the complete line with the change.
         after: text of the line of code before it, stripped.
         line: text of the line without the change, stripped.
-        becomes: text with it, stripped.
-        repeat: how many equal changes of equal pairs of lines the file has before this one.
-        function: first line of the innermost function that holds it; 0: none does.
+        becomes: text of the line with the change, stripped.
+        repeat: number of equal changes of equal pairs of lines in the file before this one.
+        function: first line of the innermost function that contains it; 0: none.
     """
 
     file: str
@@ -50,7 +50,7 @@ class Mutant:
 
     @property
     def name(self) -> str:
-        """What its outcome is kept under: the same after the line has moved to another place or file."""
+        """Key of its outcome; it stays the same when the line moves to another place or file."""
         return mutant_name(self.after, self.line, self.becomes, self.repeat)
 
     def applied(self, text: str) -> str:
@@ -76,23 +76,24 @@ def compiles(text: str) -> bool:
 def mutants(file: str, text: str) -> Iterator[Mutant]:
     """All mutants of a source file; some may not compile (``for x not in y``).
 
-    Left alone: text, annotations (but for the calls in them), decorators, ``raise`` statements, logging, ``__all__``.
+    Strings, annotations (except calls in them), decorators, ``raise`` statements, logging and ``__all__`` are not
+    changed.
     """
     excluded, included, functions = _ranges(ast.parse(text))
     lines = text.splitlines()
     tokens = [token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type not in _LAYOUT]
-    words = ["", *(token.string for token in tokens), ""]
+    strings = ["", *(token.string for token in tokens), ""]
     repeats: Counter[tuple[str, str, str]] = Counter()
     for index, token in enumerate(tokens):
         row, column = token.start
-        if _holds(excluded, token.start) and not _holds(included, token.start):
+        if _contains(excluded, token.start) and not _contains(included, token.start):
             continue
-        for other in _replacements(token, words[index], words[index + 2]):
+        for other in _replacements(token, strings[index], strings[index + 2]):
             line = lines[row - 1]
             rest = line[column + len(token.string) :]
             new_line = line[:column] + other + (rest if other else rest.lstrip())
-            above = (one.strip() for one in reversed(lines[: row - 1]))
-            after = next((one for one in above if one and not one.startswith("#")), "")
+            above = (text.strip() for text in reversed(lines[: row - 1]))
+            after = next((text for text in above if text and not text.startswith("#")), "")
             change = after, line.strip(), new_line.strip()
             inner = max((first for first, last in functions if first <= row <= last), default=0)
             yield Mutant(file, row, new_line, *change, repeats[change], inner)
@@ -104,7 +105,7 @@ def _replacements(token: tokenize.TokenInfo, before: str, after: str) -> tuple[s
     if token.type == tokenize.NUMBER:
         number = ast.literal_eval(text)
         return (repr(number + 1 if abs(number) < _LARGE else number * 2),)
-    # Stars before arguments are no operators, and `not` alone changes `is not` and `not in`.
+    # Stars before arguments are not operators, and only `not` changes in `is not` and `not in`.
     operand = before[-1:].isalnum() or before[-1:] in ("_", ")", "]", "}") or before[-1:] in ("'", '"')
     star = text in ("*", "**") and not (operand and before not in ("lambda", "return", "yield", "in", "print"))
     if star or (text == "is" and after == "not") or (text == "in" and before == "not"):
@@ -113,18 +114,20 @@ def _replacements(token: tokenize.TokenInfo, before: str, after: str) -> tuple[s
     return () if token.type == tokenize.NAME and after == "=" else _OTHERS.get(text, ())
 
 
-def _holds(ranges: list[tuple[_Place, _Place]], place: _Place) -> bool:
+def _contains(ranges: list[tuple[_Place, _Place]], place: _Place) -> bool:
     return any(first <= place < end for first, end in ranges)
 
 
 def _ranges(tree: ast.AST) -> tuple[list[tuple[_Place, _Place]], list[tuple[_Place, _Place]], list[tuple[int, int]]]:
-    """Places left alone, places within them that are not, and the first and last lines of functions."""
+    """Excluded ranges, ranges within them that are included, and the first and last lines of functions."""
     excluded: list[ast.expr | ast.stmt] = []
     included: list[ast.expr | ast.stmt] = []
     functions = []
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            functions.append((min(one.lineno for one in (node, *node.decorator_list)), node.end_lineno or node.lineno))
+            functions.append(
+                (min(text.lineno for text in (node, *node.decorator_list)), node.end_lineno or node.lineno)
+            )
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             excluded += node.decorator_list
         if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):

@@ -28,8 +28,8 @@ def frames_of(video: Path) -> list[UInt8]:
     """All frames of a video, RGB."""
     capture, frames = cv2.VideoCapture(str(video)), []
     while True:
-        there, frame = capture.read()
-        if not there:
+        ok, frame = capture.read()
+        if not ok:
             return frames
         frames.append(np.asarray(frame[..., ::-1], np.uint8))
 
@@ -68,7 +68,10 @@ def main(dataset: str, model: str, traversal: str, out: str = "docs/images/day_t
     pages = []
     for number in range(0, len(rendered[0]), EVERY):
         image = recorded[number * len(recorded) // len(rendered[0])].images[CAMERA]
-        panels = [to_size(one, WIDTH_PX, height) for one in (image.decode(), rendered[0][number], rendered[1][number])]
+        panels = [
+            to_size(panel_image, WIDTH_PX, height)
+            for panel_image in (image.decode(), rendered[0][number], rendered[1][number])
+        ]
         page = Image.new("RGB", (3 * WIDTH_PX + 8, height), "white")
         for column, (panel, title) in enumerate(zip(panels, TITLES)):
             page.paste(Image.fromarray(panel), (column * (WIDTH_PX + 4), 0))

@@ -31,20 +31,20 @@ COLOURS = {
 }
 
 
-def drive(drive_id: str, width_px: int) -> SynthDrive:
+def demo_drive(drive_id: str, width_px: int) -> SynthDrive:
     """Return one drive of the demo with cameras of another resolution."""
-    one = next(one for one in make_drives("demo", 0)[1] if one.drive_id == drive_id)
-    return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
+    drive = next(drive for drive in make_drives("demo", 0)[1] if drive.drive_id == drive_id)
+    return replace(drive, vehicle=replace(drive.vehicle, width_px=width_px))
 
 
-def instant_ns(one: SynthDrive, share: float) -> int:
+def instant_ns(drive: SynthDrive, share: float) -> int:
     """Return the Unix time at a share of the drive's duration, in nanoseconds."""
-    return one.condition.start_ns + round(share * one.truth.duration_s * 1e9)
+    return drive.condition.start_ns + round(share * drive.truth.duration_s * 1e9)
 
 
-def mosaic(one: SynthDrive, share: float) -> UInt8:
+def mosaic(drive: SynthDrive, share: float) -> UInt8:
     """Arrange the images of the seven cameras in two rows: three forward cameras, and the four others."""
-    at = instant_ns(one, share)
+    at = instant_ns(drive, share)
     rows = (("front_left", "front_wide", "front_right"), ("rear_left", "front_narrow", "rear", "rear_right"))
     strips = []
     for names in rows:
@@ -53,21 +53,21 @@ def mosaic(one: SynthDrive, share: float) -> UInt8:
         strip = np.full((size[1], WIDTH_PX, 3), 255, np.uint8)
         for number, name in enumerate(names):
             x = number * (WIDTH_PX - width) // (len(names) - 1)
-            strip[:, x : x + width] = cv2.resize(one.render(name, at).bgr, size, interpolation=cv2.INTER_AREA)
+            strip[:, x : x + width] = cv2.resize(drive.render(name, at).bgr, size, interpolation=cv2.INTER_AREA)
         strips += [strip, np.full((GAP_PX, WIDTH_PX, 3), 255, np.uint8)]
     return np.concatenate(strips[:-1])
 
 
-def boxes(one: SynthDrive, share: float, camera: str) -> UInt8:
+def boxes(drive: SynthDrive, share: float, camera: str) -> UInt8:
     """Render one image with the 3D boxes of the road users that it shows."""
-    at = instant_ns(one, share)
-    instant = one.at(at)
-    shown = one.render(camera, at, instant)
-    objects, image, lens = shown.view.object, shown.bgr.copy(), one.vehicle.cameras[camera]
-    pose = one.world_SE3_camera(camera, np.array([at]))
+    at = instant_ns(drive, share)
+    instant = drive.at(at)
+    shown = drive.render(camera, at, instant)
+    objects, image, lens = shown.view.object, shown.bgr.copy(), drive.vehicle.cameras[camera]
+    pose = drive.world_SE3_camera(camera, np.array([at]))
     numbers = [number for number in instant.placements if (objects == number).sum() > 60]
     for number in sorted(numbers, key=lambda number: -_away(instant.placements[number], pose)):
-        user = one.road_users[number]
+        user = drive.road_users[number]
         world_SE3_box = world_SE3_boxes([user], [instant.placements[number]])
         projected = project_boxes(lens, pose.inverse() @ world_SE3_box, [user.body.size_m])
         steps = np.linspace(0.0, 1.0, 9)[:, None]
@@ -94,5 +94,5 @@ def write(name: str, bgr: UInt8) -> None:
 
 
 if __name__ == "__main__":
-    write("demo_frame.png", mosaic(drive("guangzhou-urban-01", 960), 0.31))
-    write("boxes.png", boxes(drive("guangzhou-urban-01", 960), 0.45, "front_wide"))
+    write("demo_frame.png", mosaic(demo_drive("guangzhou-urban-01", 960), 0.31))
+    write("boxes.png", boxes(demo_drive("guangzhou-urban-01", 960), 0.45, "front_wide"))

@@ -62,31 +62,30 @@ class Cell(NamedTuple):
 
 def drives(preset: str, width_px: int) -> list[SynthDrive]:
     """Return the drives of a preset that record images, with cameras of another resolution."""
-    _, found = make_drives(preset, 0)
-    return [at_width(one, width_px) for one in found if one.recipe.images]
+    return [at_width(drive, width_px) for drive in make_drives(preset, 0)[1] if drive.recipe.images]
 
 
-def at_width(one: SynthDrive, width_px: int) -> SynthDrive:
+def at_width(drive: SynthDrive, width_px: int) -> SynthDrive:
     """Return a drive with cameras of another resolution."""
-    return replace(one, vehicle=replace(one.vehicle, width_px=width_px))
+    return replace(drive, vehicle=replace(drive.vehicle, width_px=width_px))
 
 
-def in_condition(one: SynthDrive, date: str, light: str, weather: str, *, visit: int) -> SynthDrive:
+def in_condition(drive: SynthDrive, date: str, light: str, weather: str, *, visit: int) -> SynthDrive:
     """Return the drive on another date, in another light and weather."""
-    roi = one.roi
+    roi = drive.roi
     start = instant_of(date, light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
-    return replace(one, condition=Condition(start, light, weather, visit=visit))
+    return replace(drive, condition=Condition(start, light, weather, visit=visit))
 
 
-def moment_ns(one: SynthDrive) -> int:
+def moment_ns(drive: SynthDrive) -> int:
     """Return the time of the front camera's most varied image, by the entropy of the classes."""
-    small = make_lens(replace(one.vehicle, width_px=160).cameras[FRONT])
+    small = make_lens(replace(drive.vehicle, width_px=160).cameras[FRONT])
 
     def variety(at_ns: int) -> float:
-        pose = one.world_SE3_camera(FRONT, np.array([at_ns]))
-        return _entropy(one.stage.render(one.at(at_ns), small, pose).view.label)
+        pose = drive.world_SE3_camera(FRONT, np.array([at_ns]))
+        return _entropy(drive.stage.render(drive.at(at_ns), small, pose).view.label)
 
-    return max((at_share(one, share) for share in MOMENTS), key=variety)
+    return max((at_share(drive, share) for share in MOMENTS), key=variety)
 
 
 def _entropy(labels: UInt8) -> float:
@@ -94,29 +93,29 @@ def _entropy(labels: UInt8) -> float:
     return float(-(share[share > 0] * np.log(share[share > 0])).sum())
 
 
-def at_share(one: SynthDrive, share: float) -> int:
+def at_share(drive: SynthDrive, share: float) -> int:
     """Return the time at a share of the drive's duration."""
-    return one.condition.start_ns + round(share * one.truth.duration_s * 1e9)
+    return drive.condition.start_ns + round(share * drive.truth.duration_s * 1e9)
 
 
-def passing_ns(one: SynthDrive, place_m: AnyArray) -> int:
+def passing_ns(drive: SynthDrive, place_m: AnyArray) -> int:
     """Return the time at which a drive is closest to a place."""
-    stamps = one.condition.start_ns + np.arange(0.0, one.truth.duration_s, 0.1) * 1e9
-    away = one.world_SE3_ego(stamps.astype(np.int64)).translation - place_m
+    stamps = drive.condition.start_ns + np.arange(0.0, drive.truth.duration_s, 0.1) * 1e9
+    away = drive.world_SE3_ego(stamps.astype(np.int64)).translation - place_m
     return int(stamps[np.argmin((away**2).sum(axis=1))])
 
 
-def describe_condition(one: SynthDrive) -> str:
+def describe_condition(drive: SynthDrive) -> str:
     """Describe the light and the weather of a drive."""
-    condition = one.condition
+    condition = drive.condition
     return condition.light if condition.weather == "clear" else f"{condition.light}, {condition.weather}"
 
 
-def row_of_cameras(one: SynthDrive, at_ns: int) -> Iterator[Cell]:
+def row_of_cameras(drive: SynthDrive, at_ns: int) -> Iterator[Cell]:
     """Render the seven images of an instant."""
-    instant = one.at(at_ns)
+    instant = drive.at(at_ns)
     for name in CANONICAL_CAMERAS:
-        yield Cell(one.render(name, at_ns, instant).bgr, name)
+        yield Cell(drive.render(name, at_ns, instant).bgr, name)
 
 
 # Layout
@@ -172,40 +171,41 @@ def conditions() -> UInt8:
             continue
         place = None
         for visit, (light, weather) in enumerate(CONDITIONS):
-            one = in_condition(first, DATES[light], light, weather, visit=visit)
+            drive = in_condition(first, DATES[light], light, weather, visit=visit)
             if place is None:
-                place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
-            image = one.render(FRONT, passing_ns(one, place)).bgr
-            cells.append(Cell(image, f"{one.roi.scene_type}, {describe_condition(one)}"))
+                place = drive.world_SE3_ego(np.array([moment_ns(drive)])).translation
+            image = drive.render(FRONT, passing_ns(drive, place)).bgr
+            cells.append(Cell(image, f"{drive.roi.scene_type}, {describe_condition(drive)}"))
     return sheet(cells, len(CONDITIONS))
 
 
 def cameras() -> UInt8:
     """Seven types of vehicle, each in another scene and light, with seven cameras each."""
-    everyone, found = drives("paper", 640), dict[str, SynthDrive]()
+    everyone, chosen = drives("paper", 640), dict[str, SynthDrive]()
     for scene, kind in enumerate(VEHICLE_TYPES):
-        there = [one for one in everyone if one.scene == scene and one.vehicle.kind.name == kind]
-        shown = {describe_condition(one) for one in found.values()}
+        there = [drive for drive in everyone if drive.scene == scene and drive.vehicle.kind.name == kind]
+        shown = {describe_condition(drive) for drive in chosen.values()}
         lamps = there[0].roi.scene_type in ("urban", "campus")
-        found[kind] = min(
-            there, key=lambda one: describe_condition(one) in shown or (one.condition.light == "night" and not lamps)
+        chosen[kind] = min(
+            there,
+            key=lambda drive: describe_condition(drive) in shown or (drive.condition.light == "night" and not lamps),
         )
     cells = []
-    for kind, one in found.items():
-        row = list(row_of_cameras(one, moment_ns(one)))
-        cells.append(row[0]._replace(caption=f"{kind}: {one.roi.scene_id}, {describe_condition(one)}"))
+    for kind, drive in chosen.items():
+        row = list(row_of_cameras(drive, moment_ns(drive)))
+        cells.append(row[0]._replace(caption=f"{kind}: {drive.roi.scene_id}, {describe_condition(drive)}"))
         cells += row[1:]
-        one.forget()
+        drive.forget()
     return sheet(cells, len(CANONICAL_CAMERAS))
 
 
 def _all_cameras(preset: str) -> UInt8:
     cells = []
-    for one in drives(preset, 480):
-        row, place = list(row_of_cameras(one, moment_ns(one))), one.drive_id.partition("-")[2]
-        cells.append(row[0]._replace(caption=f"{place}, {one.vehicle.kind.name}: {describe_condition(one)}"))
+    for drive in drives(preset, 480):
+        row, place = list(row_of_cameras(drive, moment_ns(drive))), drive.drive_id.partition("-")[2]
+        cells.append(row[0]._replace(caption=f"{place}, {drive.vehicle.kind.name}: {describe_condition(drive)}"))
         cells += row[1:]
-        one.forget()
+        drive.forget()
     return sheet(cells, len(CANONICAL_CAMERAS), width_px=WIDTH_PX if len(cells) < 50 else 1500)
 
 
@@ -227,21 +227,24 @@ def demo() -> UInt8:
 def benchmark() -> UInt8:
     """All 32 traversals."""
     cells = []
-    for one in drives("benchmark", 480):
-        number = one.drive_id.rpartition("-")[2]
+    for drive in drives("benchmark", 480):
+        number = drive.drive_id.rpartition("-")[2]
         cells.append(
-            Cell(one.render(FRONT, moment_ns(one)).bgr, f"{one.roi.scene_type} {number}: {describe_condition(one)}")
+            Cell(
+                drive.render(FRONT, moment_ns(drive)).bgr,
+                f"{drive.roi.scene_type} {number}: {describe_condition(drive)}",
+            )
         )
-        one.forget()
+        drive.forget()
     return sheet(cells, 8)
 
 
 def paper() -> UInt8:
     """All traversals, one row per scene."""
     rows: dict[int, list[Cell]] = {}
-    for one in drives("paper", 320):
-        rows.setdefault(one.scene, []).append(Cell(one.render(FRONT, at_share(one, 0.4)).bgr))
-        one.forget()
+    for drive in drives("paper", 320):
+        rows.setdefault(drive.scene, []).append(Cell(drive.render(FRONT, at_share(drive, 0.4)).bgr))
+        drive.forget()
     most = max(map(len, rows.values()))
     blank = Cell(np.full((9, 16, 3), 255, np.uint8))
     cells = [cell for row in rows.values() for cell in row + [blank] * (most - len(row))]
@@ -254,29 +257,29 @@ def effects() -> UInt8:
     day, place = in_condition(first, SEASONS["autumn"], "day", "clear", visit=1), None
     night = in_condition(first, DATES["night"], "night", "rain", visit=1)
     cells = []
-    for one, names in ((day, BY_DAY), (night, [e.name for e in fields(Effects) if e.name not in BY_DAY])):
+    for drive, names in ((day, BY_DAY), (night, [e.name for e in fields(Effects) if e.name not in BY_DAY])):
         if place is None:
-            place = one.world_SE3_ego(np.array([moment_ns(one)])).translation
-        at = passing_ns(one, place)
-        cells.append(Cell(one.render(FRONT, at).bgr, f"all, {describe_condition(one)}"))
+            place = drive.world_SE3_ego(np.array([moment_ns(drive)])).translation
+        at = passing_ns(drive, place)
+        cells.append(Cell(drive.render(FRONT, at).bgr, f"all, {describe_condition(drive)}"))
         for name in names:
-            off = replace(one, condition=replace(one.condition, effects=replace(Effects(), **{name: False})))
+            off = replace(drive, condition=replace(drive.condition, effects=replace(Effects(), **{name: False})))
             cells.append(Cell(off.render(FRONT, at).bgr, f"no {name.replace('_', ' ')}"))
     return sheet(cells, 5)
 
 
 def truth() -> UInt8:
     """An image and its ground truth."""
-    one = drives("benchmark", 960)[0]
-    at = moment_ns(one)
-    shown, lens = one.render(FRONT, at), one.vehicle.cameras[FRONT]
-    pose, later = (one.world_SE3_camera(FRONT, np.array([at + step])) for step in (0, 100_000_000))
+    drive = drives("benchmark", 960)[0]
+    at = moment_ns(drive)
+    shown, lens = drive.render(FRONT, at), drive.vehicle.cameras[FRONT]
+    pose, later = (drive.world_SE3_camera(FRONT, np.array([at + step])) for step in (0, 100_000_000))
     view = shown.view
     flow = static_flow(view.distance_m, lens, pose, lens, later)
     normals = view.normal @ matrix_from_quaternion(pose.rotation)[0]
     return sheet(
         [
-            Cell(shown.bgr, f"{one.drive_id}, {FRONT}"),
+            Cell(shown.bgr, f"{drive.drive_id}, {FRONT}"),
             Cell(_depths(view.distance_m), "depth along the ray, 1 to 200 m"),
             Cell(_normals(normals), "normals in the camera's frame"),
             Cell(_classes(view.label), "classes"),
@@ -322,13 +325,13 @@ def _flow(flow_px: AnyArray) -> UInt8:
 
 def seasons() -> UInt8:
     """The same view in four seasons, and on two more visits of the summer."""
-    one = drives("benchmark", 960)[0]
-    pose: Poses = one.world_SE3_camera(FRONT, np.array([moment_ns(one)]))
+    drive = drives("benchmark", 960)[0]
+    pose: Poses = drive.world_SE3_camera(FRONT, np.array([moment_ns(drive)]))
     wanted = [(name, date, 1) for name, date in SEASONS.items()] + [("summer", SEASONS["summer"], v) for v in (2, 3)]
     cells = []
     for name, date, visit in wanted:
-        there = in_condition(one, date, "day", "clear", visit=visit)
-        image = render(there.world, pose, one.vehicle.cameras[FRONT], 0.0, there.condition)
+        there = in_condition(drive, date, "day", "clear", visit=visit)
+        image = render(there.world, pose, drive.vehicle.cameras[FRONT], 0.0, there.condition)
         cells.append(Cell(image.bgr, f"{name}, visit {visit}"))
     return sheet(cells, 3)
 

@@ -99,20 +99,10 @@ def write_recordings(
         raise UsageError(f"{workers} workers", expected="at least one")
     settings, drives = make_drives(preset, seed, scenes, traversals)
     errors = settings.errors if errors is None else errors
+    if settings.on_demand:
+        _require_on_demand(preset, effects, truth)
     if effects is not None:
-        if settings.on_demand:
-            raise UsageError(
-                f"effects left out of preset {preset!r}",
-                expected="all: its images are rendered when they are loaded",
-                remedy="take another preset",
-            )
         drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
-    if settings.on_demand and RENDERED & set(truth):
-        raise UsageError(
-            f"truth of kinds {', '.join(sorted(RENDERED & set(truth)))} with preset {preset!r}",
-            expected="poses alone: its images are rendered when they are loaded",
-            remedy="take another preset",
-        )
     progress = NullProgress() if progress is None else progress
     arguments = {
         "toolkit": __version__,
@@ -143,6 +133,22 @@ def write_recordings(
                 drive.forget()
             written.count(folder, counts)
     return written
+
+
+def _require_on_demand(preset: str, effects: Effects | None, truth: Sequence[TruthKind]) -> None:
+    """Refuse effects and image truth for a preset whose images are rendered when they are loaded."""
+    if effects is not None:
+        raise UsageError(
+            f"effects left out of preset {preset!r}",
+            expected="all: its images are rendered when they are loaded",
+            remedy="take another preset",
+        )
+    if RENDERED & set(truth):
+        raise UsageError(
+            f"truth of kinds {', '.join(sorted(RENDERED & set(truth)))} with preset {preset!r}",
+            expected="poses alone: its images are rendered when they are loaded",
+            remedy="take another preset",
+        )
 
 
 def _simulate(drive: SynthDrive) -> None:

@@ -1,0 +1,56 @@
+"""Tests that the files and commands that the documents name exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mirror.cli.verbs import all_commands
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+GUIDES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "docs" / "architecture.md"]
+PACKAGES = ("mirror", "hybridworldsim", "mirror_baselines", "mirror_leaderboard")
+FOLDERS = ("mirror", "baselines", "leaderboard", "benchmarks", "tests", "docs")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_relative_links_lead_to_files_and_headings(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", document.read_text()):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, heading = target.partition("#")
+        path = document.parent / name if name else document
+        assert path.exists(), target
+        if heading:
+            lines = [line.lstrip("# ") for line in path.read_text().splitlines() if line.startswith("#")]
+            anchors = {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
+            assert heading in anchors, target
+
+
+@pytest.mark.parametrize("document", GUIDES, ids=lambda path: path.name)
+def test_paths_in_the_guides_exist(document: Path) -> None:
+    """A file may be named by the end of its path, such as `ingest/trigger.py`; a folder by a path from the root."""
+    files = [f"/{path.relative_to(ROOT)}" for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
+    for name in re.findall(r"`([\w./-]+)`", document.read_text()):
+        if name.endswith(".py"):
+            assert any(path.endswith(f"/{name}") for path in files), name
+        elif "/" in name and name.split("/")[0] in (*FOLDERS, *PACKAGES):
+            assert any((base / name).exists() for base in (ROOT, ROOT / "baselines", ROOT / "leaderboard")), name
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_commands_in_the_documents_exist(document: Path) -> None:
+    """Commands at the beginning of a line or of inline code: verbs of `mirror`, modules, targets of make."""
+    if document.name == "CHANGELOG.md":
+        pytest.skip("the changelog names commands of earlier versions")
+    text = document.read_text()
+    verbs = {*all_commands(), "VERB", "--help", "--version"}
+    for verb in re.findall(r"(?:^|`)mirror ([\w-]+)", text, re.M):
+        assert verb in verbs, verb
+    for module in re.findall(r"(?:^|`)python -m ([\w.]+)", text, re.M):
+        path = module.replace(".", "/")
+        assert any((ROOT / f"{path}{end}").exists() for end in (".py", "/__main__.py")), module
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M))
+    for target in re.findall(r"(?:^|`)make (\w+)", text, re.M):
+        assert target in targets, target

@@ -189,7 +189,7 @@ def main(argv: Sequence[str]) -> int:
             if not (root / "index" / "manifest.json").is_file():
                 generate(root, count)
             yield from query_rows(root)
-        yield decode_row(folder / "pictures")
+        yield decode_row(folder / "images")
 
     with tempfile.TemporaryDirectory() as temporary:
         return report("query", {"query": rows(Path(temporary))}, errors="rows or values that differ")

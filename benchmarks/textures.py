@@ -133,5 +133,5 @@ def _atlas_rows() -> Iterator[Row]:
 
 def main(argv: Sequence[str]) -> int:
     """Print time and error of drawing and reading textures."""
-    groups = {"grains": _grain_rows(), "pictures": _image_rows(), "atlas": _atlas_rows()}
+    groups = {"grains": _grain_rows(), "images": _image_rows(), "atlas": _atlas_rows()}
     return report("textures", groups, errors="root mean square error, of 1")

@@ -48,6 +48,21 @@ PLACES = (
     "tests/synth_street_houses",
     "tests/synth_textures",
     "tests/synth_truth",
+    "baselines/hybridworldsim/__init__.py",
+    "baselines/hybridworldsim/methods",
+    "baselines/hybridworldsim/model",
+    "baselines/hybridworldsim/training",
+    "baselines/mirror_baselines",
+    "benchmarks",
+    "docs/reconstruction.md",
+    "docs/results.md",
+    "tests/baselines",
+    "tests/baselines_splatting",
+    "tests/benchmarks",
+    "tests/real",
+    "tests/static_reconstruction",
+    "tests/street",
+    "tests/training",
 )
 """Where no retired word stands any more. A folder is added here when its words are swept."""
 ALLOWED = (
@@ -64,6 +79,25 @@ ALLOWED = (
     ("mirror/synth/truth/tables.py", "pictures"),
     ("mirror/synth/writing/journal.py", "pictures"),  # a key of synth.json
     ("mirror/synth/writing/recordings.py", "pictures"),
+    ("baselines/hybridworldsim/methods/static.py", "pictures"),  # a key of run.json and of mirror reconstruct --json
+    ("baselines/hybridworldsim/model/visibility_cache.py", "pictures"),  # a key of checkpoints
+    ("baselines/hybridworldsim/training/run/folder.py", "pictures"),  # a key of run.json and a folder of a run
+    ("baselines/mirror_baselines/mean_color/submission.py", "pictures"),  # the text of a submission's manifest
+    ("baselines/mirror_baselines/nearest_frame/submission.py", "picture"),
+    ("baselines/mirror_baselines/nearest_frame/submission.py", "pictures"),
+    ("benchmarks/studies/static_reconstruction/README.md", "rivals"),  # a row of published records
+    ("benchmarks/studies/static_reconstruction/choices.py", "rivals"),
+    ("benchmarks/studies/static_reconstruction/declaration.py", "pictures"),  # a key of the hashed declaration
+    ("benchmarks/studies/static_reconstruction/run_job.py", "pictures"),  # a key of published records
+    ("benchmarks/studies/static_reconstruction/truth/exact_street.py", "pictures"),
+    ("benchmarks/studies/static_reconstruction/truth/lighting.py", "pictures"),
+    ("benchmarks/studies/static_reconstruction/truth/tables.py", "pictures"),
+    ("docs/reconstruction.md", "pictures"),  # a folder of a run
+    ("tests/baselines/test_board.py", "pictures"),  # a folder of a board
+    ("tests/real/test_reconstruction.py", "pictures"),  # a key of mirror reconstruct --json
+    ("tests/static_reconstruction/test_records.py", "pictures"),  # a key of published records
+    ("tests/static_reconstruction/test_tables.py", "pictures"),
+    ("tests/training/test_loop.py", "pictures"),  # a key of run.json and a folder of a run
 )
 """Words that stay in a file because they are serialized or are an option."""
 

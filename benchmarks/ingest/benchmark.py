@@ -209,23 +209,23 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
         root = Path(temporary)
         source, copied, out = root / "raw", root / "cp", root / "out"
         roi = raw_recording(source, megabytes)
-        pictures = {path.name + path.parent.name: path for path in source.glob("images/*/*.jpg")}
+        sources = {path.name + path.parent.name: path for path in source.glob("images/*/*.jpg")}
 
         def cp() -> None:
             subprocess.run(["cp", "-r", source, copied], check=True)
 
         def ours(write: WriteOptions) -> None:
             result = ingest_recordings([source], [roi], out, IngestOptions(write=write))
-            if result.failures or result.images != len(pictures):
-                raise RuntimeError(f"{result.images} of {len(pictures)} images; {result.failures}")
+            if result.failures or result.images != len(sources):
+                raise RuntimeError(f"{result.images} of {len(sources)} images; {result.failures}")
 
         def differing() -> int:
             there = {path.name + path.parent.name: path for path in out.glob("traversals/*/recorded/*/*.jpg")}
-            return len(there.keys() ^ pictures.keys()) + sum(
-                there[name].read_bytes() != path.read_bytes() for name, path in pictures.items() if name in there
+            return len(there.keys() ^ sources.keys()) + sum(
+                there[name].read_bytes() != path.read_bytes() for name, path in sources.items() if name in there
             )
 
-        size = f"{len(pictures):,} files, {sum(path.stat().st_size for path in pictures.values()) / 1e6:,.0f} MB"
+        size = f"{len(sources):,} files, {sum(path.stat().st_size for path in sources.values()) / 1e6:,.0f} MB"
         ways = {
             "ingest --copy, hashed": (WriteOptions(transfer="copy", hashing=True), 1 / 0.7),
             "ingest, linked": (WriteOptions(transfer="link", hashing=False), 1 / 20),

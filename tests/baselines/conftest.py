@@ -1,4 +1,4 @@
-"""A street of three lanes: two training drives, one the other way round, and a held-out one, each of its own colour."""
+"""A street of three lanes: training drives in both directions and a held-out drive, each with its own colour."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def dataset(tmp_path: Path) -> Dataset:
             entry_ns=entry,
             frames=FRAMES,
             heading_deg=heading,
-            # To the left of the street, whichever way it is driven.
+            # To the left of the street, for both driving directions.
             offset_m=lane if heading < 180 else -lane,
             images=dict.fromkeys(CAMERAS, data),
         )
@@ -71,7 +71,7 @@ def dataset(tmp_path: Path) -> Dataset:
 
 @pytest.fixture
 def protocol() -> Protocol:
-    """Static reconstruction by PSNR alone."""
+    """Static reconstruction, scored by PSNR only."""
     plain = load_protocol("static-reconstruction").model_dump(mode="json")
     plain["metrics"] = [{"metric": "psnr"}]
     return Protocol.model_validate(json.loads(json.dumps(plain)))

@@ -1,4 +1,4 @@
-"""From a baseline to the board: rendered, scored, added with images, shown."""
+"""A baseline on a leaderboard: rendered, scored, added with images, and shown."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_baselines_appear_on_a_leaderboard(dataset: Dataset, tmp_path: Path) -> 
         add_result(result, board, "a street", shown=ImageSources(submissions[name], truth))
     entries = [one for one in load_entries(board / "entries") if isinstance(one, Measured)]
     assert {entry.method for entry in entries} == set(submissions)
-    # The same views of the same truth, so that methods can be held against each other.
+    # All methods show the same views of the same truth.
     (truths,) = {tuple(pair.truth for pair in entry.pairs) for entry in entries}
     assert len(truths) == 3
     page = build([board], tmp_path / "site")
@@ -57,12 +57,12 @@ def test_image_pairs_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> No
     assert isinstance(done.result, Result)
     moved = done.result.model_copy(update={"protocol": load_protocol("lane-shift")})
     with pytest.raises(RefusedError, match="have no recorded truth"):
-        copy_pairs(moved, tmp_path / "out", Path(dataset.root), tmp_path / "pictures")
+        copy_pairs(moved, tmp_path / "out", Path(dataset.root), tmp_path / "images")
     other = done.result.dataset.model_copy(update={"plan_hash": "00" * 32})
     with pytest.raises(RefusedError, match="is not the dataset"):
         copy_pairs(
             done.result.model_copy(update={"dataset": other}),
             tmp_path / "out",
             Path(dataset.root),
-            tmp_path / "pictures",
+            tmp_path / "images",
         )

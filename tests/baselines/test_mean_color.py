@@ -55,7 +55,7 @@ def test_mean_colour_opens_a_limited_number_of_images() -> None:
 
 def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Path) -> None:
     plan = plan_views(dataset, protocol, "novel")
-    # Every training drive has as many images that are not asked for.
+    # Every training drive has the same number of unscored images.
     expected = np.mean([colour for _, _, _, colour, role in DRIVES if role == "train"], axis=0)
     for _, image in render(dataset, plan):
         assert (image == image[0, 0]).all()
@@ -68,14 +68,14 @@ def test_views_are_one_colour(dataset: Dataset, protocol: Protocol, tmp_path: Pa
 def test_training_images_exclude_requested_ones(dataset: Dataset, protocol: Protocol) -> None:
     found = list_training_images(dataset, plan_views(dataset, protocol, "novel"))
     assert set(found) == {("street", camera) for camera in CAMERAS}
-    # Frames 0, 5, 10 and the last are asked for, of three training drives.
+    # The plan has frames 0, 5, 10 and the last of three training drives.
     for own in found.values():
         assert len(own.images) == len(own.world_SE3_camera) == 3 * (FRAMES - 4)
 
 
 def test_camera_without_training_images_is_named(dataset: Dataset, protocol: Protocol) -> None:
     plain = protocol.model_dump(mode="json")
-    # All frames are asked for: none is left.
+    # The plan has all frames, so that no training image is left.
     plain["frames"]["every"] = 1
     plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
     with pytest.raises(DatasetError, match=r"camera front_wide has no training .* in scene street \(2 such"):

@@ -1,4 +1,4 @@
-"""The nearest pose, and the image that was taken there."""
+"""The nearest pose, and the image taken at it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def random_poses(generator: np.random.Generator, count: int, spread_m: float = 3
 
 
 def brute_force(wanted: Poses, there: Poses) -> list[int]:
-    """By the definition, pose by pose, with another library's rotations."""
+    """Nearest poses by the definition, with another library's rotations."""
     found = []
     for ours, at in zip(wanted.rotation, wanted.translation):
         looking = Rotation.from_quat(ours, scalar_first=True).apply([0.0, 0.0, 1.0])
@@ -84,7 +84,7 @@ def test_views_show_the_nearest_drive_in_the_same_direction(dataset: Dataset, pr
     assert set(shown) == {view.path for view in plan.views}
     for view in plan.views:
         if view.group == "novel":
-            # The oncoming one came nearer, and looked the other way.
+            # The oncoming drive is nearer but looks in the opposite direction.
             assert np.abs(shown[view.path].mean(axis=(0, 1)) - COLOURS["near"]).max() < 3
         drive = view.traversal_id.split(".")[1]
         if view.group == "training":
@@ -107,7 +107,7 @@ def test_training_images_are_opened_once_and_truth_never(
     assert set(opened.values()) == {1}
     asked = {(view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views}
     assert not asked & set(opened)
-    # One neighbour of each training view and one match of each held-out view, at most.
+    # At most one neighbour of each training view and one match of each held-out view is opened.
     assert len(opened) <= len(plan.views)
 
 
@@ -142,7 +142,7 @@ def test_the_submission_is_sound_and_scored(dataset: Dataset, protocol: Protocol
     done = evaluate(out, dataset.root, protocol, "novel", tmp_path / "result")
     assert done.result is not None
     values = {figure.group: figure.value for figure in done.result.figures if figure.level == "group"}
-    # One flat colour against another: the mean square is known.
+    # Two constant colours have a known mean square error.
     error = np.mean((COLOURS["near"] - COLOURS["new"]) ** 2.0)
     assert values["novel"] == pytest.approx(10 * np.log10(255**2 / error), abs=0.2)
     with pytest.raises(UsageError, match="it holds a submission already"):

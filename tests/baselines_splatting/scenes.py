@@ -1,4 +1,4 @@
-"""A small street: points on a wall, a ground and a sky, cameras before it, and images made of its own Gaussians."""
+"""A small street: points on a wall, a ground and a sky, with cameras and images rendered from its own Gaussians."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def initial(count: int = 120) -> InitialGeometry:
 
 
 def small(settings: Splatting, **changes) -> Splatting:
-    """The same method with hardly anything to draw, and colours that are learnt in few steps."""
+    """The same method with few Gaussians and fast learning rates of colours."""
     seeding = replace(
         settings.seeding,
         most=100,
@@ -47,7 +47,7 @@ def small(settings: Splatting, **changes) -> Splatting:
 
 
 def viewpoint(place: float = 0.0, source: Source = SOURCES[0]) -> Viewpoint:
-    """Looking along x from a height of 1.5 m; `place` metres forward and half as much to the left."""
+    """A camera that looks along x from a height of 1.5 m; `place` metres forward and half as much to the left."""
     rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation
@@ -71,7 +71,7 @@ def stripes(phase: float = 0.0) -> torch.Tensor:
 
 
 def images(count: int = 6) -> list[TrainingImage]:
-    """Of both traversals, in turn, from places all but the same."""
+    """Images of both traversals in turn, from nearly equal places."""
     return [image(stripes(), viewpoint(0.02 * k, SOURCES[k % 2])) for k in range(count)]
 
 

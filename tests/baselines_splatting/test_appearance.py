@@ -1,4 +1,4 @@
-"""Wherein the baselines differ: harmonics of a traversal, exposures, embeddings, the cube of sky."""
+"""Appearances of the baselines: spherical harmonics of a traversal, exposures, embeddings, the sky cube."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_traversal_trains_only_its_own_spherical_harmonics():
     assert sorted(names) == ["adapter_1", "shN_1"]
     before = {name: trainer.model.tables[name].detach().clone() for name in trainer.model.tables}
     trainer.step(image(stripes(), viewpoint(0.0, A)), 0.01)
-    trainer.step(image(stripes(), viewpoint(0.1, A)), 0.04)  # of the first band beside the constant one
+    trainer.step(image(stripes(), viewpoint(0.1, A)), 0.04)  # the first band is active
     after = trainer.model.tables
     assert all(torch.equal(before[name], after[name]) for name in names)
     assert not torch.equal(before["shN_0"], after["shN_0"])
@@ -114,7 +114,7 @@ def test_opacity_loss_makes_only_pixels_outside_the_sky_opaque():
 
 
 def _texel_directions(size: int) -> torch.Tensor:
-    """(size, 6 size, 3) directions of the centres of all faces' pixels, by the definition of a cube map."""
+    """(size, 6 size, 3) directions of the pixel centres of all faces, by the definition of a cube map."""
     steps = (torch.arange(size) + 0.5) / size * 2.0 - 1.0
     found = torch.empty(size, 6 * size, 3)
     for face in range(6):
@@ -141,7 +141,7 @@ def test_sky_cube_ignores_position_and_learns_visible_directions():
     cube = SkyCube(16)
     assert torch.equal(cube(viewpoint(0.0)), cube(viewpoint(50.0)))
     cube(viewpoint()).sum().backward()
-    forward = cube.faces.grad[0, 0, :, :16]  # the face of +x, whither the camera looks
+    forward = cube.faces.grad[0, 0, :, :16]  # the face of +x, in front of the camera
     assert forward.abs().sum() > 0.0 and cube.faces.grad[..., 16:32].abs().sum() == 0.0
 
 

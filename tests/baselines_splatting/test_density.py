@@ -14,7 +14,7 @@ pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is w
 
 
 def _rounds(steps, monkeypatch, **changes):
-    """Progress at each round, and at each reset of opacities, of training of so many steps."""
+    """Progress at each round and at each reset of opacities, for a number of steps."""
     settings = replace(GROWING, **changes)
     trainer = vanilla_3dgs.make(initial(), small(vanilla_3dgs.RELEASED, densification=settings))
     density, rounds, resets = trainer.density, [], []
@@ -41,7 +41,7 @@ def test_rounds_and_resets_depend_on_progress_only(steps, monkeypatch):
     rounds, resets = _rounds(steps, monkeypatch, begin=0.1, end=0.7, rounds=6, resets=2)
     expected = torch.linspace(0.2, 0.7, 6)
     torch.testing.assert_close(torch.tensor(rounds), expected, rtol=0, atol=1.0 / steps + 1e-6)
-    # The last would be at the end of densification, and leave no time to grow dense again.
+    # There is no reset at the end of densification, because no round would follow it.
     torch.testing.assert_close(torch.tensor(resets), torch.tensor([0.4]), rtol=0, atol=1.0 / steps + 1e-6)
 
 

@@ -1,4 +1,4 @@
-"""What all three baselines do: learn, stop at the cap, go on after a checkpoint as if nothing had happened."""
+"""All three baselines: training, the cap, and exact resumption from a checkpoint."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_resumed_training_is_identical(method):
     _train(whole, shown, 0, steps, steps)
     _train(first, shown, 0, half, steps)
     kept = {name: tensor.clone() for name, tensor in first.state().items()}
-    _train(first, shown, half, half + 3, steps)  # what was kept must not be shared
+    _train(first, shown, half, half + 3, steps)  # the stored state must not share memory
     second = _made(method)
     second.restore(kept)
     _train(second, shown, half, steps, steps)

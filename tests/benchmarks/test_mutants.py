@@ -1,4 +1,4 @@
-"""Which tokens are changed, into what, and under which name."""
+"""Which tokens are changed, their replacements, and the names of mutants."""
 
 from __future__ import annotations
 

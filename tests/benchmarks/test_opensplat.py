@@ -1,4 +1,4 @@
-"""The peer that is built beside the repository: what it is given and what is read of its answer, by a stand-in."""
+"""OpenSplat as a peer: its input and output files, with a stand-in program."""
 
 from __future__ import annotations
 

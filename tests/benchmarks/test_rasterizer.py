@@ -1,4 +1,4 @@
-"""What the rasterizer's benchmark measures, on tiny images."""
+"""Errors and times of the rasterizer's benchmark, on tiny images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmarks' machinery: what they print, write and answer, on tiny sizes."""
+"""Reports and the command of the benchmarks, on tiny sizes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark's Gaussians: the same on every machine, finite, and where their camera looks."""
+"""The benchmark's Gaussians: equal on every machine, finite, and visible to their camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that nobody on this project made, from recording to dataset; figures counted by other means."""
+"""Recordings from outside this project, from recording to dataset; expected figures are counted by other means."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RSK = IngestOptions(
 
 
 def boreas_visits(folder: Path, roi: Roi) -> list[tuple[float, float]]:
-    """Times in seconds, at the resolution of the poses, between which a Boreas file is within a ROI."""
+    """Times in seconds, at the resolution of the poses, between which a Boreas drive is within a ROI."""
     with (folder / "camera_poses.csv").open() as file:
         rows = [(float(row["GPSTime"]), float(row["easting"]), float(row["northing"])) for row in csv.DictReader(file)]
     stamps, east, north = np.array(rows).T
@@ -103,7 +103,7 @@ def test_rsk_drives_are_cleaned_counted_and_pass_as_on_a_map(real_data: Path, tm
         assert drive.cleaning.invalid == sum(abs(lon) > 180 or abs(lat) > 90 for lon, lat in fixes)
         same = sum(a == b for a, b in pairwise(fixes))
         assert same * 0.9 <= drive.cleaning.repeated <= same
-        # How often the route comes by the point: changes of the nearer end of the route, on the fixes themselves.
+        # Number of times that the route passes the point: changes of the nearer end of the route, on the fixes.
         good = [(lon, lat) for lon, lat in fixes if abs(lon) < 180]
         crossings = sum((a[0] < roi.longitude_deg) != (b[0] < roi.longitude_deg) for a, b in pairwise(good))
         assert len(drive.passes) == crossings, path.name
@@ -153,7 +153,7 @@ def test_dgp_has_six_synchronised_cameras(dgp: mirror.Dataset) -> None:
 
 
 def test_dgp_boxes_project_onto_the_cars(dgp: mirror.Dataset, real_data: Path) -> None:
-    """The source's own 2D boxes on the images are the judge of the 3D boxes that we project."""
+    """The source's own 2D boxes on the images are the reference of the projected 3D boxes."""
     overlaps = []
     for number, frame in enumerate(dgp.frames()):
         for camera, image in frame.images.items():

@@ -1,4 +1,4 @@
-"""Real photos through the verbs of static reconstruction, from COLMAP to scores; and what cannot be learnt from."""
+"""Real photos through the verbs of static reconstruction, from COLMAP to scores, and invalid inputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _threads() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def walk(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of the street in Lund, as the example makes it; ten photos of it, a second apart."""
+    """A recording of the street in Lund, made by the example script: ten photos, one second apart."""
     pytest.importorskip("pycolmap")
     whole = tmp_path_factory.mktemp("walk") / "lund"
     runpy.run_path(str(ROOT / "examples" / "lund_recording.py"))["main"](real_data / "opensfm_lund", whole)
@@ -69,11 +69,11 @@ def poses(recording: Path, change: Callable[[list[list[str]]], list[list[str]]])
 
 
 class Street:
-    """A dataset of some edited recordings, all of them trained on.
+    """A dataset of some edited recordings; all are training recordings.
 
     Args:
-        folder: a new one.
-        recordings: to be ingested.
+        folder: a new folder.
+        recordings: recordings to ingest.
     """
 
     def __init__(self, folder: Path, *recordings: Path) -> None:
@@ -85,7 +85,7 @@ class Street:
         assert main(["split", str(self.dataset), "all", *shares]) == ExitCode.DONE
 
     def __call__(self, capsys: pytest.CaptureFixture[str], verb: str, *words: object, code: int = 0) -> dict[str, Any]:
-        """Run a verb; what it said."""
+        """Run a verb and return its JSON output."""
         capsys.readouterr()
         assert main([verb, *map(str, words), "--json"]) == code
         said: dict[str, Any] = json.loads(capsys.readouterr().out)
@@ -99,7 +99,7 @@ class Street:
 
 
 def edited(walk: Path, folder: Path, name: str = "lund") -> Path:
-    """A copy of the recording that may be changed."""
+    """A copy of the recording that a test may change."""
     copy = folder / f"recording-{name}"
     shutil.copytree(walk, copy)
     document = json.loads((copy / "recording.json").read_text())
@@ -120,7 +120,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
     assert done["withheld"] == 2 and done["pictures"] == 8 and done["psnr_db"] > 8.0
     run = json.loads((tmp_path / "model" / done["blocks"][0] / "run.json").read_text())
     assert {int(one.rpartition("/")[2]) for one in run["withheld"]} == {stamp for _, _, stamp in withheld}
-    # Neither colours nor depth were learnt from them.
+    # Held-out images contribute neither colours nor depth.
     depth = mirror.open(street.dataset).table("depth", ["timestamp_ns"]).column(0).to_pylist()
     assert sorted(depth) == sorted(set(stamps) - {stamp for _, _, stamp in withheld})
 
@@ -139,7 +139,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
 def test_the_middle_frame_of_six_cameras_is_held_out_rendered_and_scored(
     real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """DGP's scene: six cameras of a van at three instants, road users masked by boxes."""
+    """DGP's scene: six cameras of a van at three instants; road users are masked by boxes."""
     protocol, dataset = tmp_path / "dgp.toml", tmp_path / "dgp"
     middle = PROTOCOL.replace("frames = { first = 2, every = 4", "frames = { first = 1, every = 3")
     protocol.write_text(middle.replace("dynamic = []", 'dynamic = ["boxes"]'))
@@ -157,7 +157,7 @@ def test_the_middle_frame_of_six_cameras_is_held_out_rendered_and_scored(
     ):
         assert main([str(word) for word in words]) == ExitCode.DONE
     psnr = mirror_psnr(scores)
-    # An image in one grey has 11 to 13 dB.
+    # A constant grey image has 11 to 13 dB.
     assert len(psnr) == 6 and np.mean(psnr) > 14.0
 
 
@@ -200,7 +200,7 @@ def test_training_survives_black_and_duplicate_photos(
     poses(copy, lambda rows: [*rows, [str(int(rows[-1][0]) + 500_000_000), *rows[-1][1:]]])
     done = Street(tmp_path, copy).reconstruct(capsys, tmp_path / "model", "--initialise", "plane-sweep")
     assert done["steps"] == 12 * len(done["blocks"]) and done["psnr_db"] > 5.0
-    # Nobody moved between the two: one of them is enough.
+    # The vehicle did not move between the two photos, so that one of them is left out.
     assert done["pictures"] == 10
 
 

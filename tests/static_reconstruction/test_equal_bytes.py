@@ -1,4 +1,4 @@
-"""Bytes of models, against models that are made."""
+"""Counted bytes of models, compared with models that are made."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_numbers_of_our_model(initial: InitialGeometry) -> None:
             max_anchors=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)
         ),
     )
-    # The latents of the sources are not counted: they are few.
+    # The few latents of the sources are not counted.
     assert count_parameters(full) == numbers(street) - numbers(street.appearance)
 
 

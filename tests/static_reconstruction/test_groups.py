@@ -1,4 +1,4 @@
-"""What each group runs, and over what."""
+"""The jobs and rows of each group."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which records count, and what publishing keeps: those of the committed declaration and settings."""
+"""Which records are current, and which records publishing keeps."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_publishing_replaces_the_same_records_and_keeps_the_others(tmp_path: Pat
     assert [outcome["steps"] for outcome in read_records(published).outcomes] == [3, 2]
     assert [outcome["steps"] for outcome in read_records(published, "repeated").outcomes] == [3]
     assert read_trials(published).outcomes == ()
-    # The same records are the same bytes.
+    # Equal records give equal bytes.
     before = published.read_bytes()
     publish(data, published, "main")
     assert published.read_bytes() == before

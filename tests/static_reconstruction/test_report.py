@@ -1,4 +1,4 @@
-"""The report's tables are those of the published records."""
+"""The report's tables equal those of the published records."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REPORT = STUDY.out / "README.md"
 
 
 def has_run(group: Name) -> bool:
-    """Whether an outcome is published that is of this group and not of `comparison`."""
+    """Whether an outcome of this group, and not of `comparison`, is published."""
     known = groups(load_declaration())
     shared = set(known["comparison"].jobs) if group != "comparison" else set()
     published = {Job(**outcome["job"]) for outcome in read_records(STUDY.outcomes).outcomes}

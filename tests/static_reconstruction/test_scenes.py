@@ -1,4 +1,4 @@
-"""Splits of fewer training traversals."""
+"""Splits with fewer training traversals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals against scipy's paired test, means as the protocol has them, tables of what was measured."""
+"""Intervals compared with scipy's paired test, means as the protocol defines them, and tables of measurements."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_differences_are_paired_by_scene_and_seed() -> None:
     known = ttest_rel([27.0, 30.0], [26.0, 28.0]).confidence_interval(0.95)
     line = differences_table(found, "ours", ["ours", "other"], ["train PSNR"]).splitlines()[-1]
     assert line == f"| other | +1.500 [{known.low:+.3f}, {known.high:+.3f}] | 2 |"
-    # Two seeds of one scene tell no more of other scenes than one does.
+    # A second seed of one scene gives no information on other scenes.
     found += [result("ours", "a", 1, 28.0), result("other", "a", 1, 26.0)]
     by_scene = ttest_rel([27.5, 30.0], [26.0, 28.0]).confidence_interval(0.95)
     line = differences_table(found, "ours", ["ours", "other"], ["train PSNR"]).splitlines()[-1]

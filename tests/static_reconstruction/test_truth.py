@@ -1,4 +1,4 @@
-"""Depth and heights against closed form, names of runs, chosen frames."""
+"""Depth and heights compared with closed forms, names of runs, and selected frames."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ angles = st.floats(-0.4, 0.4)
 
 
 def view_at(roll: float, pitch: float, yaw: float, height_m: float, origin_m: float = 0.0) -> RenderView:
-    """A camera over a plane, level and looking east but for small turns."""
+    """A camera over a plane, looking east, with small rotations."""
     level = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     x, y, z, w = (level * Rotation.from_euler("zxy", (roll, pitch, yaw))).as_quat().tolist()
     return RenderView(
@@ -37,7 +37,7 @@ def view_at(roll: float, pitch: float, yaw: float, height_m: float, origin_m: fl
 
 
 def plane(view: RenderView) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (H, W) to the plane z = 0 along rays, infinite above the horizon, and camera z, from matrices alone."""
+    """Distances (H, W) to the plane z = 0 along rays, infinite above the horizon, and camera z, from matrices only."""
     u, v = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
     slopes = np.stack([(u - view.cx_px) / view.fx_px, (v - view.cy_px) / view.fy_px, np.ones_like(u)], axis=-1)
     w, x, y, z = view.world_SE3_camera[:4]
@@ -69,7 +69,7 @@ def test_heights_of_a_plane_whose_depth_is_scaled(factor: float) -> None:
     _, depth = plane(view)
     seen = np.isfinite(depth)
     heights = world_points(np.where(seen, factor * depth, 0.0), view)[seen][:, 2]
-    # What is seen under a camera 1.5 m above it, at a multiple of its depth, is as much lower.
+    # A point of the plane at a multiple of its depth is lower by this multiple of the camera's height of 1.5 m.
     row = height_errors(heights)
     assert row["bias_m"] == pytest.approx(1.5 * (1.0 - factor), abs=1e-9)
     assert (row["median_m"], row["p90_m"]) == pytest.approx((abs(1.5 * (1.0 - factor)),) * 2, abs=1e-9)

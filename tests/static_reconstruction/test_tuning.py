@@ -1,4 +1,4 @@
-"""The same grid for every method: what its cells change, and nothing else."""
+"""The tuning grid is the same for every method, and its cells change nothing else."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_cell_scales_only_rates_and_counts() -> None:
     assert changed.densification.most == settings.densification.most // 2
     back = scale_splatting(changed, 0.5, 2.0)
     assert back == settings
-    # None stays none: no rate appears that a method does not have.
+    # None stays None: a cell adds no learning rate.
     assert scale_splatting(mtgs_style.BY_HAND, 2.0, 1.0).exposure is None
     ours = scale_settings(Settings(), 0.5, 2.0)
     assert ours.refinement.max_anchors == 2 * Settings().refinement.max_anchors
@@ -72,7 +72,7 @@ def test_a_choice_sets_only_the_released_value(package: ModuleType) -> None:
     tuned_ones, released = (flat(asdict(settings)) for settings in (package.TUNED, package.RELEASED))
     for name, change in BASELINE_CHOICES[baseline_name(package)].items():
         changed = flat(asdict(change(package.TUNED)))
-        # A rate that there is not is one name where it was two.
+        # A missing rate has one name in place of two.
         differing = {key for key in changed.keys() | tuned_ones.keys() if changed.get(key) != tuned_ones.get(key)}
         assert bool(differing) == (name != AS_TUNED)
         assert all(changed.get(key) == released.get(key) for key in differing)

@@ -1,4 +1,4 @@
-"""Small streets of random numbers, as if trained, and views of them."""
+"""Small streets with random parameters, and views of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def code_gaussians(means: torch.Tensor, size_m: float, seed: int, hidden: int = 
 
 
 def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> Street:
-    """Anchors in a box of 60 m, a ground below them, a sky round it all; the networks do not ask for the place."""
+    """Anchors in a box of 60 m, a ground below them and a sky around; the networks do not depend on the place."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         box = torch.tensor((2.0 * HALF, 2.0 * HALF, 10.0))
@@ -59,7 +59,7 @@ def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> 
 def view(
     x_m: float = 0.0, y_m: float = 0.0, z_m: float = 1.5, camera: str = "front_wide", fx_px: float = 40.0
 ) -> RenderView:
-    """A camera that looks along the world's x."""
+    """A camera that looks along the world's x axis."""
     return RenderView(
         path=f"renders/test/s.a.0/{camera}/0.png",
         group="test",
@@ -83,7 +83,7 @@ def view(
 
 
 def shifted(one: Street, by: np.ndarray, seed: int = 0) -> Street:
-    """The same street, made anew, told in a frame whose origin lies elsewhere."""
+    """The same street in a frame with another origin."""
     other = street(len(one.background), seed, one.background.k)
     other.load_state_dict(one.state_dict())
     for node in (other.background, other.ground, other.sky):

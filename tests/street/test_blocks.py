@@ -86,7 +86,7 @@ def turned(yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: f
 def test_rotated_cameras_are_selected_if_they_see_the_block(
     yaw_deg: float, pitch_deg: float, roll_deg: float, x_m: float, y_m: float
 ) -> None:
-    """A place of the block that is in the image, and near, makes the view one of the block's."""
+    """A view that shows a near place of the block is selected for the block."""
     block = Block((0, 0), (0.0, 0.0, 0.0), 100.0, 25.0)
     one = turned(yaw_deg, pitch_deg, roll_deg, x_m, y_m)
     grid = np.linspace(-49.0, 49.0, 15)

@@ -67,7 +67,7 @@ def test_a_single_block_renders_unchanged() -> None:
 def test_identical_blocks_render_as_one() -> None:
     one = street()
     both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
-    # Beyond the strip nothing is drawn twice, but for the sky that B does not show.
+    # Beyond the strip, only B is rendered; its sky is the only sky.
     assert np.array_equal(image(both, 22.0), image([both[1]], 22.0))
     for x_m in (-15.0, 10.0, 15.0):
         assert psnr(image(both, x_m), image([both[0]], x_m)) > 33.0
@@ -87,7 +87,7 @@ def test_renders_are_continuous_across_boundaries() -> None:
 
 def test_sky_structures_inside_a_neighbour_are_dropped() -> None:
     a, b = street(), street(seed=3)
-    a.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))  # within B, and a wall before A's camera
+    a.sky.means.data[:20] = torch.tensor((35.0, 0.0, 2.0))  # within B: a wall in front of A's camera
     wall = image([(A, a)], 0.0)
     a_without = street()
     a_without.sky.logits.data[:20] = -20.0
@@ -102,7 +102,7 @@ def test_domes_stay_complete_in_a_long_street() -> None:
     beyond = streets[0].sky.means.data
     beyond[:7] = torch.tensor((230.0, 3.0, 2.0))  # a far structure, within the fourth block
     dome = torch.nn.functional.normalize(beyond[7:], dim=1)
-    # Low over the road ahead the dome comes to 300 m, where the fifth block has geometry.
+    # Low over the road the dome reaches 300 m, where the fifth block has geometry.
     beyond[7:40] = 300.0 * torch.nn.functional.normalize(
         dome[:33] * torch.tensor((0.0, 0.1, 0.1)) + torch.eye(3)[0], dim=1
     )

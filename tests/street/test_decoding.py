@@ -1,4 +1,4 @@
-"""Nodes decoded by compiled kernels, held against the same in plain torch and float64, gradients included."""
+"""Nodes decoded by compiled kernels, compared with plain torch in float64, with gradients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def numbers(splats):
 
 
 def same_with_gradients(found, expected, node, exact):
-    """Hold values and the gradients of one weighted sum against those of the node in float64."""
+    """Compare values and the gradients of a weighted sum with those of the node in float64."""
     generator = torch.Generator().manual_seed(5)
     weights = [torch.randn(one.shape, generator=generator) for one in found]
     for one, other in zip(found, expected, strict=True):
@@ -36,7 +36,7 @@ def same_with_gradients(found, expected, node, exact):
 
 
 def modulated(seed: int, k: int, hidden: int):
-    """A street all of whose parameters say something."""
+    """A street with no parameter at zero."""
     one = street(seed=seed, k=k, hidden=hidden)
     for network in (one.background.geometry, one.background.colour):
         torch.nn.init.normal_(network.own[:, -3:])

@@ -1,4 +1,4 @@
-"""What is pruned, what is grown and split, and that a block never has more than it may."""
+"""Pruning, growth and splitting of Gaussians, and the limits of their number."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VIEWPOINT = to_viewpoint(view(), np.zeros(3))
 
 
 def anchors(count: int, apart_m: float = 5.0) -> Anchors:
-    """In a row along x, each with a code of its own; the Gaussians stand where the anchors do."""
+    """Anchors in a row along x, each with its own code; the Gaussians lie at the anchors."""
     torch.manual_seed(0)
     means = torch.zeros(count, 3)
     means[:, 0] = apart_m * torch.arange(count) + 0.05
@@ -41,7 +41,7 @@ def anchors(count: int, apart_m: float = 5.0) -> Anchors:
 
 
 def decoded(node: Anchors, opacities: Tensor, visible_ids: Tensor | None = None) -> Splats:
-    """As if all Gaussians of some anchors were decoded."""
+    """Gaussians of some anchors with given opacities."""
     ids = torch.arange(len(node)) if visible_ids is None else visible_ids
     rows = (ids[:, None] * K + torch.arange(K)).flatten()
     none = torch.zeros(len(rows), 3)
@@ -65,7 +65,7 @@ def test_transparent_anchors_are_removed_after_enough_visits() -> None:
     node = anchors(6)
     refiner, tables = refiner_of(node)
     codes = node.codes.detach().clone()
-    # Two of them transparent; of these one is seen nine times, and the other ten.
+    # Two anchors are transparent: one is visited nine times, the other ten times.
     opacities = torch.full((6,), 0.8)
     opacities[[1, 4]] = 0.001
     accumulate(refiner, decoded(node, opacities), torch.zeros(6 * K), 9)
@@ -83,7 +83,7 @@ def test_transparent_anchors_are_removed_after_enough_visits() -> None:
 def test_anchor_removal_uses_the_sum_of_opacities() -> None:
     node = anchors(2)
     refiner, tables = refiner_of(node)
-    # 0.003 each is 0.006 together, above 0.005; 0.002 is 0.004.
+    # Two Gaussians of 0.003 sum to 0.006, above 0.005; two of 0.002 sum to 0.004.
     accumulate(refiner, decoded(node, torch.tensor([0.003, 0.002])), torch.zeros(2 * K), 10)
     refiner.refine(1, torch.Generator())
     assert tables.numbers.tolist() == [0]
@@ -91,10 +91,10 @@ def test_anchor_removal_uses_the_sum_of_opacities() -> None:
 
 def test_anchors_grow_at_the_largest_gradients_with_their_parents_code() -> None:
     node = anchors(5)
-    # The second Gaussian of anchor 3 stands 1.7 m to its left, that of anchor 1 as far.
+    # The second Gaussians of anchors 1 and 3 lie 1.7 m to their left.
     for row in (1, 3):
         node.offsets.data[row, 1, 1] = 1.7
-    # Room for one of the two.
+    # Only one new anchor is allowed.
     refinement = replace(PLENTY, times=100, max_anchors=25, cells_m=(1.0,), least_cell=0.0)
     assert target_count(refinement, 4, 5, refinement.max_anchors) - 5 == 1
     refiner, tables = refiner_of(node, refinement)
@@ -103,7 +103,7 @@ def test_anchors_grow_at_the_largest_gradients_with_their_parents_code() -> None
     accumulate(refiner, decoded(node, torch.ones(5)), gradients, 3)
     refiner.refine(4, torch.Generator().manual_seed(0))
     assert len(node) == 6 and tables.numbers.tolist() == [0, 1, 2, 3, 4, 5]
-    # In the middle of the cell in which the Gaussian stood, as large as the cell, with the parent's code.
+    # The new anchor lies in the middle of the Gaussian's cell and has the cell's size and the parent's code.
     torch.testing.assert_close(node.means.detach()[5], torch.tensor([15.5, 1.5, 0.5]))
     torch.testing.assert_close(node.log_scales.detach()[5], torch.zeros(6))
     torch.testing.assert_close(node.codes[5], node.codes[3])
@@ -118,7 +118,7 @@ def test_cell_size_is_limited_by_the_nearest_distance() -> None:
         refiner, _ = refiner_of(node, replace(PLENTY, cells_m=(1.0,), least_cell=0.01))
         accumulate(refiner, decoded(node, torch.ones(1)), torch.ones(K), 3, viewpoint)
         refiner.refine(10, torch.Generator())
-        # A hundredth of 400 m is more than a metre.
+        # One percent of 400 m is larger than the cell of 1 m.
         assert (len(node) == 2) == grows
 
 
@@ -140,14 +140,14 @@ def test_anchors_stay_within_the_target_count(seed: int, first: int, more: int) 
         assert not set(gone) & set(tables.numbers.tolist())
         assert len(tables.numbers) == len(node) and len(set(tables.numbers.tolist())) == len(node)
         added = node.means.detach()[before:]
-        # New ones stand in cells of their own.
+        # New anchors have their own cells.
         assert len(set(cell_keys(added, 0.2).tolist())) == len(added)
-        # Offsets move, so that there is somewhere to grow.
+        # Offsets move, so that there are empty cells.
         node.offsets.data.uniform_(-1.0, 1.0)
 
 
 def code_gaussians(count: int) -> CodeGaussians:
-    """In a row along x, longest along their own z, turned by a quarter about x: along the world's minus y."""
+    """Gaussians in a row along x, longest along z, rotated by 90 degrees about x: along the world's minus y."""
     torch.manual_seed(0)
     means = torch.zeros(count, 3)
     means[:, 0] = 10.0 * torch.arange(count)
@@ -200,7 +200,7 @@ def test_code_gaussians_reach_the_target_count(seed: int, first: int, more: int)
             refiner.accumulate(splats(node), torch.arange(len(node)), gradients)
         before = len(node)
         refiner.refine(done)
-        # Splitting doubles at most.
+        # Splitting at most doubles the number.
         assert len(node) == min(target_count(PLENTY, done, first, first + more), 2 * before)
 
 

@@ -5,7 +5,7 @@ from hybridworldsim.model.nodes.gaussian_assembly import anchors_to_gaussians
 
 
 def plain(geometry, colours, means, offsets, log_scales):
-    """The same in torch."""
+    """Reference in plain torch."""
     k = offsets.shape[1]
     numbers = geometry.view(-1, 8)
     output = (numbers[:, 0] > 0).nonzero().squeeze(1)

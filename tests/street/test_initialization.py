@@ -1,4 +1,4 @@
-"""What a street begins with: how many Gaussians, and where."""
+"""Number and places of the initial Gaussians of a street."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def level(places: Float64) -> tuple[Float64, Float64]:
 
 
 def crossing(lanes: int) -> InitialGeometry:
-    """Two streets of so many lanes, 3.5 m apart, that cross."""
+    """Two crossing streets with this number of lanes, 3.5 m apart."""
     along = np.arange(-60.0, 60.0, 0.5)
     streets = [np.stack([along, np.full_like(along, 3.5 * lane)], axis=1) for lane in range(lanes)]
     driven = np.concatenate([*streets, *(street[:, ::-1] for street in streets)])
@@ -31,7 +31,7 @@ def test_ground_stays_within_its_limit_and_covers_the_street(lanes: int) -> None
     assert len(free.means) > 12_000
     capped = ground_seeds(crossing(lanes), 0.5, 15.0, 12_000)
     assert 10_000 < len(capped.means) <= 12_000
-    # Wider apart and larger by the same.
+    # The spacing and the size grow by the same factor.
     grow_anchors = capped.scales[:, 0].min() / free.scales[:, 0].min()
     assert grow_anchors == pytest.approx(np.sqrt(len(free.means) / len(capped.means)), rel=0.05)
     for low in (-60.0, -30.0, 0.0, 30.0):

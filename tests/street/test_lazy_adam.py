@@ -11,7 +11,7 @@ RATES = {"table": 0.03, "numbers": 0.2}
 
 
 def node_of(rows, dtype=torch.float32, seed=0):
-    """A node of a table, of numbers, and of a table that is not learnt."""
+    """A module with a table, a vector, and a table without gradient."""
     node, generator = nn.Module(), torch.Generator().manual_seed(seed)
     node.table = nn.Parameter(torch.randn(rows, 2, 3, generator=generator).to(dtype))
     node.numbers = nn.Parameter(torch.randn(rows, generator=generator).to(dtype))
@@ -29,7 +29,7 @@ def plain(node):
 
 
 def stepped(adam, rows, rng):
-    """A step with random gradients of some rows; returns the gradients."""
+    """Take a step with random gradients of some rows; returns the gradients."""
     leaves = adam.begin_step(torch.from_numpy(rows), RATES)
     network_inputs = {name: torch.from_numpy(rng.normal(size=leaf.shape)).float() for name, leaf in leaves.items()}
     for name, leaf in leaves.items():
@@ -39,7 +39,7 @@ def stepped(adam, rows, rng):
 
 
 def both_stepped(adam, rows, rng, reference, exact):
-    """The same step of both; the reference is told of zeros for the other rows."""
+    """Take the same step with both optimisers; the reference gets zero gradients for the other rows."""
     for name, gradient in stepped(adam, rows, rng).items():
         whole = torch.zeros_like(exact.get_parameter(name))
         whole[torch.from_numpy(rows)] = gradient.double()

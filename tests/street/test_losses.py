@@ -50,7 +50,7 @@ def test_structure_loss_treats_unscored_pixels_as_exact():
         filled, taken.numpy(), channel_axis=2, data_range=1.0, gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False, full=True,
     )  # fmt: skip
-    # Within the border, where windows need nothing from beyond it.
+    # Inside the border, where windows lie within the image.
     torch.testing.assert_close(loss.item(), 1.0 - float(map_.mean(2)[scored.numpy()].mean()), rtol=1e-3, atol=1e-4)
     loss.backward()
     assert not rendered.grad[~scored].any() and rendered.grad[scored].any()

@@ -1,4 +1,4 @@
-"""Settings that are changed by name."""
+"""Settings that are overridden by name."""
 
 from __future__ import annotations
 

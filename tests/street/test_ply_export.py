@@ -31,7 +31,7 @@ def select_latents(appearance: AppearanceLatents) -> tuple[torch.Tensor, torch.T
 
 
 def read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
-    """As viewers read it: a header of lines, then little-endian float32 by the properties' names."""
+    """Read a PLY as viewers do: a text header, then little-endian float32 values of the properties."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode("ascii").splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
@@ -58,10 +58,10 @@ def test_ply_has_the_fields_that_viewers_expect(tmp_path: Path) -> None:
     places = np.stack([columns[axis] for axis in "xyz"], axis=1)
     assert np.linalg.norm(places, axis=1).max() <= 150.001
     np.testing.assert_allclose(sum(columns[f"rot_{i}"] ** 2 for i in range(4)), 1.0, atol=1e-5)
-    # Logits and logarithms, not what they stand for.
+    # Opacities are stored as logits and scales as logarithms.
     assert columns["opacity"].min() < 0.0 and columns["opacity"].max() < 8.0
     assert columns["scale_0"].min() < 0.0 and np.exp(columns["scale_0"]).max() < 100.0
-    # Above the constant all red harmonics stand before all green ones.
+    # Above the constant, all red coefficients precede all green ones.
     np.testing.assert_array_equal(columns["f_rest_0"], exported.spherical_harmonics[:, 1, 0].numpy())
     np.testing.assert_array_equal(columns["f_rest_15"], exported.spherical_harmonics[:, 1, 1].numpy())
     np.testing.assert_array_equal(columns["f_dc_2"], exported.spherical_harmonics[:, 0, 2].numpy())
@@ -75,7 +75,7 @@ def test_pulled_in_sky_stays_behind_the_street() -> None:
     street_ends, sky = (torch.linalg.norm(one.means[:, :2], dim=1).max() for one in (near, whole))
     assert street_ends > 200.0 and sky >= street_ends
     outer = torch.linalg.norm(whole.means, dim=1)
-    # Nothing of the sky stands within the street: what is nearer than its end is the street's.
+    # No Gaussian of the sky lies within the street.
     assert (outer < float(street_ends) - 1.0).sum() <= len(near)
 
 

@@ -1,4 +1,4 @@
-"""The structural loss against its formula in float64, and its gradient against torch's own."""
+"""The structure loss, compared with its formula in float64, and its gradient, compared with torch's."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def test_stored_street_is_restored(tmp_path: Path) -> None:
 def test_stored_size_is_that_of_the_numbers(tmp_path: Path, half: bool, anchor: int, plain: int) -> None:
     few, many = street(100), street(1100)
     sizes = [save_block(tmp_path / f"{len(one.background)}", BLOCK, one, half=half) for one in (few, many)]
-    # The header writes offsets with more digits.
+    # Offsets in the header have more digits.
     assert 0 <= sizes[1] - sizes[0] - 1000 * anchor <= 128
     more = street(100)
     for name, table in list(more.ground.named_parameters(recurse=False)):
@@ -47,8 +47,8 @@ def test_half_precision_hardly_changes_a_render(tmp_path: Path) -> None:
     _, other, _ = load_block(tmp_path / "half")
     viewpoint = to_viewpoint(view(-25.0), np.zeros(3))
     with torch.no_grad():
-        pictures = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (one, other)]
-    ours, theirs = (image.mul(255.0).round().byte().numpy() for image in pictures)
+        renders = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (one, other)]
+    ours, theirs = (image.mul(255.0).round().byte().numpy() for image in renders)
     assert psnr(ours, theirs) > 45.0
 
 
@@ -77,7 +77,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_traversal_adds_one_latent_and_one_for_each_camera(tmp_path: Path) -> None:
-    """Memory hardly grows with the number of traversals: the paper's point against a set of colours for each."""
+    """Memory hardly grows with the number of traversals, in contrast to a set of colours for each traversal."""
     sizes = {}
     for traversals in (1, 2, 101):
         one = street()

@@ -16,7 +16,7 @@ UTM = np.array([441_000.0, 4_475_000.0, 600.0])
 
 
 def quarter_turn(by: np.ndarray | float = 0.0) -> Trajectory:
-    """Along x, then turned to the left, along y."""
+    """A line along x, then a turn to the left, then along y."""
     half = np.sqrt(0.5)
     rotation = np.array([[1.0, 0.0, 0.0, 0.0], [half, 0.0, 0.0, half]])
     return Trajectory(np.array([7 * SECOND, 8 * SECOND]), Poses(rotation, np.array([[0.0, 0, 0], [10.0, 0, 0]]) + by))
@@ -81,13 +81,13 @@ def test_files_without_poses_are_refused(tmp_path: Path, text: str, problem: str
 
 def test_video_has_all_given_images(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
-    pictures = [np.full((37, 64, 3), 20 * number, np.uint8) for number in range(10)]
-    assert write_video(tmp_path / "street.mp4", iter(pictures), 10.0) == 10
+    images = [np.full((37, 64, 3), 20 * number, np.uint8) for number in range(10)]
+    assert write_video(tmp_path / "street.mp4", iter(images), 10.0) == 10
     with av.open(str(tmp_path / "street.mp4")) as container:
         shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(shown) == 10 and shown[0].shape == (36, 64, 3)
     assert np.abs(np.array([one.mean() for one in shown]) - 20.0 * np.arange(10)).max() < 3.0
-    for wrong in ([], [pictures[0], pictures[0][:20]]):
+    for wrong in ([], [images[0], images[0][:20]]):
         with pytest.raises(UsageError):
             write_video(tmp_path / "none.mp4", wrong, 10.0)
     assert [path.name for path in tmp_path.iterdir()] == ["street.mp4"]

@@ -1,4 +1,4 @@
-"""What is left out of a training image: only what it does not show."""
+"""The visibility cache skips only rows that a training image does not show."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def test_restored_cache_continues_exactly():
 
 
 def walled():
-    """A street that learns, with solid Gaussians of the sky before the left of the first view."""
+    """A trainable street with opaque sky Gaussians in front of the left half of the first view."""
     one, generator = trainer(), torch.Generator().manual_seed(0)
     sky, some = one.street.sky, slice(0, 50)
     places = torch.rand(50, 3, generator=generator) * torch.tensor((0.1, 5.0, 6.0))

@@ -1,4 +1,4 @@
-"""A tiny street for the tests of training: a wall and a road, seen by two traversals, of images made by formula."""
+"""A tiny street for tests of training: a wall and a road, in analytic images of two traversals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SETTINGS = Settings(
 
 
 def view(traversal: str, frame: int, camera: str = "front_wide", x_m: float | None = None) -> RenderView:
-    """A camera 1.5 m above the road, that looks along x."""
+    """A camera 1.5 m above the road that looks along x."""
     return RenderView(
         path=f"renders/training/{traversal}/{camera}/{frame}.png",
         group="training",
@@ -76,7 +76,7 @@ def trainer(settings: Settings = SETTINGS) -> StreetTrainer:
 
 
 def render_image(viewpoint: Viewpoint, night: bool) -> TrainingImage:
-    """Stripes on the wall, a grey road, a sky: by the ray of each pixel."""
+    """Compute an image from the ray of each pixel: stripes on the wall, a grey road, a sky."""
     v, u = torch.meshgrid(torch.arange(HEIGHT) + 0.5, torch.arange(WIDTH) + 0.5, indexing="ij")
     across, down = (u - WIDTH / 2) / 20.0, (v - HEIGHT / 2) / 20.0
     ahead = 20.0 - float(viewpoint.centre[0])

@@ -1,4 +1,4 @@
-"""Whose look an image gets: each policy against a street of parallel lines."""
+"""Appearance policies on a street of parallel lines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.training.street import Painted, trainer, view
 
 CAMERAS = ("front_wide", "rear")
 BACK = (0.5, -0.5, -0.5, 0.5)
-"""Of a camera that looks along minus x."""
+"""Rotation of a camera that looks along minus x."""
 
 
 def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather: str = "clear") -> list[RenderView]:
@@ -51,7 +51,7 @@ def test_nearest_policy_selects_the_nearest_line() -> None:
 
 
 def test_complete_lines_are_compared() -> None:
-    # It begins where one traversal drove, and goes on where another did.
+    # The line begins on one training line and continues on another.
     views = [*line("s.new.0", 0.0)[:4], *line("s.new.0", 8.0)[4:]]
     assert select("nearest", views).content.traversal_id == "s.day.1"
     assert AppearanceSelector(TRAINED_CAMERAS, "nearest").select(views[0]).content.traversal_id == "s.day.0"
@@ -87,7 +87,7 @@ def test_blocks_select_the_same_appearance_or_their_nearest() -> None:
     assert chosen("s.day.0") == ["s.day.0", "s.night.0"]
     with pytest.raises(UsageError, match="'night'"):
         AppearanceSelector(parts[0], "night", views)
-    # Nobody else has seen it: what is said of a street does not change what a block has seen itself.
+    # With the lines of the whole street, a block that was trained on all traversals selects the same.
     assert AppearanceSelector(TRAINED_CAMERAS, "nearest", views, lines=DrivenLines(TRAINED_CAMERAS, views)).select(
         views[0]
     ) == AppearanceSelector(TRAINED_CAMERAS, "nearest", views).select(views[0])
@@ -115,7 +115,7 @@ def test_cameras_with_other_names_match_by_direction() -> None:
 def test_editing_the_light_changes_colours_only() -> None:
     street = trainer().street
     with torch.no_grad():
-        # As after training: what is there depends on the look.
+        # As after training, the content depends on the appearance.
         street.appearance.drives.mul_(20.0)
         day, night = (street.appearance(source) for source in street.appearance.sources)
         viewpoint = Painted()(view("s.day.0", 2)).viewpoint
@@ -148,7 +148,7 @@ def test_densified_line_is_even_and_keeps_its_places() -> None:
 
 
 def test_line_of_several_blocks_is_their_union() -> None:
-    """Each block knows the part that it was trained on."""
+    """Each block knows its own part of the line only."""
     halves = [
         trained_cameras([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)
     ]

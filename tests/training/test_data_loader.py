@@ -1,4 +1,4 @@
-"""What training is fed with: depth maps of whatever lens, one mask of the sky."""
+"""Resampled depth maps of any lens, and the limit of the image cache."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_image_cache_stays_within_its_byte_limit(dataset: Dataset) -> None:  # n
                 shown = images(camera)
                 assert images.held_bytes <= max(capacity, 1) * image_bytes and shown.name == camera.path
         assert images.opened == opened
-        # Shown last is held.
+        # The last image is still cached.
         assert torch.equal(images(views[-1]).rgb, shown.rgb) and images.opened == opened
 
 
@@ -41,7 +41,7 @@ def lens(width: int, height: int, focal: float, cx: float | None = None) -> Came
 
 
 def columns_of(camera: Camera) -> np.ndarray:
-    """A map in which each pixel says how far to the right its ray goes, a metre ahead."""
+    """A depth map whose pixels hold the horizontal slope of their ray plus 10."""
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     return np.tile(x + 10.0, (camera.height_px, 1)).astype(np.float32)
 
@@ -53,7 +53,7 @@ def test_depth_is_resampled_to_the_rays_of_the_view(width: int, height: int, foc
     truth = columns_of(lens(requested.width_px, requested.height_px, requested.fx_px))
     known = resampled > 0.0
     assert np.abs(resampled - truth)[known].max(initial=0.0) <= 0.5 / focal + 1e-3
-    # Unknown is what the map's lens does not see, and that alone.
+    # Depth is unknown exactly outside the map's lens.
     x, y = truth[0] - 10.0, (np.arange(requested.height_px) + 0.5 - requested.cy_px) / requested.fy_px
     inside_x = np.abs(x * focal + off) <= width / 2 - 1e-3
     inside_y = np.abs(y * focal) <= height / 2 - 1e-3

@@ -1,4 +1,4 @@
-"""The loop: what it writes, where it stops, and that it goes on exactly."""
+"""The training loop: its files, its interruption, and exact resumption."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_stored_model_renders_as_the_trainer(tmp_path: Path) -> None:
 
 
 def replace_points():
-    """Of other points: what is read decides alone."""
+    """A street of other points, whose parameters are all replaced by stored ones."""
     return replace(initial(), points_m=initial().points_m[:7])
 
 
@@ -123,7 +123,7 @@ def test_half_precision_halves_tables_and_hardly_changes_renders(tmp_path: Path)
     half = run(tmp_path / "half", half=True)
     tables = ("offsets", "codes", "log_scales", "quats", "logits")
     numbers = sum(table.numel() for name, table in trained.street.named_parameters() if name.endswith(tables))
-    # But for how long the header writes where each begins.
+    # The header's offsets differ in their number of digits.
     assert whole.model_bytes - half.model_bytes == pytest.approx(2 * numbers, abs=100)
     fresh = initial_street(initial(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))
@@ -193,7 +193,7 @@ from hybridworldsim.training.loop import Options
 class Stuck(Painted):
     def __call__(self, one):
         if self.opened == 120:
-            time.sleep(600)  # To be killed within.
+            time.sleep(600)  # The test kills the process here.
         return super().__call__(one)
 run(Path(sys.argv[1]), 160, images=Stuck(), options=Options(checkpoint_s=0.1))
 """
@@ -221,7 +221,7 @@ def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, thread
     assert (tmp_path / "killed" / "model.safetensors").read_bytes() == (
         tmp_path / "whole" / "model.safetensors"
     ).read_bytes()
-    # Steps of the clock aside, the curves are those of one run.
+    # The curves equal those of one run, except for times.
     rows = [read_curves(tmp_path / name / "curves.csv", 1000) for name in ("killed", "whole")]
     assert [(row["step"], row["psnr_db"], row["gaussians"]) for row in rows[0]] == [
         (row["step"], row["psnr_db"], row["gaussians"]) for row in rows[1]
@@ -320,7 +320,7 @@ def test_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:
 
 
 def test_parameters_that_are_not_finite_are_not_checkpointed(tmp_path: Path) -> None:
-    # What they draw is culled, so that no loss tells of them.
+    # Such Gaussians are culled, so that the losses stay finite.
     broken = trainer()
     with torch.no_grad():
         broken.street.appearance.drives[0, 0] = torch.nan
@@ -364,7 +364,7 @@ def test_training_survives_unusual_images(tmp_path: Path, images: Painted, chose
 
 
 def test_masked_pixels_do_not_affect_the_model(tmp_path: Path) -> None:
-    """Neither colours nor depths of road users and of the vehicle itself reach the model."""
+    """Neither colours nor depths of road users and of the vehicle itself affect the model."""
     covered = torch.zeros(20, 32, dtype=torch.bool)
     covered[12:, 8:24] = True
     plain = edited(scored=lambda p: p.scored & ~covered)
@@ -382,7 +382,7 @@ def test_masked_pixels_do_not_affect_the_model(tmp_path: Path) -> None:
 
 
 def test_depth_counts_where_the_render_is_mostly_opaque() -> None:
-    """What is nearly transparent has a depth that is a quotient of two small numbers."""
+    """The depth of a nearly transparent pixel is a quotient of two small numbers."""
     trained, image = trainer(), Painted()(view("s.day.0", 1))
     for gone, network_inputs in ((0.0, True), (9.0, False)):
         with torch.no_grad():
@@ -407,7 +407,7 @@ def test_masks_over_everything_are_refused(tmp_path: Path) -> None:
 
 
 def test_budget_excludes_kernel_compilation(tmp_path: Path) -> None:
-    """It happens once a machine, and would end a short run before it began."""
+    """Compilation happens once on a machine, and could use up a short budget."""
 
     @numba.njit
     def kernel(values):
@@ -431,11 +431,11 @@ def test_budget_excludes_kernel_compilation(tmp_path: Path) -> None:
 
 
 def test_untrained_run_may_be_replaced_by_other_settings(tmp_path: Path) -> None:
-    """What failed before its first checkpoint does not claim the folder."""
+    """A run that failed before its first checkpoint does not reserve the folder."""
     folder, other = RunFolder(tmp_path / "run"), RUN.model_copy(update={"seed": 1})
     folder.begin(other)
     assert folder.begin(RUN) is None
-    # It is another's until somebody trains.
+    # The folder keeps the document of the other run until training begins.
     assert read_run(tmp_path / "run") == other
     with folder.lock():
         folder.claim(RUN)

@@ -1,4 +1,4 @@
-"""Images of a standing vehicle."""
+"""Images of a stationary vehicle."""
 
 from __future__ import annotations
 

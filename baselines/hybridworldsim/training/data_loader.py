@@ -164,7 +164,7 @@ def stream_images(
     """
     unscored: set[int] = set()
     places = shuffled_indices(seed, len(views), first)
-    with ThreadPoolExecutor(1, "pictures") as executor:
+    with ThreadPoolExecutor(1, "images") as executor:
         waiting: list[tuple[int, Future[TrainingImage]]] = []
         try:
             while True:

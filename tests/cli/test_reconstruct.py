@@ -155,7 +155,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
 
     drawn = driven_as_documented(dataset, model)
-    assert drawn["image"].dtype == np.uint8 and drawn["image"].shape[:2] == tuple(drawn["drawn"].depth_m.shape)
+    assert drawn["image"].dtype == np.uint8 and drawn["image"].shape[:2] == tuple(drawn["rendering"].depth_m.shape)
     assert drawn["view"].camera == "front_left" and drawn["step"] == len(drawn["way"]) - 1 > 4
 
     # The nearest line is the oncoming one; the given one has another colour.

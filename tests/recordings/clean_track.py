@@ -1,4 +1,4 @@
-"""The track of a recording as ingest takes it: an error where too many of its rows make no pose."""
+"""The track of a recording after the checks of ingest: too many bad rows are an error."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ from mirror.schema.documents import CleaningOptions, TriggerOptions
 
 
 def clean_track(recording: Recording) -> Track:
-    """The track without bad rows, of which there are few."""
+    """Read the track without bad rows; raise if there are too many."""
     info = recording.info
     return clean_usable(recording.track(), CleaningOptions(), TriggerOptions(), is_clip=info.is_clip)[0]

@@ -1,4 +1,4 @@
-"""A small recording in the `folder` layout, to be altered by the tests."""
+"""A small recording in the `folder` layout, which the tests change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boreas: what the real sequences say about time, axes and angles; images and calibration on a written sequence."""
+"""Boreas: time, axes and angles of the real sequences; images and calibration of a synthetic sequence."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_sequence(root: Path, rows: str = ROW, *, images: tuple[str, ...] = ())
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_the_camera_looks_where_the_car_drives(real_data: Path, name: str) -> None:
+def test_camera_axis_points_along_the_motion(real_data: Path, name: str) -> None:
     recording = open_recording(real_data / "boreas" / name)
     track = recording.track()
     assert track.longitude_deg is not None and track.latitude_deg is not None and track.rotation is not None
@@ -44,7 +44,7 @@ def test_the_camera_looks_where_the_car_drives(real_data: Path, name: str) -> No
     velocity: Float64 = np.stack([raw["vel_east"], raw["vel_north"], raw["vel_up"]], axis=1)
     speed = np.linalg.norm(velocity, axis=1)
     driving = speed > 5.0
-    # The file's velocity has grid axes; the track's rotation has true ones: 1.06 degrees apart.
+    # The file's velocity refers to grid north, the track's rotation to true north: 1.06 degrees apart.
     forward, up = rotate(track.rotation, (1.0, 0.0, 0.0)), rotate(track.rotation, (0.0, 0.0, 1.0))
     course = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
     heading = np.degrees(np.arctan2(forward[:, 0], forward[:, 1]))
@@ -54,7 +54,7 @@ def test_the_camera_looks_where_the_car_drives(real_data: Path, name: str) -> No
     along = np.abs(np.einsum("ni,ni->n", forward, velocity)[driving] / speed[driving])
     assert np.median(along) > 0.999
 
-    # Independent of the file's velocities: PROJ's azimuth from each position to the one 1 s later.
+    # Independent of the file's velocities: PROJ's azimuth from each position to the position 1 s later.
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(
         track.longitude_deg[:-10], track.latitude_deg[:-10], track.longitude_deg[10:], track.latitude_deg[10:]
     )
@@ -65,7 +65,7 @@ def test_the_camera_looks_where_the_car_drives(real_data: Path, name: str) -> No
 
 
 @pytest.mark.real_data
-def test_the_route_begins_at_the_institute(real_data: Path) -> None:
+def test_both_routes_begin_at_the_institute(real_data: Path) -> None:
     """Both loops start and end at 4925 Dufferin Street, Toronto; the first at 13:34 local time (UTC-4)."""
     starts = []
     for name in SEQUENCES:
@@ -85,7 +85,7 @@ def test_the_route_begins_at_the_institute(real_data: Path) -> None:
     assert str(np.datetime64(int(first.timestamp_ns[0]), "ns")).startswith("2021-08-05T17:34:46")
 
 
-def test_pictures_and_calibration(tmp_path: Path) -> None:
+def test_images_and_calibration(tmp_path: Path) -> None:
     path = write_sequence(tmp_path, images=("1628184886538099.png", "1628184886438099.png"))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n0 0 0 1\n")
@@ -109,7 +109,7 @@ def test_pictures_and_calibration(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("last", ["", "0 0 0 1\n"])
-def test_a_projection_may_leave_its_last_row_out(last: str, tmp_path: Path) -> None:
+def test_projection_with_three_rows_is_accepted(last: str, tmp_path: Path) -> None:
     path = write_sequence(tmp_path, images=("1628184886438099.png",))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1460.98 0 1230.0 0\n0 1460.93 1035.08 0\n0 0 1 0\n" + last)
@@ -117,7 +117,7 @@ def test_a_projection_may_leave_its_last_row_out(last: str, tmp_path: Path) -> N
     assert (row["fx_px"], row["fy_px"], row["cx_px"], row["cy_px"]) == (1460.98, 1460.93, 1230.5, 1035.58)
 
 
-def test_later_releases_have_a_local_frame(tmp_path: Path) -> None:
+def test_positions_of_later_releases_are_in_a_local_frame(tmp_path: Path) -> None:
     path = tmp_path / SEQUENCES[0]
     (path / "applanix").mkdir(parents=True)
     (path / "applanix" / "camera_poses.csv").write_text(HEADER + ROW.replace("623426.156,4848821.131", "-3.5,12.25"))
@@ -142,7 +142,7 @@ def test_broken_rows_are_named(tmp_path: Path, rows: str, place: str) -> None:
     assert caught.value.file is not None and caught.value.file.endswith("camera_poses.csv")
 
 
-def test_files_that_do_not_belong_are_named(tmp_path: Path) -> None:
+def test_unexpected_files_are_named(tmp_path: Path) -> None:
     path = write_sequence(tmp_path, images=("first.png",))
     (path / "calib").mkdir()
     (path / "calib" / "P_camera.txt").write_text("1 2 3\n")
@@ -152,7 +152,7 @@ def test_files_that_do_not_belong_are_named(tmp_path: Path) -> None:
         open_recording(path).calibrations()
 
 
-def test_a_folder_of_another_name_is_not_recognised(tmp_path: Path) -> None:
+def test_folder_with_another_name_is_not_recognised(tmp_path: Path) -> None:
     write_sequence(tmp_path)
     assert not BoreasReader().recognises(tmp_path)
     with pytest.raises(RecordingError, match="no pose file"):

@@ -1,4 +1,4 @@
-"""Calibrations of recordings: what is one, and the row that it becomes."""
+"""Calibrations of recordings: their validation and their table rows."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def made(**values: object) -> Calibration:
     return make_calibration(Path("calibration.json"), "front", **(VALUES | values))
 
 
-def test_a_row_holds_what_the_calibration_says() -> None:
+def test_row_holds_the_values_of_the_calibration() -> None:
     covariance = tuple(float(value) for value in np.eye(6).ravel())
     calibration = made(covariance=covariance, valid_from_ns=5, valid_to_ns=5, time_offset_ns=-7, readout_ns=9)
     table = conform(
@@ -45,7 +45,7 @@ def test_a_row_holds_what_the_calibration_says() -> None:
     }
 
 
-def test_a_quaternion_of_nearly_unit_length_is_made_unit() -> None:
+def test_nearly_unit_quaternion_is_normalised() -> None:
     pose = (0.5004, -0.5004, 0.5004, -0.5004, 0.0, 0.0, 0.0)
     row = to_calibration_table([("factory", made(ego_SE3_camera=pose))], vehicle_id="v", drive_id="d").to_pylist()[0]
     assert [row[name] for name in ("qw", "qx", "qy", "qz")] == pytest.approx([0.5, -0.5, 0.5, -0.5], abs=1e-15)
@@ -68,13 +68,13 @@ def test_a_quaternion_of_nearly_unit_length_is_made_unit() -> None:
         ({"valid_from_ns": 6, "valid_to_ns": 5}, "after valid_to_ns"),
     ],
 )
-def test_what_is_no_calibration_is_refused(values: dict[str, object], place: str) -> None:
+def test_invalid_calibrations_are_refused(values: dict[str, object], place: str) -> None:
     with pytest.raises(RecordingError) as caught:
         made(**values)
     assert place in str(caught.value)
     assert "camera front" in str(caught.value)
 
 
-def test_the_largest_raster_and_offsets_are_taken() -> None:
+def test_largest_raster_and_offsets_are_accepted() -> None:
     widest = made(width_px=2**31 - 1, height_px=1, time_offset_ns=2**63 - 1, readout_ns=0)
     assert (widest.width_px, widest.height_px, widest.time_offset_ns) == (2**31 - 1, 1, 2**63 - 1)

@@ -39,7 +39,7 @@ def write_segment(path: Path, start_s: float, frames: int = 5) -> Path:
 
 
 @pytest.mark.real_data
-def test_the_real_segment(real_data: Path) -> None:
+def test_real_segment_agrees_with_its_receivers(real_data: Path) -> None:
     route = real_data / "comma2k19" / "Example_1" / ROUTE
     recording = open_recording(route)
     assert recording.info.drive_id == "b0c9d2329ad1606b_2018-08-02--08-34-47"
@@ -59,7 +59,7 @@ def test_the_real_segment(real_data: Path) -> None:
     inside = (arrival > boot[0]) & (arrival < boot[-1])
     assert 0.1 < np.median((ours - utc)[inside]) < 0.3
 
-    # Its latitude and longitude are ours, and forward is where it drives.
+    # The receiver's positions agree with the track, and forward is the direction of travel.
     fixes = np.load(gnss / "value", allow_pickle=False)
     assert track.longitude_deg is not None and track.latitude_deg is not None and track.rotation is not None
     assert np.abs(np.interp(arrival, boot, track.latitude_deg) - fixes[:, 0])[inside].max() < 1e-4
@@ -72,7 +72,7 @@ def test_the_real_segment(real_data: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_a_segment_by_itself(real_data: Path) -> None:
+def test_single_segment_is_a_recording(real_data: Path) -> None:
     recording = open_recording(real_data / "comma2k19" / "Example_1" / ROUTE / "40")
     assert recording.info.drive_id == "b0c9d2329ad1606b_2018-08-02--08-34-47_40"
     assert [name for name, _ in recording.files()] == [
@@ -147,7 +147,7 @@ def test_broken_arrays_are_named(tmp_path: Path) -> None:
         assert error.file is not None and ("different" in problem or error.file.endswith(name))
 
 
-def test_no_segment(tmp_path: Path) -> None:
+def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
     assert not Comma2k19Reader().recognises(tmp_path)
     with pytest.raises(RecordingError, match="no segment"):
         Comma2k19Reader().open(tmp_path, {})
@@ -156,7 +156,7 @@ def test_no_segment(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["frame_positions", "frame_gps_times", None])
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_damaged_segment_is_counted_and_named(name: str | None, number: int, tmp_path: Path) -> None:
-    """It costs the drive its own rows: one if no array can be read."""
+    """Its rows are bad rows of the drive; it counts as one row if no array can be read."""
     route = tmp_path / ROUTE
     for segment in range(3):
         write_segment(route / str(segment), 404_000.0 + 60 * segment)

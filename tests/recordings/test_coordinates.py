@@ -29,8 +29,8 @@ STAMP = np.array([0], np.int64)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-70, 70), st.floats(0, 359.99))
-def test_grid_headings_become_true_ones(from_meridian: float, latitude: float, heading: float) -> None:
-    """A short step on the grid, seen by PROJ's geodesic: its azimuth is the true heading."""
+def test_grid_headings_become_true_headings(from_meridian: float, latitude: float, heading: float) -> None:
+    """The azimuth of PROJ's geodesic along a short step on the grid is the true heading."""
     longitude, north = -81.0 + from_meridian, latitude >= 0
     east, nor = (float(value[0]) for value in geodetic_to_utm([longitude], [latitude], 17, north))
     step = 10.0 * np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
@@ -48,7 +48,7 @@ def test_grid_headings_become_true_ones(from_meridian: float, latitude: float, h
     assert abs((found - azimuth + 180) % 360 - 180) < 1e-4
 
 
-def test_ecef_poses_become_local_ones() -> None:
+def test_ecef_poses_become_east_north_up_poses() -> None:
     lon, lat, height = np.array([13.4, -122.4]), np.array([52.5, -37.7]), np.array([40.0, -3.0])
     enu = quaternion_from_heading_pitch_roll(np.array([30.0, 250.0]), np.array([2.0, -1.0]), np.array([0.5, 3.0]))
     ecef = quaternion_from_matrix(ecef_R_enu(lon, lat) @ np.stack([rotate(q, np.eye(3)).T for q in enu]))
@@ -71,14 +71,14 @@ def test_missing_positions_stay_missing() -> None:
     assert track.latitude_deg is not None and np.isnan(track.latitude_deg[0]) and np.isfinite(track.latitude_deg[1])
 
 
-def test_bodies_turn_to_forward_left_up() -> None:
+def test_body_axes_become_forward_left_up() -> None:
     np.testing.assert_allclose(rotate(FLU_FROM_FRD, np.eye(3)), np.diag([1.0, -1.0, -1.0]), atol=1e-15)
     right, down, forward = rotate(FLU_FROM_CAMERA, np.eye(3))
     np.testing.assert_allclose([right, down, forward], [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-15)
 
 
 @pytest.mark.parametrize("height", [None, np.array([100.0])])
-def test_a_roof_antenna_is_brought_to_the_rear_axle(height: np.ndarray | None) -> None:
+def test_poses_of_a_roof_antenna_become_poses_of_the_rear_axle(height: np.ndarray | None) -> None:
     """2 m ahead and 1.5 m above the axle, heading east: the axle is 2 m west of it."""
     heading = quaternion_from_heading_pitch_roll(np.array([90.0]))
     body = Track(STAMP, np.array([13.4]), np.array([52.5]), height_m=height, rotation=heading)
@@ -115,7 +115,7 @@ def test_an_offset_needs_an_orientation() -> None:
 
 
 @pytest.mark.parametrize("bad", ["0,0,0,0", "nan,0,0,0", ",0,0,0", "0.5,0,0,0", "1e300,0,0,0"])
-def test_what_is_no_rotation_is_named_by_its_line(tmp_path: Path, bad: str) -> None:
+def test_invalid_rotation_is_named_by_its_line(tmp_path: Path, bad: str) -> None:
     def quaternions(text: str) -> tuple[RecordingRows, np.ndarray]:
         (tmp_path / "poses.csv").write_text(f"qw,qx,qy,qz\n{text}")
         rows = read_rows([tmp_path / "poses.csv"], types={})

@@ -1,4 +1,4 @@
-"""Covariances of calibrations: those of random samples are taken, those that are none are refused."""
+"""Covariances of calibrations: covariances of random samples are accepted, invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ SIGMA = np.array([1e-3, 2e-3, 5e-4, 0.02, 0.01, 0.05])
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([4, 6, 17]))
-def test_sample_covariances_are_taken(seed: int, samples: int, digits: int) -> None:
-    """Of few samples the matrix is singular, and rounding makes it indefinite by a little."""
+def test_sample_covariances_are_accepted(seed: int, samples: int, digits: int) -> None:
+    """The matrix of few samples is singular, and rounding makes it slightly indefinite."""
     draws = np.random.default_rng(seed).normal(size=(samples, 6)) * SIGMA
     covariance = draws.T @ draws / samples
     require_covariance(np.array([float(f"{value:.{digits - 1}e}") for value in covariance.ravel()]))
 
 
-def test_units_do_not_decide() -> None:
+def test_covariances_of_any_scale_are_accepted() -> None:
     """Variances of 1e-20 beside those of 1e6, and an axis that is known exactly."""
     require_covariance(np.diag([1e-20, 1e-20, 0.0, 1e6, 1.0, 0.0]).ravel())
 
@@ -52,7 +52,7 @@ def indefinite(covariance: np.ndarray) -> None:
 
 
 def triangle(covariance: np.ndarray) -> None:
-    """Every two axes are possible, the three are not."""
+    """Each pair of axes is valid, but the three axes together are not."""
     for i, j, sign in ((0, 1, 1), (1, 2, 1), (0, 2, -1)):
         covariance[i, j] = covariance[j, i] = sign * 0.8 * SIGMA[i] * SIGMA[j]
 
@@ -76,7 +76,7 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("spoil", SPOILED)
-def test_what_is_no_covariance_is_refused(spoil: object, tmp_path: Path) -> None:
+def test_invalid_covariances_are_refused(spoil: object, tmp_path: Path) -> None:
     covariance = np.diag(SIGMA**2)
     spoil(covariance)  # type: ignore[operator]
     path = write_recording(tmp_path / "drive")
@@ -106,8 +106,8 @@ def test_a_calibration_keeps_its_covariance() -> None:
     np.testing.assert_array_equal(np.reshape(table.column("covariance")[0].as_py(), (6, 6)), np.diag(SIGMA**2))
 
 
-def test_ingest_refuses_those_of_any_reader(tmp_path: Path) -> None:
-    """A reader of a third party gives its table of calibrations as it likes."""
+def test_ingest_refuses_invalid_covariances_of_any_reader(tmp_path: Path) -> None:
+    """A third-party reader may give any table of calibrations."""
 
     class Third(FolderRecording):
         def calibrations(self) -> pa.Table:

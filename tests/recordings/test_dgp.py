@@ -1,4 +1,4 @@
-"""DGP: the real scene, whose boxes must land on the cars; altered scenes for the rest."""
+"""DGP: the real scene, with a check of its projected boxes against labels; changed scenes for all errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scene(real_data: Path) -> Path:
 
 @pytest.fixture
 def copy(scene: Path, tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], None]], Path]:
-    """The scene's JSON files with the scene file altered."""
+    """Return a function that copies the scene's JSON files and changes the scene file."""
 
     def altered(change: Callable[[dict[str, Any]], None]) -> Path:
         path = tmp_path / "scene"
@@ -49,7 +49,7 @@ def copy(scene: Path, tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], No
 
 
 @pytest.mark.real_data
-def test_the_real_scene(scene: Path) -> None:
+def test_real_scene_is_read(scene: Path) -> None:
     recording = open_recording(scene)
     assert recording.info.drive_id == recording.info.frame == "dgp_scene_02_fe9f29d3"
     assert recording.info.is_clip
@@ -78,7 +78,7 @@ def test_the_real_scene(scene: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_the_vehicle_drives_forward_on_level_ground(scene: Path) -> None:
+def test_vehicle_of_the_real_scene_drives_forward_and_level(scene: Path) -> None:
     track = open_recording(scene).track()
     assert track.x_m is not None and track.y_m is not None and track.rotation is not None
     assert len(track) == 6
@@ -91,7 +91,7 @@ def test_the_vehicle_drives_forward_on_level_ground(scene: Path) -> None:
 
 
 def _camera_SE3_boxes(recording: Any, stamp: int, calibration: dict[str, Any]) -> list[tuple[dict[str, Any], Poses]]:  # noqa: N802
-    """Boxes of the sweep nearest to an image, in its camera, through our track and calibration alone."""
+    """Project the boxes of the sweep nearest to an image with the reader's track and calibration alone."""
     track = recording.track()
     world_SE3_ego = Poses(track.rotation, np.stack([track.x_m, track.y_m, track.height_m], axis=1))
     ego_SE3_camera = Poses.from_columns({name: [calibration[name]] for name in COLUMNS})
@@ -114,8 +114,8 @@ def _hull(camera: Camera, camera_SE3_box: Poses, row: dict[str, Any]) -> Float64
 
 
 @pytest.mark.real_data
-def test_boxes_land_where_people_drew_them(scene: Path) -> None:
-    """DGP also has each box in each camera, and a 2D box drawn by a person: both are independent of our chain."""
+def test_projected_boxes_agree_with_labels_in_the_images(scene: Path) -> None:
+    """DGP also has each box in the frame of each camera, and 2D boxes by people: both are independent references."""
     recording = open_recording(scene)
     boxes = recording.boxes()
     assert boxes is not None
@@ -165,8 +165,8 @@ def _iou(a: Float64, b: Float64) -> float:
 
 
 @pytest.mark.real_data
-def test_right_stamps_are_kept(copy: Callable[..., Path], scene: Path) -> None:
-    """A stamp of this century is taken as it is, one of the year 2464 is ten times too large."""
+def test_stamps_before_2200_are_kept(copy: Callable[..., Path], scene: Path) -> None:
+    """A stamp of this century is kept; a stamp of the year 2464 is divided by ten."""
 
     def change(document: dict[str, Any]) -> None:
         for entry in document["data"]:
@@ -180,7 +180,7 @@ def test_right_stamps_are_kept(copy: Callable[..., Path], scene: Path) -> None:
 
 
 @pytest.mark.real_data
-def test_the_last_year_of_a_right_stamp(copy: Callable[..., Path]) -> None:
+def test_stamps_of_2200_are_kept(copy: Callable[..., Path]) -> None:
     def change(document: dict[str, Any]) -> None:
         for entry in document["data"]:
             entry["id"]["timestamp"] = entry["id"]["timestamp"].replace("2464-11-12T01:04", "2200-06-27T14:30")
@@ -190,7 +190,7 @@ def test_the_last_year_of_a_right_stamp(copy: Callable[..., Path]) -> None:
 
 
 @pytest.mark.real_data
-def test_a_coordinate_that_is_left_out_is_zero(copy: Callable[..., Path]) -> None:
+def test_omitted_coordinate_is_zero(copy: Callable[..., Path]) -> None:
     """Protocol buffers written as JSON leave zeros out."""
 
     def change(document: dict[str, Any]) -> None:
@@ -323,7 +323,7 @@ def test_camera_models(copy: Callable[..., Path]) -> None:
             model(**unsupported)
 
 
-def test_not_json(tmp_path: Path) -> None:
+def test_broken_or_ambiguous_scene_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "scene_1.json").write_text('{"data": [')
     with pytest.raises(RecordingError, match="not valid JSON"):
         _ = DgpReader().open(tmp_path, {}).info

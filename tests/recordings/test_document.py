@@ -1,4 +1,4 @@
-"""docs/recordings.md is a specification: its example is a recording."""
+"""The examples of docs/recordings.md are valid."""
 
 from __future__ import annotations
 
@@ -62,5 +62,5 @@ def test_every_built_in_reader_and_time_base_is_described() -> None:
     assert [name for name in TIME_BASES if f"`{name}`" not in TEXT] == []
 
 
-def test_json_examples_are_whole() -> None:
+def test_json_examples_are_valid() -> None:
     assert all(json.loads(block) for block in re.findall(r"```json\n(.*?)```", TEXT, re.DOTALL))

@@ -1,4 +1,4 @@
-"""The `folder` layout: every frame, time base and file kind; and everything that is refused."""
+"""The `folder` layout: every frame, time base and file format, and every error."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def quaternions(rotation: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(("qw", "qx", "qy", "qz"), rotation.T))
 
 
-def test_the_whole_layout(tmp_path: Path) -> None:
+def test_recording_with_all_parts_is_read(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "drive", city="Berlin", weather="rain", light="night", licence="CC0")
     (path / "calibrations").mkdir()
     for stage in ("factory", "refined"):
@@ -176,7 +176,7 @@ def test_poses_in_many_files_are_one_track(tmp_path: Path) -> None:
     np.testing.assert_array_equal(track.sigma_m, [0.02, 0.02])
 
 
-def test_a_recorded_antenna_is_brought_to_the_ego(tmp_path: Path) -> None:
+def test_poses_of_an_antenna_become_poses_of_the_ego(tmp_path: Path) -> None:
     poses = csv_of(timestamp_ns=[0, 1], x_m=[2.0, 0.0], y_m=[0.0, 2.0], z_m=[1.5, 1.5], heading_deg=[90.0, 0.0])
     frame = {"kind": "local", "name": "yard"}
     changes = {"frame": frame, "body_frame": "antenna", "ego_SE3_body": [1, 0, 0, 0, 2.0, 0, 1.5]}
@@ -188,7 +188,7 @@ def test_a_recorded_antenna_is_brought_to_the_ego(tmp_path: Path) -> None:
     assert "no orientation" in error.problem
 
 
-def test_missing_positions_are_left_to_cleaning(tmp_path: Path) -> None:
+def test_missing_positions_stay_in_the_track(tmp_path: Path) -> None:
     poses = "timestamp_ns,longitude_deg,latitude_deg,height_m\n0,nan,52.5,\n1,,52.5,3\n"
     track = track_of(tmp_path, poses)
     assert np.isnan(np.asarray(track.longitude_deg)).all()
@@ -378,12 +378,12 @@ def test_poses_of_two_kinds_are_refused(tmp_path: Path) -> None:
     assert "differ from those of a.csv: height_m, up_m" in refusal(path).problem
 
 
-def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
+def test_open_reads_only_the_document(tmp_path: Path) -> None:
     path = write_recording(tmp_path, poses="broken", images=[])
     assert open_recording(path).info.drive_id == "drive-1"
 
 
-def test_headings_of_wgs84_are_true(tmp_path: Path) -> None:
+def test_headings_of_wgs84_refer_to_true_north(tmp_path: Path) -> None:
     poses = csv_of(timestamp_ns=[0], longitude_deg=[179.99], latitude_deg=[-80.0], heading_deg=[123.0])
     track = track_of(tmp_path, poses)
     assert heading_deg(np.asarray(track.rotation))[0] == pytest.approx(123.0, abs=1e-12)

@@ -100,7 +100,7 @@ def test_links_out_of_the_recording_are_refused(tmp_path: Path) -> None:
     assert "leads out" in refusal(path).problem
 
 
-def test_a_video_with_its_table(tmp_path: Path) -> None:
+def test_table_of_a_video_gives_its_frames(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "drive")
     shutil.rmtree(path / "images")
     (path / "videos").mkdir()
@@ -118,7 +118,7 @@ def test_a_video_with_its_table(tmp_path: Path) -> None:
     assert "front_wide.mkv and in videos/front_wide.mp4" in refusal(path).problem
 
 
-def test_a_video_whose_start_is_known(tmp_path: Path) -> None:
+def test_video_with_a_stated_start_needs_no_table(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "drive", cameras={"front_wide": {"video_start_ns": START_NS}})
     shutil.rmtree(path / "images")
     (path / "videos").mkdir()
@@ -131,7 +131,7 @@ def test_a_video_whose_start_is_known(tmp_path: Path) -> None:
     assert "no time stamps" in refusal(path).problem
 
 
-def test_many_pictures_are_listed_by_their_names_alone(tmp_path: Path) -> None:
+def test_listing_many_images_opens_none(tmp_path: Path) -> None:
     """The files are empty: opening one would fail."""
     path = write_recording(tmp_path, images=[])
     for index in range(1_000):
@@ -152,7 +152,7 @@ def referring(root: Path, rows: str) -> Path:
     return path
 
 
-def test_pictures_elsewhere_are_listed_and_fetched_when_asked_for(tmp_path: Path) -> None:
+def test_images_at_uris_are_fetched_on_demand(tmp_path: Path) -> None:
     import fsspec
 
     fsspec.filesystem("memory").pipe("/fleet/a.jpg", b"first and more")
@@ -214,7 +214,7 @@ def test_wrong_tables_of_uris_are_named(tmp_path: Path, rows: str, place: str | 
     assert problem in error.problem
 
 
-def test_pictures_here_and_elsewhere_at_once_are_refused(tmp_path: Path) -> None:
+def test_camera_with_a_folder_and_uris_is_refused(tmp_path: Path) -> None:
     path = referring(tmp_path, "s3://f/a.png,1,2,9,8,6\n")
     folder = path / "images" / "front_wide"
     write_image(folder / "1.jpg")

@@ -1,4 +1,4 @@
-"""Any GPS table: the real drives, usual names, stated names, and what is refused."""
+"""GPS tables: the real drives, usual column names, named columns, and errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def refusal(path: Path, options: Mapping[str, str] | None = None) -> RecordingEr
 
 
 @pytest.mark.real_data
-def test_the_real_drives(real_data: Path) -> None:
+def test_real_drives_are_read(real_data: Path) -> None:
     files = sorted((real_data / "rsk_twizy_t3").glob("*.csv"))
     assert len(files) == 10
     options = {"tz": "Africa/Casablanca", "date_format": "MM/DD/YYYY", "vehicle_type": "Renault Twizy"}
@@ -90,14 +90,14 @@ def test_usual_tables_need_no_options(tmp_path: Path, text: str, first_ns: int) 
 
 @pytest.mark.parametrize("digits", [8, 11, 14, 17])
 def test_the_unit_changes_at_a_power_of_ten(tmp_path: Path, digits: int) -> None:
-    """Each unit begins at 1973-03-03; a moment earlier is a date in the unit before that no stamp can hold."""
+    """Each unit begins at 1973-03-03; an earlier number is a far date in the next smaller unit."""
     recording = open_recording(write(tmp_path / "x.csv", f"time,lat,lon\n{10**digits},43.8,-79.5\n"))
     assert recording.track().timestamp_ns[0] == 10**17
     if digits > 8:
         assert refusal(write(tmp_path / "y.csv", f"time,lat,lon\n{10**digits - 100},43.8,-79.5\n")).place
 
 
-def test_less_than_1973_in_seconds_has_no_unit(tmp_path: Path) -> None:
+def test_numbers_below_1973_in_seconds_have_no_unit(tmp_path: Path) -> None:
     assert "time_unit" in str(refusal(write(tmp_path / "x.csv", "time,lat,lon\n99999999,43.8,-79.5\n")))
 
 
@@ -131,7 +131,7 @@ def test_a_folder_is_one_drive_in_the_order_of_the_names(tmp_path: Path) -> None
     assert [name for name, _ in recording.files()] == ["part1.csv", "part10.csv", "part9.csv"]
 
 
-def test_files_that_are_drives_of_their_own_are_refused(tmp_path: Path) -> None:
+def test_folder_of_separate_drives_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", "timestamp,lat,lon\n1628184886,43.8,-79.5\n")
     write(tmp_path / "b.csv", "timestamp,lat,lon\n1628100000,43.8,-79.5\n")
     error = refusal(tmp_path)
@@ -139,14 +139,14 @@ def test_files_that_are_drives_of_their_own_are_refused(tmp_path: Path) -> None:
     assert error.file is not None and error.file.endswith("b.csv")
 
 
-def test_the_next_file_may_start_with_the_stamp_that_the_last_one_starts_with(tmp_path: Path) -> None:
-    """A logger that splits its file before the clock has moved; only a start before that is another drive."""
+def test_two_files_may_start_with_the_same_stamp(tmp_path: Path) -> None:
+    """A logger may split its file within one tick of its clock; only an earlier start is another drive."""
     for name in ("a", "b"):
         write(tmp_path / f"{name}.csv", "timestamp,lat,lon\n1628184886,43.8,-79.5\n")
     assert (np.diff(open_recording(tmp_path).track().timestamp_ns) == 0).all()
 
 
-def test_the_folder_layout_is_not_taken_for_tables(tmp_path: Path) -> None:
+def test_folder_layout_is_not_recognised_as_tables(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "drive")
     assert not CsvReader().recognises(path)
     write(tmp_path / "tables" / "poses.csv", POSES)
@@ -167,7 +167,7 @@ def test_the_wrong_date_of_the_sibling_files_is_named(tmp_path: Path) -> None:
     assert "90/02/2032" in refusal(file, {"tz": "UTC", "date_format": "MM/DD/YYYY"}).problem
 
 
-def test_weather_is_the_commonest_word(tmp_path: Path) -> None:
+def test_weather_is_the_most_frequent_word(tmp_path: Path) -> None:
     rows = [("Rain", 10), ("Clouds", 11), ("Rain", 12)]
     file = write(
         tmp_path / "d.csv",
@@ -204,7 +204,7 @@ def test_a_binary_file_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path / "drive.csv").file == str(tmp_path / "drive.csv")
 
 
-def test_wild_fixes_are_left_to_cleaning(tmp_path: Path) -> None:
+def test_wild_fixes_stay_in_the_track(tmp_path: Path) -> None:
     file = write(tmp_path / "drive.csv", PLAIN + "1628184888,nan,1555.6\n1628184880,inf,-79.46\n")
     track = open_recording(file).track()
     assert len(track) == 4
@@ -212,7 +212,7 @@ def test_wild_fixes_are_left_to_cleaning(tmp_path: Path) -> None:
     assert track.latitude_deg is not None and np.isnan(track.latitude_deg[2]) and np.isinf(track.latitude_deg[3])
 
 
-def test_no_tables(tmp_path: Path) -> None:
+def test_folder_without_tables_is_refused(tmp_path: Path) -> None:
     assert not CsvReader().recognises(tmp_path)
     with pytest.raises(RecordingError, match="no tables"):
         CsvReader().open(tmp_path, {})
@@ -220,7 +220,7 @@ def test_no_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stamp", ["2021-08-05 17:34:4", "2021-08-05T17:34:4"])
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
-def test_the_time_base_says_which_zone_counted(stamp: str, zone: str, tmp_path: Path) -> None:
+def test_time_base_names_the_zone(stamp: str, zone: str, tmp_path: Path) -> None:
     rows = [f"{stamp}{second}{zone},{7 + second * 1e-4},33.0" for second in range(5)]
     file = write(tmp_path / "one.csv", "time,lon,lat\n" + "\n".join(rows) + "\n")
     expected = "date and time with UTC offset" if zone else "date and time, local in Europe/Berlin"

@@ -1,4 +1,4 @@
-"""Solar elevation against published values; labels at their limits."""
+"""Solar elevation against published values, and labels at their limits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_agrees_with_published_values(
 
 
 @given(st.integers(0, 4 * 10**18), st.floats(-180, 180), st.floats(-90, 90))
-def test_opposite_places_see_opposite_skies(stamp: int, longitude: float, latitude: float) -> None:
+def test_antipodes_have_opposite_elevations(stamp: int, longitude: float, latitude: float) -> None:
     here = solar_elevation_deg(stamp, longitude, latitude)
     there = solar_elevation_deg(stamp, longitude + 180, -latitude)
     assert abs(float(here + there)) < 1e-6

@@ -1,4 +1,4 @@
-"""Names of files: none leads out of a recording."""
+"""File names of a recording: names that lead out of it are refused."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def root(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["masks/front.png", "masks//front.png", "./masks/front.png", "not there yet.png"])
-def test_names_inside_are_found(root: Path, name: str) -> None:
+def test_names_inside_the_recording_are_accepted(root: Path, name: str) -> None:
     assert require_inside(root, name, file=root, place="here") == root / name
 
 
@@ -61,7 +61,7 @@ def test_links_that_lead_out_are_refused(root: Path) -> None:
             attempt()
 
 
-def test_links_within_are_followed(root: Path) -> None:
+def test_links_inside_the_recording_are_followed(root: Path) -> None:
     (root / "masks" / "same.png").symlink_to("front.png")
     (root / "again").symlink_to(root)
     (root / ".hidden").write_text("")
@@ -69,7 +69,7 @@ def test_links_within_are_followed(root: Path) -> None:
     assert [name for name, _ in list_files(root)] == ["masks/front.png", "masks/same.png"]
 
 
-def test_numbers_count_by_value() -> None:
+def test_numbers_are_sorted_by_value() -> None:
     assert sorted(["10", "9", "part_2", "part_10", "part_1a"], key=natural_key) == [
         "9",
         "10",
@@ -87,6 +87,6 @@ def test_identifiers(text: str, expected: str) -> None:
     assert to_identifier(text) == expected
 
 
-def test_nothing_makes_no_identifier() -> None:
+def test_text_without_letters_and_digits_is_refused() -> None:
     with pytest.raises(RecordingError, match="no letter or digit"):
         to_identifier("|||")

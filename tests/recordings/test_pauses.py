@@ -19,7 +19,7 @@ from tests.fuzz.bases import boreas, dgp, folder
 
 
 @given(st.integers(9, 60), st.data())
-def test_as_many_are_counted_as_were_removed(count: int, data: st.DataObject) -> None:
+def test_count_equals_the_number_of_removed_images(count: int, data: st.DataObject) -> None:
     removed = data.draw(st.sets(st.integers(1, count - 2), max_size=(count - 1) // 4))
     jitter = np.random.default_rng(count).integers(-9_000_000, 9_000_000, count)
     stamps = np.delete(np.arange(count) * 100_000_000 + jitter, sorted(removed))
@@ -40,7 +40,7 @@ def test_removed_images_are_counted_by_camera(tmp_path: Path) -> None:
     assert {name: camera.missing for name, camera in cameras.items()} == {"front_wide": 3, "rear": 0}
 
 
-def test_an_image_that_the_recording_names_and_lacks_is_an_error(tmp_path: Path) -> None:
+def test_missing_image_that_the_recording_names_is_an_error(tmp_path: Path) -> None:
     base = dgp(tmp_path)
     image = sorted((base.path / "rgb" / "CAM").iterdir())[2]
     image.unlink()

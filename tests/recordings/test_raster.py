@@ -1,4 +1,4 @@
-"""End markers: one rule for reading in, for decoding and for checking."""
+"""Structure of encoded images; ingest, decoding and `mirror check` share one rule for end markers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_padding_is_accepted_up_to_the_tail(codec: str) -> None:
 
 
 @pytest.mark.parametrize("codec", ["jpeg", "png"])
-def test_a_picture_that_is_cut_short_is_refused_by_all(codec: str) -> None:
+def test_truncated_image_is_refused_by_every_check(codec: str) -> None:
     data = IMAGES[codec][:-3]
     assert not has_end_marker(data, codec) and decode_rgb(data, codec) is None
     with pytest.raises(RecordingError, match="truncated"):
@@ -47,7 +47,7 @@ def test_other_codecs_have_no_marker() -> None:
 
 
 def test_every_byte_of_the_structure_counts() -> None:
-    """Of a JPEG's markers and a PNG's chunks no byte can be lost or changed unnoticed."""
+    """Every lost or changed byte of a JPEG's markers and a PNG's chunks is detected."""
     for codec, data in IMAGES.items():
         assert (
             require_complete_image(data, "p")
@@ -74,14 +74,14 @@ def test_every_byte_of_the_structure_counts() -> None:
         [cv2.IMWRITE_JPEG_OPTIMIZE, 1],
     ],
 )
-def test_what_encoders_write_is_whole(suffix: str, options: list[int]) -> None:
+def test_images_of_encoders_are_complete(suffix: str, options: list[int]) -> None:
     for pixels in (PIXELS, PIXELS[..., 0], np.zeros((70, 90, 3), np.uint8)):
         data = cv2.imencode(suffix, pixels, options if suffix == ".jpg" else [])[1].tobytes()
         assert require_complete_image(data, "p") == pixels.shape[1::-1]
 
 
 @pytest.mark.parametrize("quality", [50, 95])
-def test_pillow_writes_whole_images(quality: int) -> None:
+def test_images_of_pillow_are_complete(quality: int) -> None:
     """Another encoder, with EXIF, a profile, a comment, grey, 16 bits and a palette."""
     import io
 
@@ -104,7 +104,7 @@ def test_pillow_writes_whole_images(quality: int) -> None:
         assert require_complete_image(sink.getvalue(), "p") == (32, 24)
 
 
-def test_foreign_bytes_in_the_image_data_show() -> None:
+def test_foreign_bytes_in_the_image_data_are_detected() -> None:
     data = cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8))[1].tobytes()
     garbage = np.random.default_rng(2).bytes(4096)
     with pytest.raises(RecordingError, match="broken JPEG"):
@@ -112,7 +112,7 @@ def test_foreign_bytes_in_the_image_data_show() -> None:
 
 
 @pytest.mark.real_data
-def test_photos_of_real_cameras_are_whole(real_data: Path) -> None:
+def test_photos_of_real_cameras_are_complete(real_data: Path) -> None:
     photos = [file for suffix in ("jpg", "png") for file in sorted(real_data.rglob(f"*.{suffix}"))]
     assert len(photos) > 40
     for file in photos:

@@ -1,4 +1,4 @@
-"""Readers are found by entry point, and a path by its reader."""
+"""Readers are loaded from entry points, and a path is opened by the reader that recognises it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.recordings.layout import write_recording
 
 
 class OddReader:
-    """Takes what the folder reader takes."""
+    """Recognises the same paths as the folder reader."""
 
     name = "odd"
     expects = "a folder with odd things"
@@ -43,7 +43,7 @@ def test_the_built_in_readers_are_installed() -> None:
     assert {"boreas", "comma2k19", "csv", "dgp", "folder"} <= set(registry.load_readers())
 
 
-def test_a_path_finds_its_reader(tmp_path: Path) -> None:
+def test_path_is_opened_by_the_reader_that_recognises_it(tmp_path: Path) -> None:
     recording = registry.open_recording(write_recording(tmp_path / "drive"))
     assert recording.info.drive_id == "drive-1"
     assert isinstance(recording, Recording)
@@ -82,19 +82,19 @@ def test_bad_entry_points_are_named(monkeypatch: pytest.MonkeyPatch, name: str, 
         registry.load_readers()
 
 
-def test_a_path_that_nobody_knows_lists_the_readers(tmp_path: Path) -> None:
+def test_unrecognised_path_lists_the_readers(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no reader recognises this path") as caught:
         registry.open_recording(tmp_path)
     for name in ("boreas: ", "csv: ", "folder: a folder with recording.json", "--reader"):
         assert name in str(caught.value)
 
 
-def test_nothing_there(tmp_path: Path) -> None:
+def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="nothing at this path"):
         registry.open_recording(tmp_path / "gone")
 
 
-def test_an_unknown_reader_lists_those_there_are(tmp_path: Path) -> None:
+def test_unknown_reader_lists_the_installed_readers(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no reader 'rosbag'.*folder"):
         registry.open_recording(tmp_path, "rosbag")
 

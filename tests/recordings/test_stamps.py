@@ -63,15 +63,15 @@ def test_one_row_decides_the_order_for_all() -> None:
     assert parse("04/05/2021 00:00:00", "22/04/2021 00:00:00")[0] == parse("2021-05-04T00:00:00Z")[0]
 
 
-def test_an_undecided_order_is_asked_for() -> None:
+def test_undecided_order_is_refused() -> None:
     message = refusal("04/05/2021 00:00:00")
     assert "month first or day first" in message
     assert "date_format=MM/DD/YYYY" in message
     assert parse("04/05/2021 00:00", date_format="DD/MM/YYYY") == parse("2021-05-04T00:00Z")
 
 
-def test_a_date_that_no_order_reads_decides_nothing() -> None:
-    """As the clock of a published set wrote them: they are bad, and name no order of day and month."""
+def test_date_without_a_valid_order_decides_no_order() -> None:
+    """A published dataset has such dates: they are bad rows, and give no order of day and month."""
     for wrong in ("90/02/2032 00:00:00", "30/00/2001 00:00:00", "03/00/2000 00:00:00", "02/00/2090 00:00:00"):
         table = pa.table({"when": ["04/05/2021 00:00:00", wrong, "04/22/2021 00:00:00"]})
         faults = RowFaults(3)

@@ -72,7 +72,7 @@ def test_text_and_integers_are_exact_in_every_unit(ns: int, name: str) -> None:
 
 
 @given(st.floats(0, 4e9))
-def test_float_seconds_lose_nothing_more_than_they_had(seconds: float) -> None:
+def test_float_seconds_keep_their_precision(seconds: float) -> None:
     exact = Decimal(seconds) * SECOND
     assert abs(Decimal(int(to_unix_ns(pa.chunked_array([[seconds]]), "unix_s")[0])) - exact) <= 1
 
@@ -89,7 +89,7 @@ def test_float_seconds_lose_nothing_more_than_they_had(seconds: float) -> None:
         ([1.0, float("inf")], "gps_s", 1),
     ],
 )
-def test_what_is_no_stamp_is_named_by_its_row(values: list[object], base: str, row: int) -> None:
+def test_invalid_stamp_is_named_by_its_row(values: list[object], base: str, row: int) -> None:
     with pytest.raises(StampError) as caught:
         to_unix_ns(pa.chunked_array([values]), base)
     assert caught.value.row == row

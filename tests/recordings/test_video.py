@@ -1,4 +1,4 @@
-"""Frames of videos: the same as decoding from the start, with most of the work left out."""
+"""Frames of videos equal those of decoding from the start, with fewer decoded frames."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def open_stream(file: Path, pts: Int64) -> VideoStream:
 
 
 def decode_all(file: Path) -> list[tuple[int | None, bytes]]:
-    """The reference: every frame from the first, encoded alike."""
+    """The reference: decode every frame from the first, and encode it in the same way."""
     found = []
     with av.open(str(file)) as container:
         for frame in container.decode(video=0):
@@ -60,7 +60,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", ["mp4", "mkv", "ts"])
 @pytest.mark.parametrize("b_frames", [0, 3])
-def test_any_frame_is_the_frame_of_sequential_decoding(tmp_path: Path, name: str, b_frames: int) -> None:
+def test_each_frame_equals_sequential_decoding(tmp_path: Path, name: str, b_frames: int) -> None:
     file = write_video(tmp_path / f"front.{name}", b_frames=b_frames)
     reference = dict(decode_all(file))
     pts, _ = read_video_stamps(file)
@@ -73,7 +73,7 @@ def test_any_frame_is_the_frame_of_sequential_decoding(tmp_path: Path, name: str
     assert {index: reference[int(pts[index])] for index in wanted} == dict(stream.read(wanted))
 
 
-def test_open_groups_of_pictures_are_entered_early_enough(tmp_path: Path) -> None:
+def test_frames_of_open_gops_are_decoded_from_the_previous_key_frame(tmp_path: Path) -> None:
     file = write_video(tmp_path / "front.mp4", codec="libx265", b_frames=3)
     reference = dict(decode_all(file))
     pts, _ = read_video_stamps(file)
@@ -82,7 +82,7 @@ def test_open_groups_of_pictures_are_entered_early_enough(tmp_path: Path) -> Non
         assert list(stream.read([index])) == [(index, reference[int(pts[index])])]
 
 
-def test_only_the_wanted_groups_are_decoded(video: Path) -> None:
+def test_only_gops_of_requested_frames_are_decoded(video: Path) -> None:
     pts, _ = read_video_stamps(video)
     stream = open_stream(video, pts)
     assert stream.path(3) is None
@@ -119,7 +119,7 @@ def test_a_truncated_video_names_file_and_stamp(video: Path, tmp_path: Path) -> 
         assert caught.value.remedy is not None
 
 
-def test_a_video_with_its_index_in_front_still_lacks_its_end(tmp_path: Path) -> None:
+def test_truncated_video_with_a_leading_index_lacks_its_last_frames(tmp_path: Path) -> None:
     file = write_video(tmp_path / "front.mkv")
     pts, _ = read_video_stamps(file)
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
@@ -131,7 +131,7 @@ def test_a_video_with_its_index_in_front_still_lacks_its_end(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("pts", [-5, 1, 10**9])
-def test_a_stamp_that_the_video_lacks_is_named(video: Path, pts: int) -> None:
+def test_stamp_without_a_frame_is_named(video: Path, pts: int) -> None:
     with pytest.raises(RecordingError, match="no such frame") as caught:
         list(open_stream(video, np.array([pts])).read([0]))
     assert caught.value.place == f"pts {pts}"
@@ -144,7 +144,7 @@ def test_stamps_must_ascend_and_match() -> None:
         VideoStream("front", np.array([1]), np.array([1]), Path("front.mp4"), np.array([1, 2]))
 
 
-def test_no_video_at_all(tmp_path: Path) -> None:
+def test_file_without_video_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
     for file in (tmp_path / "text.mp4", tmp_path / "gone.mp4"):
         with pytest.raises(RecordingError, match="cannot be read"):

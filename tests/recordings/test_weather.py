@@ -30,32 +30,32 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     ("word", "label"),
     [("Clouds", "clouds"), (" Light-Rain ", "rain"), ("MIST", "fog"), ("sleet", "snow"), ("Sunny", "clear")],
 )
-def test_words_are_brought_to_ours(word: str, label: str) -> None:
+def test_words_are_converted_to_labels(word: str, label: str) -> None:
     assert weather.weather_label(word) == label
 
 
 @pytest.mark.parametrize("word", [None, "", "banana"])
-def test_unknown_words_say_nothing(word: str | None) -> None:
+def test_unknown_words_give_none(word: str | None) -> None:
     assert weather.weather_label(word) is None
 
 
-def test_every_own_word_is_known() -> None:
+def test_every_label_is_a_known_word() -> None:
     assert [weather.weather_label(word) for word in weather.WEATHER] == list(weather.WEATHER)
 
 
 @pytest.mark.usefixtures("plugins")
-def test_a_plugin_looks_at_pictures() -> None:
+def test_plugin_classifies_images() -> None:
     assert weather.weather_plugins() == ["darkness"]
     assert weather.classify_weather("darkness", [np.zeros((2, 2, 3), np.uint8)]) == "rain"
 
 
 @pytest.mark.usefixtures("plugins")
-def test_an_answer_outside_the_words_is_refused() -> None:
+def test_unknown_word_of_a_plugin_is_refused() -> None:
     with pytest.raises(UsageError, match="returned 'bright'"):
         weather.classify_weather("darkness", [np.full((2, 2, 3), 255, np.uint8)])
 
 
 @pytest.mark.usefixtures("plugins")
-def test_an_unknown_plugin_lists_those_there_are() -> None:
+def test_unknown_plugin_lists_the_installed_plugins() -> None:
     with pytest.raises(UsageError, match="expected one of darkness"):
         weather.classify_weather("clairvoyance", [])

@@ -36,7 +36,7 @@ def test_every_column_is_documented_and_sorted_by_columns_that_exist(table) -> N
     assert set(table.sorted_by) <= set(table.schema.names)
 
 
-def test_documentation_travels_with_the_file(tmp_path: Path) -> None:
+def test_file_contains_the_documentation_of_its_columns(tmp_path: Path) -> None:
     write_table(tmp_path / "ego_poses.parquet", poses(2), EGO_POSES)
     field = pq.read_schema(tmp_path / "ego_poses.parquet").field("tx_m")
     assert field.metadata[b"doc"] == EGO_POSES.schema.field("tx_m").metadata[b"doc"]
@@ -94,7 +94,7 @@ def test_truncated_parquet_names_file_and_table(tmp_path: Path) -> None:
         (None, "not a version"),
     ],
 )
-def test_other_versions_are_refused_with_the_way_out(found, says: str, tmp_path: Path) -> None:
+def test_unreadable_versions_are_refused_with_a_remedy(found, says: str, tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match=says) as caught:
         require_readable(found, "dataset.json")
     assert caught.value.remedy
@@ -122,7 +122,7 @@ def test_broken_json_names_line_and_key(tmp_path: Path) -> None:
         read_json(path, DatasetDocument)
 
 
-def test_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
+def test_failed_write_leaves_the_previous_file(tmp_path: Path) -> None:
     path = tmp_path / "kept"
     path.write_bytes(b"before")
     with pytest.raises(DatasetError, match="cannot be written"):

@@ -1,4 +1,4 @@
-"""What a folder is, and what may be written into it."""
+"""Kinds of folders, and the outputs that they accept."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def write(folder: Path, kind: FolderKind) -> Path:
 
 
 @pytest.mark.parametrize("kind", DOCUMENTS)
-def test_each_kind_is_known_and_refused_as_another(kind: FolderKind, tmp_path: Path) -> None:
+def test_each_kind_is_recognised_and_refused_as_another(kind: FolderKind, tmp_path: Path) -> None:
     folder = write(tmp_path / "there", kind)
     assert find_kind(folder) is kind
     assert require_output_folder(folder, kind) is kind
@@ -46,7 +46,7 @@ def test_each_kind_is_known_and_refused_as_another(kind: FolderKind, tmp_path: P
 
 
 @pytest.mark.parametrize("kind", DOCUMENTS)
-def test_nothing_is_put_inside_what_is_sealed(kind: FolderKind, tmp_path: Path) -> None:
+def test_no_output_is_written_inside_a_sealed_folder(kind: FolderKind, tmp_path: Path) -> None:
     inside = write(tmp_path / "there", kind) / "deeper" / "new"
     if kind not in SEALED:
         assert require_output_folder(inside, FolderKind.RESULTS) is None
@@ -58,7 +58,7 @@ def test_nothing_is_put_inside_what_is_sealed(kind: FolderKind, tmp_path: Path) 
         require_output_file(inside)
 
 
-def test_through_a_link_it_is_inside_all_the_same(tmp_path: Path) -> None:
+def test_linked_path_inside_a_sealed_folder_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "there", FolderKind.DATASET)
     (tmp_path / "link").symlink_to(tmp_path / "there")
     with pytest.raises(UsageError, match="inside"):
@@ -78,21 +78,21 @@ def test_through_a_link_it_is_inside_all_the_same(tmp_path: Path) -> None:
         ("one/recording.json", FolderKind.RECORDINGS),
     ],
 )
-def test_what_an_interrupted_run_left_is_its_own(mark: str, kind: FolderKind, tmp_path: Path) -> None:
+def test_interrupted_run_may_resume_in_its_folder(mark: str, kind: FolderKind, tmp_path: Path) -> None:
     path = tmp_path / "there" / mark
     path.parent.mkdir(parents=True)
     path.write_text("{}")
     assert find_kind(tmp_path / "there") is kind
 
 
-def test_other_files_beside_traversals_are_no_dataset(tmp_path: Path) -> None:
+def test_folder_with_other_files_is_not_a_dataset(tmp_path: Path) -> None:
     (tmp_path / "there" / "traversals").mkdir(parents=True)
     assert find_kind(tmp_path / "there") is FolderKind.DATASET
     (tmp_path / "there" / "thesis.tex").write_text("")
     assert find_kind(tmp_path / "there") is FolderKind.OTHER
 
 
-def test_absent_and_empty_folders_are_free_and_files_are_not(tmp_path: Path) -> None:
+def test_absent_and_empty_folders_are_accepted_and_files_refused(tmp_path: Path) -> None:
     assert require_output_folder(tmp_path / "none") is None
     (tmp_path / ".result.json.77.tmp").write_text("half")
     assert require_output_folder(tmp_path) is None
@@ -104,7 +104,7 @@ def test_absent_and_empty_folders_are_free_and_files_are_not(tmp_path: Path) -> 
     require_output_file(tmp_path / "file")
 
 
-def test_documents_of_others_with_the_same_name_say_nothing(tmp_path: Path) -> None:
+def test_documents_of_other_programs_do_not_identify_a_folder(tmp_path: Path) -> None:
     (tmp_path / "manifest.json").write_text('{"name": "a web page"}')
     assert find_kind(tmp_path) is FolderKind.OTHER
     assert require_output_folder(tmp_path / "new") is None

@@ -1,4 +1,4 @@
-"""JSON that has two meanings is refused by everything that reads JSON."""
+"""Ambiguous JSON is refused by every module that reads JSON."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ VALUES = st.recursive(
 
 
 @given(VALUES)
-def test_what_json_writes_is_read_as_the_standard_library_reads_it(value: object) -> None:
+def test_valid_json_is_read_as_the_standard_library_reads_it(value: object) -> None:
     text = json.dumps(value)
     assert decode_json(text) == decode_json(text.encode(), constants=False) == json.loads(text) == value
 
 
 @given(VALUES, VALUES, st.text(max_size=10))
-def test_a_key_twice_is_refused_wherever_it_stands(first: object, last: object, key: str) -> None:
+def test_repeated_key_is_refused_at_any_depth(first: object, last: object, key: str) -> None:
     name = json.dumps(key)
     twice = f"{{{name}: {json.dumps(first)}, {name}: {json.dumps(last)}}}"
     for text in (twice, f"[1, {twice}]", f'{{"outer": {{"inner": [{twice}]}}}}'):
@@ -42,18 +42,18 @@ def test_a_key_twice_is_refused_wherever_it_stands(first: object, last: object, 
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1,]", "{'a': 1}", "[" * 100_000, "1" * 5000, b"\xff\xfe\x00", "nul"])
-def test_what_is_no_json(text: str | bytes) -> None:
+def test_invalid_json_is_refused(text: str | bytes) -> None:
     with pytest.raises(JsonError, match="not valid JSON"):
         decode_json(text)
 
 
-def test_numbers_that_json_does_not_have_are_refused_where_asked() -> None:
+def test_nan_and_infinity_are_refused_on_request() -> None:
     assert decode_json("[Infinity]") == [float("inf")]
     with pytest.raises(JsonError, match="the number NaN"):
         decode_json("[NaN]", constants=False)
 
 
-def test_documents_regions_and_recordings_with_a_key_twice(tmp_path: Path) -> None:
+def test_documents_rois_and_recordings_with_a_repeated_key_are_refused(tmp_path: Path) -> None:
     (tmp_path / "dataset.json").write_text('{"format": "mirror", "format": "mirror"}')
     with pytest.raises(MirrorError, match=r"dataset\.json: the key 'format' stands twice"):
         read_json(tmp_path / "dataset.json", DatasetDocument)
@@ -70,14 +70,14 @@ def test_documents_regions_and_recordings_with_a_key_twice(tmp_path: Path) -> No
         FolderReader().open(tmp_path / "twice", {})
 
 
-def test_no_other_reader_of_json_documents_comes_in() -> None:
+def test_no_module_reads_json_documents_in_another_way() -> None:
     own = {
         "mirror/schema/strict_json.py",
-        # A line of a log that only this toolkit writes, and that is read for as far as it goes.
+        # Lines of a log that only this toolkit writes; the last line may be incomplete.
         "mirror/evaluation/workers.py",
-        # What pip wrote of this installation.
+        # pip writes this file about the installation.
         "mirror/installation.py",
-        # Words of a command line, and texts inside of safetensors that were written by the same module.
+        # Values of a command line, and texts in safetensors files that the same module wrote.
         "baselines/hybridworldsim/methods/overrides.py",
         "baselines/hybridworldsim/methods/static.py",
         "baselines/hybridworldsim/model/storage.py",

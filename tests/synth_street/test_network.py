@@ -44,9 +44,9 @@ def test_lanes_lie_on_the_ground_in_steps_of_a_metre(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_vehicle_lanes_are_on_carriageways_and_walking_lanes_on_pavements(kind):
     scene = plan(kind)
-    inner = scene.driven.buffer(-0.5)
+    inner = scene.carriageways.buffer(-0.5)
     shapely.prepare(inner)
-    pavement = shapely.difference(scene.roads, scene.driven).buffer(0.01)
+    pavement = shapely.difference(scene.roads, scene.carriageways).buffer(0.01)
     for lane in scene.network.lanes.values():
         line = shapely.LineString(lane.line[3:-3, :2]) if len(lane.line) > 8 else shapely.LineString(lane.line[:, :2])
         if lane.use in (*WHEELS, "park"):

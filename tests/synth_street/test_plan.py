@@ -40,26 +40,26 @@ def test_an_urban_street_is_built_up_on_both_sides():
     assert len(scene.lots) > 150
     assert {"front", "corner", "yard"} == {lot.kind for lot in scene.lots}
     main = scene.streets[0]
-    built = 0.0
+    lot_area = 0.0
     for lot in scene.lots:
         _, offset = main.line.locate(lot.origin[None, :2])
         if abs(offset[0]) < main.section.half_m + main.section.pavement_m + 3.0:
-            built += lot.length_m
-    assert built > 0.6 * 2 * (main.line.last_m - main.line.first_m)
+            lot_area += lot.length_m
+    assert lot_area > 0.6 * 2 * (main.line.last_m - main.line.first_m)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_spots_are_beside_the_carriageway_and_face_the_right_way(kind):
     scene = plan(kind)
     places = shapely.points([spot.place[:2] for spot in scene.spots])
-    assert shapely.distance(scene.driven, places).min() > 0.3
+    assert shapely.distance(scene.carriageways, places).min() > 0.3
     kinds = {spot.kind for spot in scene.spots}
     assert {"urban": {"lamp", "tree", "signal", "yield", "sign", "furniture"}, "campus": {"lamp", "tree", "crosswalk"},
             "rural": {"tree", "pole", "yield"}, "highway": {"gantry", "tree"}}[kind] <= kinds  # fmt: skip
     for spot in scene.spots:
         towards = spot.place[:2] + spot.reach_m * np.array([np.cos(spot.yaw_rad), np.sin(spot.yaw_rad)])
         if spot.kind != "gantry":
-            assert shapely.contains_xy(scene.driven, *towards), spot
+            assert shapely.contains_xy(scene.carriageways, *towards), spot
         # Traffic on this side drives against the facing direction.
         near = [
             lane for lane in scene.network.lanes.values()
@@ -81,7 +81,7 @@ def test_guard_rails_run_along_the_motorway_and_leave_its_slip_roads_open():
     assert len(scene.rails) >= 5
     for rail in scene.rails:
         line = shapely.LineString(rail.line)
-        assert shapely.distance(scene.driven, line) > 0.2
+        assert shapely.distance(scene.carriageways, line) > 0.2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -90,7 +90,7 @@ def test_free_land_is_clear_of_roads_and_lots(kind):
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-150, 150, (2, 400))
     free = scene.is_free(x, y, 3.0)
-    everything = shapely.union_all([scene.roads, scene.built]).buffer(3.0, quad_segs=32)
+    everything = shapely.union_all([scene.roads, scene.lot_area]).buffer(3.0, quad_segs=32)
     held = shapely.contains_xy(everything, x, y)
     assert (free == ~held).mean() > 0.995
     assert free.any() and not free.all()

@@ -50,7 +50,7 @@ def test_carriageways_are_free_of_objects(kind: Kind) -> None:
     places = corners[~ground & near]
     above = places[:, 2] - found.height_m(places[:, 0], places[:, 1])
     low = places[(above > 0.05) & (above < 3.5)]
-    on_road = shapely.contains_xy(found.plan.driven.buffer(-0.25), low[:, 0], low[:, 1])
+    on_road = shapely.contains_xy(found.plan.carriageways.buffer(-0.25), low[:, 0], low[:, 1])
     assert on_road.sum() == 0
 
 

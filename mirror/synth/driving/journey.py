@@ -28,7 +28,7 @@ from mirror.synth.road_users.body import Body, Motion, RoadUser
 
 _WARM_UP_S: Final = 60.0
 _LONGEST_S: Final = 240.0
-_SEEN_M: Final = 60.0
+_VISIBLE_M: Final = 60.0
 _LEAVE: Final = 3
 _CLEARANCE_M: Final = 0.04
 _BESIDE_M: Final = 2.6
@@ -112,8 +112,8 @@ def _attempt(
     aside_m: float,
     bustle: TrafficDensity,
 ) -> Journey | None:
-    own = _recording_vehicle(route, chassis, rng, fastest_mps, aside_m)
-    until = _WARM_UP_S + min(_longest_s(own), _LONGEST_S)
+    recorder = _recording_vehicle(route, chassis, rng, fastest_mps, aside_m)
+    until = _WARM_UP_S + min(_longest_s(recorder), _LONGEST_S)
     ways = Ways()
     cars = list(place_parked_cars(site, scene_seed, rng))
     off = _drop_blocking_cars(cars, rng)
@@ -127,15 +127,15 @@ def _attempt(
     on_foot = list(make_walkers(site, bustle, ways, rng))
     clock = float(rng.uniform(0.0, site.network.cycle_s))
     schedules = simulate_participants(
-        site.network, [own, *others, *on_foot], clock, until, first_goes_first=route.first
+        site.network, [recorder, *others, *on_foot], clock, until, first_goes_first=route.first
     )
     ego = schedules[0]
     if ego is None or ego.along_m[-1] < route.end_m:
         return None
     start = ego.begin_s + _SETTLED_S if route.stands_s else ego.time_of(route.begin_m)
     duration = ego.time_of(route.end_m) - start
-    trace = build_trace(route.way, chassis, site.height_m, own.aside)
-    drive = Drive(name, trace, ego.since(start), duration, clock + start, own.manner.phase)
+    trace = build_trace(route.way, chassis, site.height_m, recorder.aside)
+    drive = Drive(name, trace, ego.since(start), duration, clock + start, recorder.manner.phase)
     moving = [
         (participant, schedule.since(start))
         for participant, schedule in zip([*others, *on_foot], schedules[1:])
@@ -173,10 +173,12 @@ def _recording_vehicle(
     )  # fmt: skip
 
 
-def _longest_s(own: Participant) -> float:
+def _longest_s(recorder: Participant) -> float:
     """Upper limit of the duration of the drive."""
-    stretch = own.way.pace_mps[int(own.enter_m / STEP_M) : int((own.end_m or own.way.length_m) / STEP_M)]
-    return 40.0 + own.pause_s + 3.0 * float((STEP_M / np.minimum(stretch, own.manner.fastest_mps)).sum())
+    stretch = recorder.way.pace_mps[
+        int(recorder.enter_m / STEP_M) : int((recorder.end_m or recorder.way.length_m) / STEP_M)
+    ]
+    return 40.0 + recorder.pause_s + 3.0 * float((STEP_M / np.minimum(stretch, recorder.manner.fastest_mps)).sum())
 
 
 def _drop_blocking_cars(cars: Sequence[ParkedCar], rng: np.random.Generator) -> list[ParkedCar]:
@@ -187,9 +189,9 @@ def _drop_blocking_cars(cars: Sequence[ParkedCar], rng: np.random.Generator) -> 
 
 def _is_blocking(car: ParkedCar, other: ParkedCar) -> bool:
     """Whether another car is parked directly in front of a car."""
-    own, there = car.motion.placement, other.motion.placement
-    dx, dy = there.x_m - own.x_m, there.y_m - own.y_m
-    cos, sin = math.cos(own.yaw_rad), math.sin(own.yaw_rad)
+    place, other_place = car.motion.placement, other.motion.placement
+    dx, dy = other_place.x_m - place.x_m, other_place.y_m - place.y_m
+    cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
     return 1.0 < cos * dx + sin * dy < _PULL_OUT_M and abs(cos * dy - sin * dx) < 1.5
 
 
@@ -238,7 +240,7 @@ def _make_road_users(
     sizes = np.array([(chassis.length_m, chassis.width_m), *(body.size_m[:2] for body, _ in everybody)])
     fixed = np.zeros(len(places), np.bool_)
     fixed[0] = True
-    is_kept = select_non_overlapping(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _SEEN_M)
+    is_kept = select_non_overlapping(places, 0.5 * sizes + _CLEARANCE_M, fixed, site.radius_m + _VISIBLE_M)
     counts: dict[str, int] = {}
     road_users = []
     for (body, motion), stays in zip(everybody, is_kept[1:]):

@@ -17,7 +17,7 @@ from mirror.synth.street.network import Lane
 _PITCH_M: Final = 6.2
 _STAYS: Final = 0.42
 _CHANGES: Final = 0.40
-_TAKEN: Final = 0.6
+_OCCUPIED_SHARE: Final = 0.6
 _LONGEST_M: Final = 5.5
 
 
@@ -53,7 +53,7 @@ def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterat
             offset, aside, skew, number, kind = _build_car(always)
             if not stays:
                 occupancy, aside, skew, number, kind = _build_car(rng)
-                if not changes or occupancy > _TAKEN:
+                if not changes or occupancy > _OCCUPIED_SHARE:
                     continue
             at = place + offset * 0.5
             body = get_body(kind, number)

@@ -105,8 +105,8 @@ def simulate_participants(
     road_users = _make_road_users(participants, number)
     meetings = _find_meetings(participants, ways, number)
     if first_goes_first:
-        own = np.argmax(meetings.road_users == 0, axis=1)
-        meetings = meetings._replace(major=np.where((meetings.road_users == 0).any(axis=1), own, meetings.major))
+        ego_column = np.argmax(meetings.road_users == 0, axis=1)
+        meetings = meetings._replace(major=np.where((meetings.road_users == 0).any(axis=1), ego_column, meetings.major))
     green = np.ascontiguousarray(network.green_s, np.float64).reshape(-1, 2)
     ticks = int(longest_s / TICK_S)
     now = State(*np.zeros((len(State._fields), len(participants))))

@@ -14,7 +14,7 @@ from mirror.synth.driving.yielding import FAR, Meetings, State, limit_position, 
 TICK_S: Final = 0.1
 AMBER_S: Final = 3.0
 
-_WAITING, _THERE, _GONE = 0, 1, 2
+_WAITING, _PRESENT, _GONE = 0, 1, 2
 # Pedestrians start to cross only if at least this much of the green is left.
 _LAST_CALL_S: Final = 4.0
 _SIFT: Final = 10
@@ -74,22 +74,22 @@ def simulate(
             if presence[u] == _WAITING and tick * TICK_S >= road_users.enter_s[u]:
                 speed = _entry_speed(u, ways, road_users, meetings, presence, now, heedless and u == 0)
                 if speed >= 0.0:
-                    presence[u], now.s[u], now.v[u] = _THERE, road_users.enter_m[u], speed
+                    presence[u], now.s[u], now.v[u] = _PRESENT, road_users.enter_m[u], speed
                     now.stop_before[u] = now.shut_before[u] = FAR
                     change_lane_pieces = True
-            if presence[u] == _THERE:
+            if presence[u] == _PRESENT:
                 now.wish[u] = free_acceleration(u, ways, road_users, now.s[u], now.v[u])
                 now.stop[u], now.shut[u], now.lead[u], now.lead_speed[u] = FAR, FAR, FAR, 0.0
         if change_lane_pieces or tick % _SIFT == 0:
             lives = _is_active(road_users, meetings, presence, now.s, live)
             change_lane_pieces = False
         for e in live[:lives]:
-            if presence[meetings.road_users[e, 0]] == _THERE and presence[meetings.road_users[e, 1]] == _THERE:
+            if presence[meetings.road_users[e, 0]] == _PRESENT and presence[meetings.road_users[e, 1]] == _PRESENT:
                 yield_at_meeting(e, road_users, meetings, ahead, now)
-        if heedless and presence[0] == _THERE:
+        if heedless and presence[0] == _PRESENT:
             now.wish[0], now.stop[0], now.lead[0] = free_acceleration(0, ways, road_users, now.s[0], now.v[0]), FAR, FAR
         for u in range(count):
-            if presence[u] == _THERE:
+            if presence[u] == _PRESENT:
                 _wait_at_halt(u, ways, road_users, now, green_s, cycle_s, clock)
                 _advance(u, now)
                 lengths[tick, u], speeds[tick, u] = now.s[u], now.v[u]
@@ -107,7 +107,7 @@ def _is_active(road_users: Users, meetings: Meetings, presence: Int64, s: Float6
     count = 0
     for e in range(len(meetings.major)):
         p, q = meetings.road_users[e, 0], meetings.road_users[e, 1]
-        if presence[p] != _THERE or presence[q] != _THERE:
+        if presence[p] != _PRESENT or presence[q] != _PRESENT:
             continue
         if s[p] - road_users.length_m[p] > meetings.end_m[e, 0] or s[q] - road_users.length_m[q] > meetings.end_m[e, 1]:
             continue
@@ -130,7 +130,7 @@ def _entry_speed(
     for e in range(len(meetings.major)):
         for k in range(2):
             other = meetings.road_users[e, 1 - k]
-            if meetings.road_users[e, k] != u or presence[other] != _THERE:
+            if meetings.road_users[e, k] != u or presence[other] != _PRESENT:
                 continue
             inside = meetings.begin_m[e, k] <= at + 1.0
             if not inside or now.s[other] - road_users.length_m[other] > meetings.end_m[e, 1 - k]:

@@ -82,15 +82,15 @@ def _hold_position(way: Way, begin_m: float) -> float:
 
 def _goes_first(p: Way, q: Way, begin_m: tuple[float, float], end_m: tuple[float, float], along: bool) -> int:
     """Right of way: by lane; else against users that pull out, for crossing pedestrians, for users that go straight."""
-    own, other = _zone_lanes(p, begin_m[0], end_m[0]), _zone_lanes(q, begin_m[1], end_m[1])
-    p_yields = any(set(lane.yields_to) & {o.lane_id for o in other} for lane in own)
-    q_yields = any(set(lane.yields_to) & {o.lane_id for o in own} for lane in other)
+    p_lanes, q_lanes = _zone_lanes(p, begin_m[0], end_m[0]), _zone_lanes(q, begin_m[1], end_m[1])
+    p_yields = any(set(lane.yields_to) & {o.lane_id for o in q_lanes} for lane in p_lanes)
+    q_yields = any(set(lane.yields_to) & {o.lane_id for o in p_lanes} for lane in q_lanes)
     if p_yields != q_yields:
         return 1 if p_yields else 0
     p_parks, q_parks = (way.lanes[0].use == "park" if way.lanes else False for way in (p, q))
     if p_parks != q_parks:
         return 1 if p_parks else 0
-    p_walks, q_walks = (any(lane.use in ("walk", "cross") for lane in lanes) for lanes in (own, other))
+    p_walks, q_walks = (any(lane.use in ("walk", "cross") for lane in lanes) for lanes in (p_lanes, q_lanes))
     if p_walks != q_walks:
         return 0 if p_walks else 1
     p_turn, q_turn = (_zone_turn(way, begin, end) for way, begin, end in zip((p, q), begin_m, end_m))

@@ -125,7 +125,7 @@ class SynthDrive:
         return self._journey.road_users
 
     @property
-    def own(self) -> Model:
+    def ego_model(self) -> Model:
         """The parts of the vehicle that its own cameras see, in its ego frame."""
         return _own_model(self.vehicle.kind)
 
@@ -163,7 +163,7 @@ class SynthDrive:
         """The scene in the drive's condition, which renders instants and images."""
         from mirror.synth.render.scene import Scene
 
-        return Scene(self.world, self.condition, self.road_users, self.own, clock_s=self.truth.clock_s)
+        return Scene(self.world, self.condition, self.road_users, self.ego_model, clock_s=self.truth.clock_s)
 
     def prepare(self) -> None:
         """Compute what threads share, before the threads start; otherwise each thread would compute it."""
@@ -249,8 +249,8 @@ def _own_model(kind: VehicleType) -> Model:
 def _own_masks(vehicle: Vehicle) -> dict[str, UInt8]:
     from mirror.synth.truth.casting import ego_mask
 
-    own, mountings = _own_model(vehicle.kind), vehicle.ego_SE3_camera
-    masks = {name: ego_mask(own, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
+    ego_model, mountings = _own_model(vehicle.kind), vehicle.ego_SE3_camera
+    masks = {name: ego_mask(ego_model, camera, mountings[name]) for name, camera in vehicle.cameras.items()}
     return {name: mask for name, mask in masks.items() if mask.any()}
 
 

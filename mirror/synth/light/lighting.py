@@ -172,8 +172,8 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
             0.42 * _SUNLIGHT * sunlight(max(elevation, 3.0)) * float(np.clip((elevation + 4.0) / 10.0, 0.0, 1.0))
         )
         # At night the lights of towns illuminate clouds from below.
-        own = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
-        record["cloud_lit"], record["cloud_base"] = cloud_light + own, 0.12 * cloud_light + own
+        town_glow = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
+        record["cloud_lit"], record["cloud_base"] = cloud_light + town_glow, 0.12 * cloud_light + town_glow
         return
     grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
     # Twilight also colours an overcast sky.

@@ -38,8 +38,8 @@ from mirror.synth.roads.markings import MARK, restrict_layouts
 from mirror.synth.street.foliage import apply_season
 
 _LAMP_REACH_M: Final = 22.0
-_DRAWN_WITHIN_M: Final = 220.0
-_SHADED_WITHIN_M: Final = 50.0
+_RENDER_RANGE_M: Final = 220.0
+_SHADOW_RANGE_M: Final = 50.0
 _BEYOND_M: Final = 80.0
 _PLAIN: Final = CameraResponse()
 _HEADLIGHTS_M: Final = np.array([3.4, 0.0, 0.7])
@@ -127,15 +127,21 @@ class Scene:
         world: the static world.
         condition: light and weather.
         road_users: all other road users, including the parked ones; object numbers follow this order.
-        own: model of the recording vehicle in its ego frame.
+        ego_model: model of the recording vehicle in its ego frame.
         clock_s: time of the signal cycle at the start.
     """
 
     def __init__(
-        self, world: Place, condition: Condition, road_users: Sequence[RoadUser], own: Model, *, clock_s: float = 0.0
+        self,
+        world: Place,
+        condition: Condition,
+        road_users: Sequence[RoadUser],
+        ego_model: Model,
+        *,
+        clock_s: float = 0.0,
     ) -> None:
         roi = world.roi
-        self.world, self.condition, self.road_users, self.own = world, condition, tuple(road_users), own
+        self.world, self.condition, self.road_users, self.ego_model = world, condition, tuple(road_users), ego_model
         self.clock_s = clock_s
         self.light: Lighting = compute_lighting(condition, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0)
 
@@ -181,10 +187,10 @@ class Scene:
         """Return the world ``time_s`` after the start, around the recording vehicle at a pose."""
         ego, turn = world_SE3_ego.translation[0], matrix_from_quaternion(world_SE3_ego.rotation)[0]
         moving, placements = self._moving(time_s, ego)
-        own = self.own.transform(turn, ego, NO_OBJECT)
-        own.faces["label"], own.rounds["label"] = Label.EGO, Label.EGO
+        ego_model = self.ego_model.transform(turn, ego, NO_OBJECT)
+        ego_model.faces["label"], ego_model.rounds["label"] = Label.EGO, Label.EGO
         beam = np.concatenate([ego + turn @ _HEADLIGHTS_M, turn @ _AHEAD])
-        return self._instant(time_s, merge_models([moving, own]), moving, placements, ego, beam)
+        return self._instant(time_s, merge_models([moving, ego_model]), moving, placements, ego, beam)
 
     def around(self, time_s: float, place_m: Float64) -> Instant:
         """Return the world ``time_s`` after the start, around a position (3,), without a recording vehicle."""
@@ -198,7 +204,7 @@ class Scene:
             if not (traffic or _is_static(user)):
                 continue
             place = user.motion.at(time_s)
-            if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _DRAWN_WITHIN_M:
+            if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _RENDER_RANGE_M:
                 placements[number] = place
         models = []
         for number, place in placements.items():
@@ -269,7 +275,7 @@ class Scene:
         maps = static.maps.copy()
         shadow = ShadowMap.none()
         if record["shadows"] and record["sunlight"].any():
-            shadow = render_shadow_map(moving, np.array(record["sun"]), ego, _DRAWN_WITHIN_M)
+            shadow = render_shadow_map(moving, np.array(record["sun"]), ego, _RENDER_RANGE_M)
         maps["moving_shadow_origin"] = shadow.origin
         occlusion, maps["ambient_occlusion_origin"] = _ambient_occlusion(
             [(self.road_users[number].body, place) for number, place in placements.items()], ego
@@ -324,7 +330,7 @@ def _lamp_map(lights: Float64, edge: float) -> tuple[Float32, Float64]:
 
 
 def _ambient_occlusion(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
-    grid = np.arange(-_SHADED_WITHIN_M, _SHADED_WITHIN_M, AMBIENT_OCCLUSION_CELL_M)
+    grid = np.arange(-_SHADOW_RANGE_M, _SHADOW_RANGE_M, AMBIENT_OCCLUSION_CELL_M)
     shade = np.zeros((len(grid), len(grid)), np.float32)
     for body, place in bodies:
         x, y = place.x_m - ego[0], place.y_m - ego[1]
@@ -338,12 +344,12 @@ def _ambient_occlusion(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -
             np.maximum(np.abs(cos * dx + sin * dy) - half, 0.0), np.maximum(np.abs(cos * dy - sin * dx) - aside, 0.0)
         )
         shade[rows, columns] = 1.0 - (1.0 - shade[rows, columns]) * (1.0 - 0.8 * np.exp(-beyond / 0.22))
-    return shade, ego[:2] - _SHADED_WITHIN_M
+    return shade, ego[:2] - _SHADOW_RANGE_M
 
 
 def _headlight_glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) -> tuple[Float32, Float64]:
     """Map of the light of other vehicles' headlights on the ground; wider and weaker with distance."""
-    grid = np.arange(-_SHADED_WITHIN_M - 20.0, _SHADED_WITHIN_M + 20.0, GLOW_CELL_M)
+    grid = np.arange(-_SHADOW_RANGE_M - 20.0, _SHADOW_RANGE_M + 20.0, GLOW_CELL_M)
     light = np.zeros((len(grid), len(grid)), np.float32)
     for body, place in vehicles:
         if body.category not in _DRIVEN:

@@ -67,7 +67,7 @@ _YEARS: Final[dict[Species, Year]] = {
     Species.CROP: Year(0.22, 0.10, _FRESH, 0.10, 0.50, 0.04, ((4.4, 2.0, 1.8), (3.9, 1.9, 1.7)), 0.10),
 }
 """Evergreens and reeds have no entry: their leaves stay."""
-_MOST_GONE: Final = 0.035
+_MAX_MISSING: Final = 0.035
 """Largest share of the leaves that are missing on a visit; every visit misses other leaves."""
 _THIN: Final = 0.65
 """A crown with less than this share of its leaves has no dark inside."""
@@ -101,7 +101,7 @@ def apply_season(model: Model, season: float, visit: int) -> Model:
     leaves = np.flatnonzero(leafy & (faces["two_sided"] != 0))
     seeds = faces["seed"][leaves]
     shown[leaves] = _color_leaves(faces, leaves, season, _hash_unit(seeds, 0), _hash_unit(seeds, 1))
-    shown[leaves] &= _hash_unit(seeds, 2 + visit) >= _MOST_GONE
+    shown[leaves] &= _hash_unit(seeds, 2 + visit) >= _MAX_MISSING
     bodies = np.flatnonzero(leafy & (faces["two_sided"] == 0))
     shown[bodies] = _color_insides(faces, bodies, season) >= _THIN
     twigs = np.flatnonzero((faces["material"] == Material.BARK) & (faces["seed"] >= 1 << 24))

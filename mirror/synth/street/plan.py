@@ -50,9 +50,9 @@ class Plan:
         spots: places for lamps, trees, signs and lights.
         rails: rails beside the streets.
         ground_index: heights of the ground.
-        driven: area of the carriageways on the ground plane.
+        carriageways: area of the carriageways on the ground plane.
         roads: area of the carriageways with pavements or shoulders, squares and bridges.
-        built: area of the lots.
+        lot_area: area of the lots.
     """
 
     roi: Roi
@@ -67,9 +67,9 @@ class Plan:
     spots: tuple[Spot, ...]
     rails: tuple[Rail, ...]
     ground_index: GroundIndex
-    driven: shapely.Geometry
+    carriageways: shapely.Geometry
     roads: shapely.Geometry
-    built: shapely.Geometry
+    lot_area: shapely.Geometry
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
         """Heights (...,) of the ground at positions; on a kerb's edge, the higher of the two.
@@ -83,7 +83,7 @@ class Plan:
         """Whether positions (...,) are open land, at least ``clear_m`` from every road, square and lot."""
         places = shapely.points(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         return np.asarray(
-            (shapely.distance(self.roads, places) > clear_m) & (shapely.distance(self.built, places) > clear_m)
+            (shapely.distance(self.roads, places) > clear_m) & (shapely.distance(self.lot_area, places) > clear_m)
         )
 
 
@@ -134,12 +134,12 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
         squares.append(bridge.outline)
     taken = shapely.union_all([roads.roads, *squares])
     lots = place_lots(streets, taken, kind, ground_index.height_m, lot_rng)
-    built = shapely.union_all([lot.outline() for lot in lots])
-    for geometry in (taken, built):
+    lot_area = shapely.union_all([lot.outline() for lot in lots])
+    for geometry in (taken, lot_area):
         shapely.prepare(geometry)
     return Plan(
         roi, kind, yaw, streets, crossings, merge_models(surfaces), layouts.table,
         build_network(streets, crossings, feet, ground_index.height_m), lots,
         place_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), ground_index, spot_rng),
-        place_rails(streets, layouts.stations, kind, ground_index), ground_index, roads.carriageway, taken, built,
+        place_rails(streets, layouts.stations, kind, ground_index), ground_index, roads.carriageway, taken, lot_area,
     )  # fmt: skip

@@ -56,11 +56,11 @@ def cast_rays(model: Model, origin: Float64, directions: Float64) -> tuple[Float
     return distance, index
 
 
-def ego_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
+def ego_mask(ego_model: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
     """Return the mask of a camera's own vehicle.
 
     Args:
-        own: model of the vehicle, in the ego frame.
+        ego_model: model of the vehicle, in the ego frame.
         camera: the camera.
         ego_SE3_camera: one pose: the mounting of the camera.
 
@@ -68,7 +68,7 @@ def ego_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
         (H, W) mask: 255 where a ray through a corner, edge middle or centre of the pixel hits the vehicle, else 0.
     """
     mask = np.zeros((camera.height_px, camera.width_px), np.uint8)
-    low, high = own.bounds()
+    low, high = ego_model.bounds()
     box = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), 0.5 * (low + high)[None])
     there = project_boxes(camera, ego_SE3_camera.inverse() @ box, np.maximum(high - low, 1e-6)[None])
     if not there.visible[0]:
@@ -78,9 +78,9 @@ def ego_mask(own: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
     turn, origin = matrix_from_quaternion(ego_SE3_camera.rotation)[0], ego_SE3_camera.translation[0]
     u, v = np.meshgrid(0.5 * np.arange(2 * left, 2 * right + 1), 0.5 * np.arange(2 * top, 2 * bottom + 1))
     rays = camera.unproject(np.stack([u, v], axis=-1))
-    seen = np.zeros(u.shape, np.bool_)
-    seen[rays.valid] = cast_rays(own, origin, rays.direction[rays.valid] @ turn.T)[1] != NOTHING
-    mask[top:bottom, left:right] = np.where(_any_of_nine(seen), 255, 0)
+    is_hit = np.zeros(u.shape, np.bool_)
+    is_hit[rays.valid] = cast_rays(ego_model, origin, rays.direction[rays.valid] @ turn.T)[1] != NOTHING
+    mask[top:bottom, left:right] = np.where(_any_of_nine(is_hit), 255, 0)
     return mask
 
 

@@ -59,7 +59,7 @@ class Journal:
         self._out, self._document = out, document
 
     def find_complete(self, drive_id: str) -> Counts | None:
-        """Return the counts of a complete recording; otherwise remove what there is of it and return None."""
+        """Return the counts of a complete recording; otherwise remove its incomplete files and return None."""
         folder = self._out / drive_id
         counts = self._document.drives.get(drive_id)
         if counts is not None and (folder / "recording.json").is_file():

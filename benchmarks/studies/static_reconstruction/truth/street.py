@@ -201,4 +201,4 @@ class _Drive:
         if other is self:
             return self.drive.stage
         own = self.drive
-        return Scene(own.world, other.drive.condition, own.road_users, own.own, clock_s=own.truth.clock_s)
+        return Scene(own.world, other.drive.condition, own.road_users, own.ego_model, clock_s=own.truth.clock_s)

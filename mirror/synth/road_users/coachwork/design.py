@@ -84,7 +84,9 @@ def add_body(sheets: Sheets, design: Design, coat: Finish) -> None:
     shape = design.shape
     add_shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
     corners = [shape.side(*point) for point in design.windows]
-    sheets.sheet(corners, Side.LEFT, PANE._replace(panel=shape.doors), texture=shape.shown, lift_m=0.004, both=True)
+    sheets.sheet(
+        corners, Side.LEFT, PANE._replace(panel=shape.doors), texture=shape.flank_texture, lift_m=0.004, both=True
+    )
     foot, top = shape.waist_m, shape.roof[-2][1]
     low = foot + design.rear_window * (top - foot)
     behind = window_corners(shape, shape.rear_window, low, top - 0.05, design.rear_inset_m)

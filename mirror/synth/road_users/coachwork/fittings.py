@@ -129,8 +129,8 @@ def add_lamps(
     ]  # fmt: skip
     sheets.sheet(front, side, finish, lift_m=0.004, both=True)
     round_ = [
-        shape.bend(end, 0.0, low), shape.bend(end, wrap, low + rise_m),
-        shape.bend(end, wrap, high + rise_m), shape.bend(end, 0.0, high),
+        shape.corner_point(end, 0.0, low), shape.corner_point(end, wrap, low + rise_m),
+        shape.corner_point(end, wrap, high + rise_m), shape.corner_point(end, 0.0, high),
     ]  # fmt: skip
     sheets.sheet(round_, side, finish, lift_m=0.004, both=True)
 

@@ -159,20 +159,20 @@ class Shape:
         x = sign * (end.reach_m - end.corner_m[0] + (end.foot_slope if above < 0.0 else -end.slope) * above)
         return np.array(self.flank(x, z))
 
-    def bend(self, end: End, share: float, z: float) -> Float64:
+    def corner_point(self, end: End, share: float, z: float) -> Float64:
         """A point on the left corner; share 0 is at the front, 1 at the flank."""
         sign = 1.0 if end is self.front else -1.0
         return self.corner(end, z) + (1.0 - share) * np.array([sign * end.corner_m[0], -end.corner_m[1], 0.0])
 
     def face(self, end: End, share: float, z: float) -> Float64:
         """A point on the face of an end; share 0 is in the middle, 1 where the left corner begins."""
-        return self.bend(end, 0.0, z) * (1.0, share, 1.0)
+        return self.corner_point(end, 0.0, z) * (1.0, share, 1.0)
 
-    def shown(self, places: Float64) -> Float64:
+    def flank_texture(self, places: Float64) -> Float64:
         """Texture coordinates of flanks: door lengths, and the height above the waist."""
         return np.c_[(places[:, 0] - self.door_m[0]) / self.door_m[1], places[:, 2] - self.waist_m]
 
-    def shown_across(self, places: Float64) -> Float64:
+    def end_texture(self, places: Float64) -> Float64:
         """Texture coordinates of ends: metres to the left, and the height above the waist."""
         return np.c_[places[:, 1], places[:, 2] - self.waist_m]
 
@@ -245,7 +245,7 @@ def _add_flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> No
 def _add_flank(
     sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float] | Float64], finish: Finish
 ) -> None:
-    sheets.sheet(np.array(corners), Side.LEFT, finish, texture=shape.shown, both=True)
+    sheets.sheet(np.array(corners), Side.LEFT, finish, texture=shape.flank_texture, both=True)
 
 
 def _side_line(shape: Shape, end: End) -> list[Point]:
@@ -285,19 +285,19 @@ def _add_end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish
     fall = (edge_z - z) / (edge_x - x)
     low, middle = shape.levels_m[:2]
     edge = np.array(shape.flank(edge_x, edge_z))
-    rim = _intersect((x, z), fall, shape.bend(end, 0.0, middle), -sign * end.slope)
-    rim = shape.bend(end, 0.0, float(rim[2]))
+    rim = _intersect((x, z), fall, shape.corner_point(end, 0.0, middle), -sign * end.slope)
+    rim = shape.corner_point(end, 0.0, float(rim[2]))
     half = [np.array(shape.flank(x, z)), edge, rim]
     sheets.sheet([*half, *(point * (1.0, -1.0, 1.0) for point in half[::-1])], Side.TOP, lid)
     lower = sill._replace(panel=Panel.LOWER)
     upper = paint._replace(panel=Panel.LOWER)
     for foot, top, finish in ((low, None, lower), (middle, rim, upper)):
-        front = shape.bend(end, 0.0, foot)
-        over = shape.bend(end, 0.0, middle) if top is None else top
-        sheets.sheet(_trapezoid(front, over), side, finish, texture=shape.shown_across)
+        front = shape.corner_point(end, 0.0, foot)
+        over = shape.corner_point(end, 0.0, middle) if top is None else top
+        sheets.sheet(_trapezoid(front, over), side, finish, texture=shape.end_texture)
         flank = shape.corner(end, foot)
         over_flank = shape.corner(end, middle) if top is None else edge
-        sheets.sheet([flank, front, over, over_flank], side, finish, texture=shape.shown_across, both=True)
+        sheets.sheet([flank, front, over, over_flank], side, finish, texture=shape.end_texture, both=True)
 
 
 def _trapezoid(low: tuple[float, float, float] | Float64, high: tuple[float, float, float] | Float64) -> Float64:

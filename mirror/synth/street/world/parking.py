@@ -18,7 +18,7 @@ from mirror.synth.street.plan import Plan
 from mirror.synth.textures.catalogue import PLATES
 
 _BAY_M: Final = 6.2
-_TAKEN: Final = 0.62
+_OCCUPIED_SHARE: Final = 0.62
 _VANS: Final = 0.12
 _BODIES: Final = 16
 """Number of different bodies; each is parked at several places with different number plates."""
@@ -46,7 +46,7 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
 def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
     """Yield placements for the occupied bays of a lane."""
     for bay in range(int((lane.length_m - 1.0) / _BAY_M)):
-        taken, jitter = rng.random() < _TAKEN, rng.uniform(-0.35, 0.35, 2)
+        taken, jitter = rng.random() < _OCCUPIED_SHARE, rng.uniform(-0.35, 0.35, 2)
         if not taken:
             continue
         at = (bay + 0.5) * _BAY_M + jitter[0]

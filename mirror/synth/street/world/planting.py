@@ -43,10 +43,10 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
     row = [build_tree(rng, kind, road_m=_ROAD_M[plan.kind]) for kind in kinds for _ in range(_MODELS_PER_KIND)]
     thin_row = [_thin_leaves(model) for model in row]
     for number, spot in enumerate(plan.spots):
-        if spot.kind == "tree" and plan.driven.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
-            own = np.random.default_rng([seed, 25, number])
-            kept = row if _is_near(plan, spot.place) else thin_row
-            yield _place_tree(kept[int(own.integers(len(kept)))], spot.place, own)
+        if spot.kind == "tree" and plan.carriageways.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
+            spot_rng = np.random.default_rng([seed, 25, number])
+            models = row if _is_near(plan, spot.place) else thin_row
+            yield _place_tree(models[int(spot_rng.integers(len(models)))], spot.place, spot_rng)
     loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES
     grown = [build_tree(rng, kind) for kind in loose for _ in range(_MODELS_PER_KIND // 2)]
     bushes = [build_bush(rng, evergreen=bool(number % 2)) for number in range(6)]
@@ -70,11 +70,11 @@ def _is_near(plan: Plan, place: Float64) -> bool:
 def _thin_leaves(model: Model) -> Model:
     """A cheaper tree for distant places: a third of its leaves around a larger inside."""
     leaves = np.flatnonzero(model.faces["material"] == Material.LEAVES)
-    kept = np.ones(len(model.faces), np.bool_)
-    kept[leaves] = np.arange(len(leaves)) % 3 == 0
+    is_kept = np.ones(len(model.faces), np.bool_)
+    is_kept[leaves] = np.arange(len(leaves)) % 3 == 0
     rounds = model.rounds.copy()
     rounds["half"] *= 1.12
-    faces = model.faces[kept]
+    faces = model.faces[is_kept]
     begins = np.cumsum(faces["count"]) - faces["count"]
     corners = model.corners[np.repeat(faces["first"] - begins, faces["count"]) + np.arange(faces["count"].sum())]
     faces["first"] = begins

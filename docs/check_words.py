@@ -83,11 +83,17 @@ ALLOWED = (
     ("baselines/hybridworldsim/model/visibility_cache.py", "pictures"),  # a key of checkpoints
     ("baselines/hybridworldsim/training/run/folder.py", "pictures"),  # a key of run.json and a folder of a run
     (
-        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mean_color/submission.py",
+        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mean_color/submission.py",
         "pictures",
     ),  # the text of a submission's manifest
-    ("baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py", "picture"),
-    ("baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py", "pictures"),
+    (
+        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py",
+        "picture",
+    ),
+    (
+        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py",
+        "pictures",
+    ),
     ("benchmarks/studies/static_reconstruction/README.md", "rivals"),  # a row of published records
     ("benchmarks/studies/static_reconstruction/choices.py", "rivals"),
     ("benchmarks/studies/static_reconstruction/declaration.py", "pictures"),  # a key of the hashed declaration

@@ -65,6 +65,7 @@ PLACES = (
     "tests/training",
 )
 """Where no retired word stands any more. A folder is added here when its words are swept."""
+_FLOORS = "baselines/mirror_baselines"
 ALLOWED = (
     ("mirror/recordings/boreas.py", "pictures"),  # the value of the column `method`: it is in tables
     ("mirror/schema/tables.py", "picture"),  # the documentation of columns: it is in the bytes of every table
@@ -94,6 +95,9 @@ ALLOWED = (
         "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py",
         "pictures",
     ),
+    (f"{_FLOORS}/mean_color/submission.py", "pictures"),  # the text of a submission's manifest
+    (f"{_FLOORS}/nearest_frame/submission.py", "picture"),
+    (f"{_FLOORS}/nearest_frame/submission.py", "pictures"),
     ("benchmarks/studies/static_reconstruction/README.md", "rivals"),  # a row of published records
     ("benchmarks/studies/static_reconstruction/choices.py", "rivals"),
     ("benchmarks/studies/static_reconstruction/declaration.py", "pictures"),  # a key of the hashed declaration

@@ -87,7 +87,7 @@ def _dataset_lines(found: DatasetSummary) -> list[tuple[str, str]]:
         *((f"rig {name}", ", ".join(cameras)) for name, cameras in found.rigs.items()),
         ("passes", _counts(found.passes)),
         ("traversals", str(found.traversals)),
-        ("pictures", f"{found.pictures:,} ({found.picture_bytes / 1e6:,.1f} MB)"),
+        ("pictures", f"{found.images:,} ({found.image_bytes / 1e6:,.1f} MB)"),
         ("time", _dates(found.first_ns, found.last_ns, found.hours)),
         ("layers (traversals)", _numbered(found.layers)),
         *((f"split {name}", _counts(roles)) for name, roles in found.splits.items()),

@@ -1,6 +1,6 @@
-"""Datasets on disk: open, query, load, split, statistics.
+"""Datasets on disk: opening, queries, loading, splits and statistics.
 
-The names below are imported on first use, so that ``import mirror.dataset.layout`` stays light.
+The names below are imported on first use, so that ``import mirror.dataset.layout`` stays quick.
 """
 
 from __future__ import annotations

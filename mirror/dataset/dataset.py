@@ -1,4 +1,4 @@
-"""Opening a dataset, and lazy views of it: filters are collected, and read only what passes them."""
+"""Opening a dataset, and lazy views of it. A view collects filters; reading fetches only the rows that pass them."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ _WEATHER = ("clear", "clouds", "rain", "snow", "fog", "unknown")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
-    """A dataset, or a part of it: an immutable view that reads nothing until it is asked.
+    """A dataset or a part of it: an immutable view that reads a table only when a method needs it.
 
-    Made by `open`. It can be pickled: another process opens the same index and no other. Of a local dataset it reads
-    what was there when it was opened, also while a run replaces drives and after it: what was replaced stays on disk
-    as long as a view needs it. Of a remote one, whose index was written again since, reading raises a DatasetError:
-    rows of two indexes are never mixed.
+    `open` makes it. It can be pickled; another process then opens the same index. A view of a local dataset reads the
+    state at the time of opening, even while a run replaces drives: replaced files stay on disk as long as a view needs
+    them. If the index of a remote dataset has been rewritten since, reading raises a DatasetError. So rows of two
+    indexes are never mixed.
 
     Attributes:
         document: ``dataset.json``.
-        filters: what the view is restricted to.
-        layers: which poses, calibrations and boxes it reads.
-        index_sha256: hash of the index's manifest: equal for equal datasets.
+        filters: the restrictions of the view.
+        layers: the layers of poses, calibrations, boxes, depth and points that the view reads.
+        index_sha256: hash of the index's manifest; equal for equal datasets.
     """
 
     document: DatasetDocument
@@ -63,17 +63,17 @@ class Dataset:
 
     @property
     def root(self) -> str:
-        """The path or URL it was opened from."""
+        """The path or URL that was opened."""
         return self._catalog.store.root
 
     @property
     def store(self) -> Store:
-        """The dataset's files."""
+        """Access to the dataset's files."""
         return self._catalog.store
 
     @property
     def catalog(self) -> Catalog:
-        """The index, shared by all views."""
+        """The index; all views share it."""
         return self._catalog
 
     @property
@@ -81,7 +81,7 @@ class Dataset:
         """The paths of a local dataset.
 
         Raises:
-            UsageError: it was opened from a URL.
+            UsageError: the dataset was opened from a URL.
         """
         if self.store.folder is None:
             raise UsageError(f"{self.root} is not a local folder", remedy="copy the dataset to a disk first")
@@ -94,11 +94,11 @@ class Dataset:
         return (_reopen, (self.root, self.index_sha256, self.filters, self.layers))
 
     def scenes(self) -> list[str]:
-        """Ids of the scenes in the view, in order."""
+        """Ids of the scenes in the view, sorted."""
         return self._column("scenes", "scene_id")
 
     def traversals(self) -> list[str]:
-        """Ids of the traversals in the view, in order of scene and id."""
+        """Ids of the traversals in the view, sorted by scene and id."""
         return self._column("traversals", "traversal_id")
 
     def drives(self) -> list[str]:
@@ -106,18 +106,18 @@ class Dataset:
         return sorted(set(self._column("traversals", "drive_id")))
 
     def roles(self, split: str) -> list[str]:
-        """Roles that the view's traversals have in a split, sorted.
+        """Roles of the view's traversals in a split, sorted.
 
         Raises:
-            DatasetError: there is no such split.
-            UsageError: the name cannot be that of a split.
+            DatasetError: the split does not exist.
+            UsageError: the name is not a valid name of a split.
         """
         assignments = self._assignments(split)
-        return sorted({assignments[one] for one in self.traversals() if one in assignments})
+        return sorted({assignments[key] for key in self.traversals() if key in assignments})
 
     def cameras(self) -> list[str]:
-        """Names of the cameras with pictures in the view: the canonical ones in their order, then others sorted."""
-        names = {name for own in self._column("traversals", "cameras") for name in own}
+        """Names of the cameras with images in the view: the canonical ones first, then the others, sorted."""
+        names = {name for cameras in self._column("traversals", "cameras") for name in cameras}
         chosen = names if self.filters.camera is None else names & self.filters.camera
         canonical = [name for name in CANONICAL_CAMERAS if name in chosen]
         return [*canonical, *sorted(chosen - set(canonical))]
@@ -141,11 +141,11 @@ class Dataset:
         split: str | None = None,
         role: Choice = None,
     ) -> Dataset:
-        """A view with further restrictions; all of them hold, those of this view included.
+        """Make a view with further restrictions. They apply together with those of this view.
 
-        Rows of a table with a stamp, a place or a camera are filtered by it. Tables without one keep the rows of the
-        traversals that pass: a traversal passes ``time`` if entry to exit overlaps it, and ``within`` if its driven
-        line has a point in the circle.
+        In a table with a timestamp, a place or a camera, each row is filtered by it. A table without them keeps the
+        rows of the traversals that pass. A traversal passes ``time`` if the interval from entry to exit overlaps it,
+        and ``within`` if its driven line has a point in the circle.
 
         Args:
             scene: id or ids.
@@ -155,15 +155,15 @@ class Dataset:
             vehicle: pseudonym or pseudonyms.
             light: ``day``, ``dusk`` or ``night``.
             weather: ``clear``, ``clouds``, ``rain``, ``snow``, ``fog`` or ``unknown``.
-            time: from (included) to (excluded), Unix ns.
-            within: (longitude_deg, latitude_deg, radius_m) on the ellipsoid, the edge included; or
+            time: start (included) and end (excluded), Unix ns.
+            within: circle (longitude_deg, latitude_deg, radius_m) on the ellipsoid, its edge included; or
                 (x_m, y_m, radius_m, frame) in a local metric frame.
-            split: name of a split; with it comes ``role``.
-            role: role or roles within the split, of which it has at least one; None: every traversal that has one.
+            split: name of a split.
+            role: role or roles in the split; None: every traversal with a role.
 
         Raises:
-            UsageError: a value that the dataset does not know, or that cannot be.
-            DatasetError: there is no such split.
+            UsageError: the dataset does not know a value, or a value is invalid.
+            DatasetError: the split does not exist.
 
         Example:
             >>> dataset = mirror.open("dataset")
@@ -172,7 +172,7 @@ class Dataset:
             >>> len(dataset.where(split="novel", role="train").traversals())
             2
         """
-        more = Filters(
+        added = Filters(
             scene=self._known("scene", scene, lambda: self._all("scenes", "scene_id")),
             traversal=self._known("traversal", traversal, lambda: self._all("traversals", "traversal_id")),
             drive=self._known("drive", drive, lambda: self._all("passes", "drive_id")),
@@ -184,10 +184,10 @@ class Dataset:
             within=() if within is None else (self._circle(within),),
         )
         if split is not None:
-            more = more.combined_with(Filters(traversal=self._in_split(split, role)))
+            added = added.combined_with(Filters(traversal=self._in_split(split, role)))
         elif role is not None:
             raise UsageError("role without split", place="role", remedy="give split=NAME too")
-        return replace(self, filters=self.filters.combined_with(more))
+        return replace(self, filters=self.filters.combined_with(added))
 
     def with_layers(
         self,
@@ -199,7 +199,7 @@ class Dataset:
         depth: str | None = None,
         points: str | None = None,
     ) -> Dataset:
-        """A view that reads other layers; what is not named stays as it is.
+        """Make a view that reads other layers. Layers that are not named stay as they are.
 
         Args:
             poses: ``recorded`` or ``source@version``.
@@ -210,7 +210,7 @@ class Dataset:
             points: ``source@version``.
 
         Raises:
-            UsageError: no traversal of the dataset has such a layer, or there is no such stage.
+            UsageError: no traversal of the dataset has the layer, or the stage does not exist.
 
         Example:
             >>> view = mirror.open("dataset").with_layers(boxes="petr@1", stage="factory")
@@ -218,7 +218,7 @@ class Dataset:
             'petr@1'
         """
         changes: dict[str, str] = {}
-        layers = {layer for own in self._all("traversals", "layers") for layer in own}
+        layers = {layer for names in self._all("traversals", "layers") for layer in names}
         recorded = {"poses": poses, "calibrations": calibrations}
         for kind, name in {**recorded, "boxes": boxes, "depth": depth, "points": points}.items():
             if name is None:
@@ -232,15 +232,15 @@ class Dataset:
         return replace(self, layers=replace(self.layers, **changes))
 
     def table(self, name: str, columns: Iterable[str] | None = None) -> pa.Table:
-        """The rows of an index table that are in the view.
+        """Read the rows of an index table that are in the view.
 
         Args:
             name: ``scenes``, ``traversals``, ``passes``, ``frames``, ``images``, ``ego_poses``, ``calibrations``,
                 ``boxes``, ``masks``, ``depth``, ``points`` or ``row_groups``.
-            columns: only these, in this order; only they are read.
+            columns: the columns to read, in this order; None: all.
 
         Raises:
-            UsageError: no such table or column.
+            UsageError: the table or a column does not exist.
 
         Example:
             >>> dataset = mirror.open("dataset")
@@ -256,14 +256,14 @@ class Dataset:
         return read_rows(self._catalog, self.filters, name, chosen)
 
     def to_pandas(self, name: str, columns: Iterable[str] | None = None) -> pd.DataFrame:
-        """As `table`, as a data frame."""
+        """Read the rows of an index table as a data frame; see `table`."""
         return self.table(name, columns).to_pandas()
 
     def count(self, name: str) -> int:
-        """How many rows of an index table are in the view; where row groups pass as a whole, nothing is read.
+        """Count the rows of an index table in the view. Row groups that pass as a whole are not read.
 
         Raises:
-            UsageError: no such table.
+            UsageError: the table does not exist.
 
         Example:
             >>> mirror.open("dataset").count("boxes")
@@ -273,13 +273,13 @@ class Dataset:
         return count_rows(self._catalog, self.filters, name)
 
     def points(self) -> Points:
-        """The points of the traversals in the view that have the chosen layer.
+        """Read the points of the chosen layer, of all traversals in the view that have it.
 
-        A reconstruction of a scene starts from those of its training traversals.
+        A reconstruction of a scene starts from the points of its training traversals.
 
         Raises:
-            UsageError: a traversal has several layers of points and none was chosen.
-            DatasetError: not one traversal has the chosen layer.
+            UsageError: a traversal has several point layers and none was chosen.
+            DatasetError: no traversal has the chosen layer.
         """
         from mirror.dataset.points import read_points
 
@@ -303,11 +303,11 @@ class Dataset:
     def _all(self, table: str, column: str) -> set[Any]:
         values = self._catalog.read_global(table, [column]).column(0)
         if pa.types.is_list(values.type):
-            return {tuple(own) for own in values.to_pylist()}
+            return {tuple(value) for value in values.to_pylist()}
         return set(pc.unique(values).to_pylist())
 
     def _all_cameras(self) -> set[str]:
-        return {name for own in self._all("traversals", "cameras") for name in own}
+        return {name for names in self._all("traversals", "cameras") for name in names}
 
     def _known(self, what: str, choice: Choice, known: Callable[[], Iterable[str]]) -> frozenset[str] | None:
         if choice is None:
@@ -331,7 +331,7 @@ class Dataset:
         )
 
     def _assignments(self, split: str) -> dict[str, str]:
-        """Roles of a split's traversals, by traversal; without those that it leaves unused."""
+        """Roles of a split's traversals by traversal id, without the unused ones."""
         if not is_identifier(split):
             raise UsageError(
                 f"{split!r} cannot be the name of a split", place="split", expected="letters, digits, _ and -"
@@ -340,11 +340,11 @@ class Dataset:
         try:
             data = self.store.read(path)
         except FileNotFoundError as error:
-            there = [file.removesuffix(".json") for file in self.store.list_files("splits")]
+            names = [file.removesuffix(".json") for file in self.store.list_files("splits")]
             raise DatasetError(
                 "no such split",
                 file=self.store.full_path(path),
-                expected=f"one of {', '.join(there)}" if there else None,
+                expected=f"one of {', '.join(names)}" if names else None,
                 remedy=f"make it: mirror split {self.root} {split}",
             ) from error
         document = parse_json(data, SplitDocument, self.store.full_path(path))
@@ -352,15 +352,15 @@ class Dataset:
 
     def _in_split(self, split: str, role: Choice) -> frozenset[str]:
         assignments = self._assignments(split)
-        there = sorted(set(assignments.values()))
+        assigned = sorted(set(assignments.values()))
         roles = self._known("role", role, lambda: (value for value in get_args(Role) if value != "unused"))
-        if roles is not None and roles.isdisjoint(there):
+        if roles is not None and roles.isdisjoint(assigned):
             raise UsageError(
                 f"no traversal has the role {' or '.join(map(repr, sorted(roles)))} in split {split!r}",
                 place="role",
-                expected=f"one of {', '.join(there)}" if there else "nothing: the split has no traversals",
+                expected=f"one of {', '.join(assigned)}" if assigned else "nothing: the split has no traversals",
             )
-        return frozenset(key for key, own in assignments.items() if roles is None or own in roles)
+        return frozenset(key for key, value in assignments.items() if roles is None or value in roles)
 
 
 def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
@@ -368,8 +368,8 @@ def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
 
     Args:
         path: its folder, or a URL that fsspec reads.
-        check_stale: hold the index against the manifests of what it was derived from; it costs one read of each. While
-            a run writes a local dataset, its index is that of before the run, and so is all that is read.
+        check_stale: compare the index with the manifests of its sources, which reads each manifest once. While a run
+            writes a local dataset, the state before the run is opened.
 
     Raises:
         DatasetError: the folder has no dataset or no index, or the dataset has changed since the index was built.
@@ -394,24 +394,24 @@ def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
         wrong = _staleness(store, manifest) if check_stale else None
         generation = held.generation
         if wrong is None or (store.folder is not None and is_being_written(Layout(store.folder))):
-            # While a run writes the dataset, readers have the generation before it.
+            # While a run writes the dataset, readers get the generation before that run.
             return Dataset(document, Filters(), LayerChoice(), digest, Catalog(held, manifest.files))
         if generation is None or generation.is_current():
             raise wrong
 
 
 def _held(store: Store) -> Store:
-    """A local store at its current generation; a remote one as it is."""
+    """A local store at its current generation, or the unchanged remote store."""
     if store.folder is None:
         return store
     try:
         return Store(store.root, Generation.current(store.folder))
     except FileNotFoundError as error:
-        raise _no_index(store) from error
+        raise _no_index_error(store) from error
 
 
 def _staleness(store: Store, manifest: Manifest) -> MirrorError | None:
-    """Why an index is not of what is there; None: it is."""
+    """The reason why an index is stale; None: it is current."""
     try:
         current = read_inputs(store).fingerprints
     except (DatasetError, SchemaError) as error:
@@ -422,7 +422,7 @@ def _staleness(store: Store, manifest: Manifest) -> MirrorError | None:
     return DatasetError(
         f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
         file=store.full_path("index"),
-        expected="an index derived from what is there",
+        expected="an index derived from the present files",
         remedy=f"run `mirror index {store.root}`",
     )
 
@@ -432,7 +432,7 @@ def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice)
     manifest, digest = _index_manifest(store)
     if digest != index_sha256:
         raise DatasetError(
-            "the index is another than when this view was made",
+            "the index has changed since this view was made",
             file=store.full_path("index"),
             remedy="open the dataset again and make the view again",
         )
@@ -443,9 +443,9 @@ def _document(store: Store) -> DatasetDocument:
     try:
         data = store.read("dataset.json")
     except (FileNotFoundError, NotADirectoryError) as error:
-        there = store.folder is None or Path(store.folder).exists()
+        exists = store.folder is None or Path(store.folder).exists()
         raise DatasetError(
-            "not a dataset: there is no dataset.json" if there else "there is no such folder",
+            "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
             file=store.full_path(""),
             expected="the folder that `mirror ingest --out` wrote",
             remedy="check the path",
@@ -458,11 +458,11 @@ def _index_manifest(store: Store) -> tuple[Manifest, str]:
     try:
         data = store.read(path) if store.generation is None else store.generation.manifest
     except FileNotFoundError as error:
-        raise _no_index(store) from error
+        raise _no_index_error(store) from error
     return parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data)
 
 
-def _no_index(store: Store) -> DatasetError:
+def _no_index_error(store: Store) -> DatasetError:
     return DatasetError(
         "the dataset has no index", file=store.full_path("index"), remedy=f"run `mirror index {store.root}`"
     )
@@ -474,14 +474,14 @@ def _interval(time: tuple[int, int] | None) -> tuple[int, int] | None:
     try:
         start, end = time
     except (TypeError, ValueError) as error:
-        raise _no_interval(time) from error
+        raise _interval_error(time) from error
     # The remainder of NaN and of infinity is NaN.
     if not all(isinstance(bound, Real) and bound % 1 == 0 for bound in (start, end)) or start >= end:
-        raise _no_interval(time)
+        raise _interval_error(time)
     return int(start), int(end)
 
 
-def _no_interval(time: object) -> UsageError:
+def _interval_error(time: object) -> UsageError:
     return UsageError(f"{time!r}", place="time", expected="(start_ns, end_ns), whole numbers, start before end")
 
 
@@ -489,9 +489,9 @@ def _check(what: str, value: str, known: Iterable[str]) -> None:
     values = sorted(set(known))
     if value in values:
         return
-    near = difflib.get_close_matches(str(value), values, n=1, cutoff=0.5)
+    similar = difflib.get_close_matches(str(value), values, n=1, cutoff=0.5)
     listed = ", ".join(values[:20]) + (f" and {len(values) - 20} more" if len(values) > 20 else "")
     raise UsageError(
-        f"unknown {what} {value!r}" + (f": did you mean {near[0]!r}?" if near else ""),
+        f"unknown {what} {value!r}" + (f": did you mean {similar[0]!r}?" if similar else ""),
         expected=f"one of {listed}" if values else f"nothing: the dataset has no {what}",
     )

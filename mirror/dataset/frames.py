@@ -1,4 +1,4 @@
-"""Frames: synchronised pictures of a rig with poses, intrinsics, boxes and masks, read when they are asked for."""
+"""Frames: synchronised images of a rig with poses, intrinsics, boxes and masks, read when they are asked for."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Frame:
 
     @cached_property
     def images(self) -> Mapping[str, Image]:
-        """Pictures by camera, in the rig's order; a camera without a picture in this frame is not there."""
-        rows = {row["camera"]: row for row in self._traversal.pictures(self.frame_index)}
+        """Images by camera, in the rig's order; a camera without an image in this frame is not there."""
+        rows = {row["camera"]: row for row in self._traversal.image_rows(self.frame_index)}
         return {
             camera: Image(**rows[camera], _traversal=self._traversal, _loader=self._loader)
             for camera in self._loader.in_rig_order(self._traversal.row, rows)
@@ -77,10 +77,10 @@ class Frame:
         """The boxes nearest in time, at most half a period of theirs away.
 
         Args:
-            frame: ``ego`` at the boxes' own instant, ``world``, or ``camera:<name>`` at that picture's mid-exposure.
+            frame: ``ego`` at the boxes' own instant, ``world``, or ``camera:<name>`` at that image's mid-exposure.
 
         Raises:
-            UsageError: no such frame, no picture of that camera, or several box layers and none chosen.
+            UsageError: no such frame, no image of that camera, or several box layers and none chosen.
             DatasetError: the chosen poses or calibrations do not cover the time.
 
         Example:
@@ -97,16 +97,16 @@ class Frame:
             known = ["ego", "world", *(f"camera:{name}" for name in self.images)]
             raise UsageError(f"unknown frame {frame!r}", expected=f"one of {', '.join(known)}")
         if not len(boxes):
-            return boxes.into(frame, Poses.identity())
+            return boxes.to_frame(frame, Poses.identity())
         world_SE3_ego = self._traversal.world_SE3_ego(boxes.timestamp_ns)
         if frame == "world":
-            return boxes.into(frame, world_SE3_ego)
-        return boxes.into(frame, self.images[camera].world_SE3_camera.inverse() @ world_SE3_ego)
+            return boxes.to_frame(frame, world_SE3_ego)
+        return boxes.to_frame(frame, self.images[camera].world_SE3_camera.inverse() @ world_SE3_ego)
 
     def decode(
         self, cameras: Sequence[str] | None = None, *, threads: int | None = None, verify: bool = False
     ) -> UInt8:
-        """The pictures of several cameras as one contiguous array (C, 3, H, W), RGB.
+        """The images of several cameras as one contiguous array (C, 3, H, W), RGB.
 
         Args:
             cameras: which, in this order; default: all of `images`.
@@ -126,11 +126,11 @@ class Frame:
         names = list(images) if cameras is None else list(cameras)
         for name in names:
             if name not in images:
-                raise UsageError(f"no picture of camera {name!r} in {self._name}", expected=f"of {', '.join(images)}")
+                raise UsageError(f"no image of camera {name!r} in {self._name}", expected=f"of {', '.join(images)}")
         sizes = {(images[name].height_px, images[name].width_px): name for name in names}
         if len(sizes) > 1:
             listed = ", ".join(f"{name} {width} x {height} px" for (height, width), name in sizes.items())
-            raise UsageError(f"pictures of different sizes: {listed}", remedy="decode them one by one, or by size")
+            raise UsageError(f"images of different sizes: {listed}", remedy="decode them one by one, or by size")
         planes = np.empty((len(names), 3, *next(iter(sizes), (0, 0))), np.uint8)
         self.decode_into(planes, names, threads=threads, verify=verify)
         return planes
@@ -138,7 +138,7 @@ class Frame:
     def decode_into(
         self, planes: UInt8, cameras: Sequence[str], *, threads: int | None = None, verify: bool = False
     ) -> None:
-        """Decode into an array that is there already; that of a camera without a picture is left as it is.
+        """Decode into an array that is there already; that of a camera without an image is left as it is.
 
         Args:
             planes: (C, 3, H, W), each camera's part contiguous.
@@ -147,8 +147,8 @@ class Frame:
             verify: as for `decode`.
 
         Raises:
-            UsageError: a picture is not of the size (H, W).
-            DatasetError: a picture is missing or broken.
+            UsageError: an image is not of the size (H, W).
+            DatasetError: an image is missing or broken.
         """
         wanted = [(self.images[name], out) for name, out in zip(cameras, planes) if name in self.images]
         for image, out in wanted:

@@ -1,4 +1,4 @@
-"""One image of one camera, with its pose, intrinsics, masks and depth, read when they are asked for."""
+"""One image of one camera, with its pose, intrinsics, masks and depth. They are read on first use."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mirror.geometry.poses import Poses
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """One mask of one picture.
+    """One mask of one image.
 
     Attributes:
-        kind: what non-zero pixels are: dynamic, ego, sky or instance.
-        source: who made it.
+        kind: what its non-zero pixels show: dynamic, ego, sky or instance.
+        source: program that made it.
         source_version: version of the source.
-        uri: its PNG.
-        byte_length: its size.
+        uri: the PNG file.
+        byte_length: size of the file.
     """
 
     kind: str
@@ -33,7 +33,7 @@ class Mask:
     _loader: Loader = field(repr=False)
 
     def decode(self) -> UInt8:
-        """Pixels (H, W).
+        """Decode the pixels (H, W), uint8.
 
         Raises:
             DatasetError: the file is missing or broken.
@@ -43,14 +43,14 @@ class Mask:
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """The depth map of one picture; its pose is the picture's.
+    """The depth map of one image; its pose is that of the image.
 
     Attributes:
-        lens: the pinhole that it is seen through, with the map's raster.
-        source: who made it.
+        lens: its pinhole camera, with the raster of the map.
+        source: program that made it.
         source_version: version of the source.
-        uri: its PNG.
-        byte_length: its size.
+        uri: the PNG file.
+        byte_length: size of the file.
     """
 
     lens: Camera
@@ -61,10 +61,10 @@ class DepthImage:
     _loader: Loader = field(repr=False)
 
     def decode(self) -> Float32:
-        """The camera's z (H, W) in metres; NaN where unknown.
+        """Decode the depth (H, W) along the camera's z axis in metres, float32; NaN where unknown.
 
         Raises:
-            DatasetError: the file is missing or broken, or of another size than its row says.
+            DatasetError: the file is missing or broken, or its size is not the one in its row.
         """
         place = f"depth of {self.source}@{self.source_version}"
         return self._loader.depth(self.uri, self.byte_length, (self.lens.height_px, self.lens.width_px), place)
@@ -72,21 +72,21 @@ class DepthImage:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One picture of one camera.
+    """One image of one camera.
 
     Attributes:
         camera: the camera's name.
-        timestamp_ns: mid-exposure: the instant of its pose.
+        timestamp_ns: mid-exposure, Unix; the pose holds at this time.
         exposure_start_ns: start of the exposure of the first row.
         exposure_end_ns: end of the exposure of the last row.
-        width_px: of the stored raster.
-        height_px: of the stored raster.
-        uri: where the bytes lie.
-        byte_offset: first byte there.
+        width_px: width of the stored raster.
+        height_px: height of the stored raster.
+        uri: file that holds the bytes.
+        byte_offset: first byte in the file.
         byte_length: number of bytes.
         codec: jpeg, png or video.
-        video_pts: which frame of a video.
-        sha256: of the bytes; None: not hashed at ingest.
+        video_pts: presentation time stamp of the frame in a video; None: not a video.
+        sha256: hash of the bytes; None: not hashed at ingest.
         privacy: raw or redacted.
     """
 
@@ -107,17 +107,18 @@ class Image:
     _loader: Loader = field(repr=False)
 
     def read(self, *, verify: bool = False) -> bytes:
-        """The encoded bytes; of a video frame, those of the whole video.
+        """Read the encoded bytes. For a frame of a video these are the bytes of the whole video.
 
         Args:
-            verify: hold them against ``sha256``.
+            verify: compare the bytes with ``sha256``.
 
         Raises:
-            DatasetError: missing or cut short, or another hash; file, camera and timestamp are named.
+            DatasetError: the file is missing or too short, or the hash differs; the error names file, camera and
+                timestamp.
         """
         data = self._loader.read(self.uri, self.byte_offset, self.byte_length, self._place)
         if verify and self.sha256 is not None and hashlib.sha256(data).digest() != self.sha256:
-            raise self._broken("the bytes are not those that were recorded", f"SHA-256 {self.sha256.hex()}")
+            raise self._broken("the bytes differ from the recorded ones", f"SHA-256 {self.sha256.hex()}")
         return data
 
     def decode(self, *, verify: bool = False) -> UInt8:
@@ -144,24 +145,24 @@ class Image:
                 self.read(verify=True)
             pixels = self._loader.video_frame(self.uri, self.video_pts, self._place)
         if pixels is None:
-            raise self._broken("the picture cannot be decoded", f"a complete {self.codec}")
+            raise self._broken("the image cannot be decoded", f"a complete {self.codec}")
         if pixels.shape[:2] != (self.height_px, self.width_px):
             height, width = pixels.shape[:2]
-            raise self._broken(f"the picture is {width} x {height} px", f"{self.width_px} x {self.height_px} px")
+            raise self._broken(f"the image is {width} x {height} px", f"{self.width_px} x {self.height_px} px")
         return pixels
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration that holds for this picture, of the chosen layer and stage.
+        """The calibration of the chosen layer and stage that is valid for this image.
 
         Raises:
-            DatasetError: there is none.
+            DatasetError: no calibration is valid.
         """
         return self._traversal.calibration(self.camera, self.timestamp_ns)
 
     @property
     def camera_model(self) -> Camera:
-        """The intrinsics that hold for this picture."""
+        """The intrinsics of this image's calibration."""
         return self.calibration.model
 
     @property
@@ -179,13 +180,13 @@ class Image:
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
 
     def depth(self) -> DepthImage | None:
-        """The depth map of this picture, of the chosen layer; None: it has none.
+        """The depth map of this image in the chosen layer; None: the image has none.
 
         Raises:
-            UsageError: the traversal has several layers of depth maps and none was chosen.
+            UsageError: the traversal has several depth layers and none was chosen.
             DatasetError: the traversal does not have the chosen layer.
         """
-        row = self._traversal.depth(self.camera, self.timestamp_ns)
+        row = self._traversal.depth_row(self.camera, self.timestamp_ns)
         if row is None:
             return None
         lens = Camera(
@@ -194,15 +195,15 @@ class Image:
         return DepthImage(lens, row["source"], row["source_version"], row["uri"], row["byte_length"], self._loader)
 
     def masks(self) -> list[Mask]:
-        """Masks of this picture, of all layers, by kind."""
-        rows = self._traversal.masks(self.camera, self.timestamp_ns)
+        """Masks of this image in all layers, ordered by kind."""
+        rows = self._traversal.mask_rows(self.camera, self.timestamp_ns)
         return [
             Mask(row["kind"], row["source"], row["source_version"], row["uri"], row["byte_length"], self._loader)
             for row in rows
         ]
 
     def static_mask(self) -> UInt8 | None:
-        """Pixels (H, W), non-zero where the vehicle itself is seen; None: not known.
+        """Pixels (H, W), non-zero where the recording vehicle is visible; None: the rig has no such mask.
 
         Raises:
             DatasetError: the rig names a mask that is missing or broken.

@@ -144,7 +144,7 @@ def complete_manifest(folder: Path) -> Manifest | None:
 
 
 def is_intact(folder: Path) -> bool:
-    """Whether a folder is complete and its files, pictures aside, have the bytes that its manifest names."""
+    """Whether a folder is complete and its files, images aside, have the bytes that its manifest names."""
     manifest = complete_manifest(folder)
     if manifest is None:
         return False

@@ -1,4 +1,4 @@
-"""What the frames of a view share: traversals, rigs and masks loaded once, and the reading of pictures."""
+"""What the frames of a view share: traversals, rigs and masks loaded once, and the reading of images."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""One writer a dataset: an advisory lock that the system releases when its holder dies, however it dies.
+"""The writer lock of a dataset: at most one process writes it at a time.
 
-The lock's file lies there only while a run holds it, or after one was killed.
+It is an advisory lock, which the operating system releases when its holder ends in any way. The lock's file exists only
+while a process holds the lock, or after such a process was killed.
 """
 
 from __future__ import annotations
@@ -20,38 +21,38 @@ _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
 
 def is_being_written(layout: Layout) -> bool:
-    """Whether a run holds the dataset's lock now."""
+    """Whether a process holds the dataset's writer lock now."""
     try:
         with layout.lock.open() as handle:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:
-        # Nobody holds it, or nobody here may.
+        # There is no lock file, or this user may not read it.
         return False
     return False
 
 
 @contextmanager
 def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
-    """Hold the dataset's lock. Folders that were made for it, and are still empty at the end, are removed again.
+    """Hold the dataset's writer lock. Folders that this call created are removed at the end if they are still empty.
 
     Args:
-        layout: the dataset; its root is made if need be.
-        wait: wait for another writer, or refuse at once.
+        layout: the dataset; its root is created if missing.
+        wait: True: wait for another writer to end; False: raise an error at once.
 
     Raises:
-        DatasetError: another writer holds it and ``wait`` is false, or the folder is not writable.
+        DatasetError: another process holds the lock and ``wait`` is false, or the folder is not writable.
     """
-    made = [folder for folder in (layout.root, *layout.root.parents) if not folder.exists()]
+    created = [folder for folder in (layout.root, *layout.root.parents) if not folder.exists()]
     with _acquired(layout, wait=wait):
         try:
             yield
         finally:
-            # While it is held: who waits for it sees that the file has gone, and makes another.
+            # Removed while the lock is held: a waiting process then notices that the file is gone, and creates another.
             layout.lock.unlink(missing_ok=True)
             with suppress(OSError):
-                for folder in made:
+                for folder in created:
                     folder.rmdir()
 
 
@@ -61,7 +62,7 @@ def _acquired(layout: Layout, *, wait: bool) -> IO[str]:
             layout.root.mkdir(parents=True, exist_ok=True)
             handle = layout.lock.open("a")
         except FileNotFoundError:
-            # Another run removed the folder that it had made.
+            # Another process removed the folder that it had created.
             continue
         except OSError as error:
             raise unwritable_error(layout.lock, error) from error
@@ -90,7 +91,7 @@ def _lock(handle: IO[str], *, wait: bool) -> None:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            # A reader that asks whether the dataset is being written holds it for a moment.
+            # A reader that tests whether the dataset is being written holds the lock for a moment.
             time.sleep(pause_s)
         else:
             return
@@ -98,7 +99,7 @@ def _lock(handle: IO[str], *, wait: bool) -> None:
 
 
 def _is_the_lock(layout: Layout, handle: IO[str]) -> bool:
-    """Whether the file that was locked is still the one at the lock's path."""
+    """Whether the locked file is still the one at the lock's path."""
     try:
         return os.path.samestat(os.fstat(handle.fileno()), layout.lock.stat())
     except FileNotFoundError:

@@ -1,9 +1,9 @@
-"""Folders that one attempt alone writes, and when what a dead attempt left may be removed.
+"""Work folders that belong to one process, and the removal of work folders that a dead process left.
 
-An attempt never writes where another may: it works in a folder whose name nobody else uses, holds a lock on it, and
-renames what is complete to its place. So it can remove its own work at any time, and never that of another. What an
-attempt left is removed by whoever comes next, once its owner is known to be dead (it ran under this boot of this
-machine, and its lock is free), else once nothing in it has changed for `LEFT_OVER_AGE_S`.
+A process works in a folder with a unique name and holds a lock on it. It renames a complete result to its final place.
+So a process can remove its own work at any time and never removes the work of another. The next process removes an
+abandoned folder once its owner is known to be dead: the folder's name has the boot id of this machine, and its lock is
+free. Other folders are removed when nothing in them has changed for `LEFT_OVER_AGE_S`.
 """
 
 from __future__ import annotations
@@ -23,24 +23,23 @@ from typing import Final
 from mirror.schema.files import unwritable_error
 
 LEFT_OVER_AGE_S: Final = 24 * 3600
-"""What an attempt on another machine left is removed after a day without a change."""
-
+"""Age after which an abandoned folder of another machine is removed: one day without a change."""
 
 _UNKNOWN: Final = "unknown"
 
 
 class OwnedFolder:
-    """A new folder, locked for as long as this object lives or until it is released.
+    """A new folder that is locked until this object is released or garbage collected.
 
     Args:
-        parent: where it is made; made itself if need be.
-        name: how its name begins; the rest is random.
+        parent: folder in which it is created; created if missing.
+        name: first part of the folder's name; the rest is the boot id and a random part.
 
     Attributes:
         path: the folder.
 
     Raises:
-        DatasetError: it cannot be made.
+        DatasetError: the folder cannot be created.
     """
 
     def __init__(self, parent: Path, name: str) -> None:
@@ -53,41 +52,48 @@ class OwnedFolder:
                 continue
             except OSError as error:
                 raise unwritable_error(self.path, error) from error
-            # Until it was locked it looked as if its owner were dead: another run may have removed it.
+            # Before it was locked, its owner seemed dead: another process may have removed it.
             if _lock(handle) is not False and self.path.exists():
                 self._close = weakref.finalize(self, os.close, handle)
                 return
             os.close(handle)
 
     def release(self) -> None:
-        """Leave the folder to whoever comes next."""
+        """Release the lock and leave the folder to the next process."""
         self._close()
 
     def remove(self) -> None:
-        """Remove the folder with all that is in it."""
+        """Remove the folder and its contents."""
         shutil.rmtree(self.path, ignore_errors=True)
         self._close()
 
 
 def abandoned_folders(parent: Path, name: str) -> Iterator[Path]:
-    """Folders of `OwnedFolder` whose owner is dead or silent for `LEFT_OVER_AGE_S`; the caller removes each of them."""
+    """Yield folders of `OwnedFolder` with a dead owner, or without a change for `LEFT_OVER_AGE_S`.
+
+    The caller removes each of them.
+
+    Args:
+        parent: the folder that holds them.
+        name: first part of their names.
+    """
     for folder in sorted(parent.glob(f"{name}.*.*")):
         try:
             handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except OSError:
             continue
         try:
-            free = _lock(handle)
-            # A lock is not seen on other machines, so that a free one says nothing of their folders.
-            dead = free and folder.name.split(".")[-2] == _boot() != _UNKNOWN
-            if dead or (free is not False and _silent_s(folder) > LEFT_OVER_AGE_S):
+            is_free = _lock(handle)
+            # A lock of another machine is not visible here: for its folders a free lock proves nothing.
+            is_dead = is_free and folder.name.split(".")[-2] == _boot() != _UNKNOWN
+            if is_dead or (is_free is not False and _unchanged_s(folder) > LEFT_OVER_AGE_S):
                 yield folder
         finally:
             os.close(handle)
 
 
 def _lock(handle: int) -> bool | None:
-    """Lock an open folder: True; False: another holds the lock; None: this file system has no locks for folders."""
+    """Lock an open folder. True: locked; False: another process holds the lock; None: the file system has no locks."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -97,8 +103,8 @@ def _lock(handle: int) -> bool | None:
     return True
 
 
-def _silent_s(folder: Path) -> float:
-    """Seconds since anything in a folder was changed."""
+def _unchanged_s(folder: Path) -> float:
+    """Seconds since the last change of a folder or a file in it."""
     newest = 0.0
     for root, _, names in os.walk(folder):
         for path in (root, *(os.path.join(root, name) for name in names)):  # noqa: PTH118 - many files
@@ -109,7 +115,7 @@ def _silent_s(folder: Path) -> float:
 
 @cache
 def _boot() -> str:
-    """What tells this boot of this machine from others; `_UNKNOWN` where the system does not say."""
+    """An id of this boot of this machine; `_UNKNOWN` where the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip().replace("-", "")[:12]
     except OSError:

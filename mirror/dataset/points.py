@@ -13,7 +13,7 @@ from mirror.dataset.query.arrow import floats_or_nan, to_arrow_mask, to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
 from mirror.dataset.query.select import read_rows, select_parts
-from mirror.dataset.traversal import no_layer, rows_of_layer
+from mirror.dataset.traversal import missing_layer_error, rows_of_layer
 from mirror.schema.tables import POINTS
 
 _COLUMNS: Final = ("x_m", "y_m", "z_m", "r", "g", "b", "kind", "views", "sigma_m", "source", "source_version")
@@ -27,7 +27,7 @@ class Points:
         position_m: (N, 3) in the world frame of their scene.
         rgb: (N, 3) colours.
         kind: (N,) ``ground``, ``background`` or ``far``.
-        views: (N,) pictures that agree on each.
+        views: (N,) images that agree on each.
         sigma_m: (N,) 1-sigma along the ray; NaN: unknown.
         traversal_id: (N,) the traversal that saw each first.
     """
@@ -48,7 +48,7 @@ def read_points(catalog: Catalog, filters: Filters, chosen: str | None) -> Point
     if chosen is not None:
         listed = read_rows(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
         if listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
-            raise no_layer(POINTS.name, chosen, catalog.store.root)
+            raise missing_layer_error(POINTS.name, chosen, catalog.store.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
     for part in select_parts(catalog, filters, POINTS.name):

@@ -69,7 +69,7 @@ class SceneRow:
         traversals: accepted passes.
         drives: drives among them.
         hours: of the traversals.
-        images: pictures.
+        images: images.
         light: traversals by light.
     """
 
@@ -128,7 +128,7 @@ class Statistics:
         refused: refused passes by rule.
         camera_hours: hours times cameras, over the traversals.
         frames: instants of a rig.
-        images: pictures.
+        images: images.
         image_bytes: their size.
     """
 
@@ -155,7 +155,7 @@ def statistics(dataset: Dataset) -> Statistics:
     """Statistics of a dataset, or of a view of one.
 
     Args:
-        dataset: what to look at; tables of pictures and poses are read a scene at a time.
+        dataset: what to look at; tables of images and poses are read a scene at a time.
     """
     rois, own, traversals = _contents(dataset)
     scenes = [_scene(roi, own[scene_id]) for scene_id, roi in rois.items()]
@@ -178,7 +178,7 @@ def statistics(dataset: Dataset) -> Statistics:
 
 
 def table_row(dataset: Dataset) -> TableRow:
-    """The paper's dataset table, for a dataset or a view of one; no picture or pose is looked at."""
+    """The paper's dataset table, for a dataset or a view of one; no image or pose is looked at."""
     return _row(dataset, *_contents(dataset))
 
 

@@ -177,7 +177,7 @@ class Store:
         return pa.PythonFile(self._remote[0].open(self._remote_path(path), "rb"), mode="r")
 
     def read_range(self, uri: str, offset: int, length: int) -> bytes:
-        """Some bytes of a picture's uri; fewer if the file ends before.
+        """Some bytes of an image's uri; fewer if the file ends before.
 
         Raises:
             DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
@@ -193,7 +193,7 @@ class Store:
         )
 
     def open_uri(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
-        """Read a picture's uri, or open it.
+        """Read an image's uri, or open it.
 
         Args:
             uri: of its row.
@@ -212,7 +212,7 @@ class Store:
         return self.read_stable(uri, local)
 
     def resolve(self, uri: str) -> Path | tuple[Any, str]:
-        """A picture's uri as a local path, or as a file system and a path in it.
+        """An image's uri as a local path, or as a file system and a path in it.
 
         Raises:
             DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
@@ -257,7 +257,7 @@ def store_at(root: str, sha256: str | None) -> Store:
     generation = Generation.find(Path(root).absolute(), sha256)
     if generation is None:
         raise DatasetError(
-            "the index is another than when this view was made",
+            "the index has changed since this view was made",
             file=Store(root).full_path("index"),
             remedy="open the dataset again and make the view again",
         )

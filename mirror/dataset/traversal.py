@@ -1,4 +1,4 @@
-"""One traversal as loaders see it: its poses, calibrations, boxes and picture rows under the chosen layers."""
+"""One traversal for the loaders: its poses, calibrations, boxes and image rows in the chosen layers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, 
 
 STAGES: Final = ("refined", "online", "factory")
 _POSE: Final = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
-_PICTURE: Final = tuple(name for name in IMAGES.schema.names if name != "frame_index")
+_IMAGE: Final = tuple(name for name in IMAGES.schema.names if name != "frame_index")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class Calibration:
     Attributes:
         camera: the camera's name.
         stage: factory, online or refined.
-        valid_from_ns: first instant; None: from the beginning.
-        valid_to_ns: last instant; None: without end.
+        valid_from_ns: first valid time, Unix; None: valid from the beginning.
+        valid_to_ns: last valid time, Unix; None: valid without end.
         model: intrinsics.
-        ego_SE3_camera: mounting, one pose.
-        row: the whole row of the table.
+        ego_SE3_camera: mounting of the camera on the vehicle, one pose.
+        row: all columns of the calibration's row.
     """
 
     camera: str
@@ -52,18 +52,18 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class FrameBoxes:
-    """The boxes at one instant.
+    """The N boxes at one time.
 
     Attributes:
-        frame: what the poses map into: ``ego`` (at ``timestamp_ns``), ``world`` or ``camera:<name>``.
-        timestamp_ns: the instant that the boxes describe.
-        pose: (N) poses, ``frame_SE3_box``.
+        frame: the frame that the poses map into: ``ego`` (at ``timestamp_ns``), ``world`` or ``camera:<name>``.
+        timestamp_ns: time of the boxes, Unix.
+        pose: N poses ``frame_SE3_box``.
         size_m: (N, 3) length, width, height, along the box's x, y and z.
-        velocity_mps: (N, 3) over ground, along the frame's axes; NaN where unknown.
-        category: (N) classes.
-        track_id: (N) objects.
-        score: (N,) confidence; NaN where the label has none.
-        source: (N) ``source@version``.
+        velocity_mps: (N, 3) velocity over ground along the frame's axes; NaN where unknown.
+        category: N class names.
+        track_id: N object ids.
+        score: (N,) confidence; NaN for a label without one.
+        source: N names ``source@version``.
     """
 
     frame: str
@@ -79,8 +79,13 @@ class FrameBoxes:
     def __len__(self) -> int:
         return len(self.pose)
 
-    def into(self, frame: str, frame_SE3_ego: Poses) -> FrameBoxes:
-        """The same boxes in another frame, given one pose of the ego frame in it."""
+    def to_frame(self, frame: str, frame_SE3_ego: Poses) -> FrameBoxes:
+        """Map the boxes into another frame.
+
+        Args:
+            frame: name of the frame.
+            frame_SE3_ego: one pose of the ego frame in it.
+        """
         turn = Poses(frame_SE3_ego.rotation, np.zeros((1, 3)))
         velocity = turn.transform(self.velocity_mps)[0] if len(self) else self.velocity_mps
         return FrameBoxes(
@@ -97,11 +102,11 @@ class FrameBoxes:
 
 
 class Traversal:
-    """What is loaded of one traversal, once.
+    """The loaded tables of one traversal; each is read once.
 
     Args:
         catalog: the index.
-        row: the traversal's row in the table of traversals.
+        row: row of the traversal in the table of traversals.
         traversal_id: its id.
         layers: the layers to read.
     """
@@ -114,10 +119,10 @@ class Traversal:
 
     @cached_property
     def track(self) -> tuple[Int64, Poses]:
-        """Stamps (N,) and ``world_SE3_ego`` of the chosen pose layer.
+        """Timestamps (N,) and N poses ``world_SE3_ego`` of the chosen pose layer.
 
         Raises:
-            DatasetError: this traversal has no such layer.
+            DatasetError: this traversal lacks the chosen layer.
         """
         columns = ["timestamp_ns", *_POSE]
         arrays = self._table("poses", self._layers.poses, EGO_POSES.name, columns)
@@ -125,7 +130,7 @@ class Traversal:
         return values[0], Poses(np.stack(values[1:5], axis=1), np.stack(values[5:], axis=1))
 
     def world_SE3_ego(self, timestamp_ns: npt.ArrayLike) -> Poses:  # noqa: N802
-        """The ego's pose at any times (M,) of the traversal.
+        """Interpolate the ego pose at times (M,), Unix ns.
 
         Raises:
             DatasetError: the poses do not cover a time.
@@ -138,7 +143,7 @@ class Traversal:
                 error.problem,
                 file=f"traversals/{self.traversal_id}",
                 place=f"poses of layer {self._layers.poses}",
-                expected="poses before and after every picture",
+                expected="poses before and after every image",
                 remedy="choose another pose layer: with_layers(poses=...)",
             ) from error
 
@@ -164,10 +169,10 @@ class Traversal:
         ]
 
     def calibration(self, camera: str, timestamp_ns: int) -> Calibration:
-        """The calibration that holds for a camera at an instant.
+        """The calibration of a camera that is valid at a time.
 
         Raises:
-            DatasetError: there is none.
+            DatasetError: no calibration is valid at that time.
         """
         valid = [
             item
@@ -180,27 +185,27 @@ class Traversal:
             of_stage = [item for item in valid if item.stage == stage]
             if of_stage:
                 return of_stage[-1]
-        there = sorted({item.stage for item in self.calibrations if item.camera == camera})
+        stages = sorted({item.stage for item in self.calibrations if item.camera == camera})
         raise DatasetError(
-            f"no calibration of camera {camera} holds at {timestamp_ns}",
+            f"no calibration of camera {camera} is valid at {timestamp_ns}",
             file=f"traversals/{self.traversal_id}",
             place=f"calibrations of layer {self._layers.calibrations}",
             expected=f"stage {self._layers.stage}" if self._layers.stage else "a row valid at that time",
-            remedy=f"choose a stage that is there: {', '.join(there)}" if there else "calibrate the camera",
+            remedy=f"choose one of its stages: {', '.join(stages)}" if stages else "calibrate the camera",
         )
 
-    def pictures(self, frame_index: int) -> Sequence[Mapping[str, Any]]:
-        """Rows of the pictures of one frame."""
+    def image_rows(self, frame_index: int) -> Sequence[Mapping[str, Any]]:
+        """Rows of the images of one frame, in no particular order."""
         group = self._group("images")
         if group is None:
             return []
         (index,) = self._catalog.columns.read(*group, ["frame_index"])
         rows = np.flatnonzero(floats_or_nan(index) == frame_index)
-        arrays = self._catalog.columns.read(*group, _PICTURE)
-        return [{name: array[row].as_py() for name, array in zip(_PICTURE, arrays)} for row in rows.tolist()]
+        arrays = self._catalog.columns.read(*group, _IMAGE)
+        return [{name: array[row].as_py() for name, array in zip(_IMAGE, arrays)} for row in rows.tolist()]
 
-    def masks(self, camera: str, timestamp_ns: int) -> Sequence[Mapping[str, Any]]:
-        """Rows of the masks of one picture."""
+    def mask_rows(self, camera: str, timestamp_ns: int) -> Sequence[Mapping[str, Any]]:
+        """Rows of the masks of one image."""
         group = self._group("masks")
         if group is None:
             return []
@@ -209,18 +214,18 @@ class Traversal:
         hit = (to_numpy(arrays["timestamp_ns"]) == timestamp_ns) & is_member(arrays["camera"], frozenset([camera]))
         return [{name: arrays[name][row].as_py() for name in names} for row in np.flatnonzero(hit).tolist()]
 
-    def depth(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
-        """Row of the depth map of one picture, of the chosen layer; None: it has none.
+    def depth_row(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
+        """Row of an image's depth map in the chosen layer; None: the image has none.
 
         Raises:
-            UsageError: the traversal has several layers of depth maps and none was chosen.
+            UsageError: the traversal has several depth layers and none was chosen.
             DatasetError: the traversal does not have the chosen layer.
         """
-        found = self._depth.get((camera, timestamp_ns))
-        if found is None:
+        entry = self._depth.get((camera, timestamp_ns))
+        if entry is None:
             return None
-        rows, row = found
-        return {name: array[row].as_py() for name, array in rows.items()}
+        columns, row = entry
+        return {name: array[row].as_py() for name, array in columns.items()}
 
     @cached_property
     def _depth(self) -> Mapping[tuple[str, int], tuple[Mapping[str, pa.Array], int]]:
@@ -230,19 +235,19 @@ class Traversal:
         if group is None:
             return {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
-        own = np.flatnonzero(self._of_layer("depth", arrays, self._layers.depth)).tolist()
+        rows = np.flatnonzero(self._of_layer("depth", arrays, self._layers.depth)).tolist()
         cameras, stamps = arrays["camera"].to_pylist(), arrays["timestamp_ns"].to_pylist()
-        return {(cameras[row], stamps[row]): (arrays, row) for row in own}
+        return {(cameras[row], stamps[row]): (arrays, row) for row in rows}
 
     def _of_layer(self, kind: str, arrays: Mapping[str, pa.Array], chosen: str | None) -> Bool:
-        """Which rows (N,) of a layer table are of the chosen layer."""
+        """Mask (N,) of the rows of a layer table that belong to the chosen layer."""
         return rows_of_layer(kind, self.traversal_id, arrays["source"], arrays["source_version"], chosen)
 
     def boxes(self, timestamp_ns: int) -> FrameBoxes:
-        """The boxes nearest in time, in the ego frame of their own instant.
+        """The boxes nearest in time, in the ego frame at their own time.
 
-        Boxes count as those of an instant if they are at most half a period of their layer away; of a layer with one
-        instant only those of that very instant do.
+        Boxes are used if they are at most half a period of their layer away. A layer with a single time has no period:
+        its boxes are used only at exactly that time.
 
         Raises:
             UsageError: the traversal has several box layers and none was chosen.
@@ -259,7 +264,7 @@ class Traversal:
 
     @cached_property
     def track_ids(self) -> tuple[str, ...]:
-        """Every object that the boxes of the chosen layer have, sorted.
+        """Ids of all objects in the chosen box layer, sorted.
 
         Raises:
             UsageError: the traversal has several box layers and none was chosen.
@@ -276,17 +281,17 @@ class Traversal:
         if group is None:
             return np.empty(0, np.int64), {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
-        own = self._of_layer("boxes", arrays, self._layers.boxes)
-        return to_numpy(arrays["timestamp_ns"])[own], {
-            name: array.filter(to_arrow_mask(own)) for name, array in arrays.items()
+        in_layer = self._of_layer("boxes", arrays, self._layers.boxes)
+        return to_numpy(arrays["timestamp_ns"])[in_layer], {
+            name: array.filter(to_arrow_mask(in_layer)) for name, array in arrays.items()
         }
 
     def _group(self, name: str) -> tuple[str, int] | None:
-        """File and position of this traversal's row group of an index table; None: it has no rows."""
+        """File and position of this traversal's row group in an index table; None: it has no rows."""
         return self._catalog.group_of(name, self.row)
 
     def _table(self, kind: str, layer: str, name: str, columns: Sequence[str]) -> list[pa.Array]:
-        """Columns of a recorded table, or of the same table in a layer."""
+        """Read columns of a recorded table, or of the same table in a layer."""
         if layer == "recorded":
             group = self._group(name)
             return self._catalog.columns.read(*group, columns) if group else [pa.nulls(0) for _ in columns]
@@ -295,46 +300,46 @@ class Traversal:
         return self._catalog.columns.read(path, 0, columns)
 
     def _require_listed(self, kind: str, layer: str | None) -> None:
-        """See that this traversal has a layer, if one is chosen; there may be no rows of it."""
+        """Raise an error if a layer is chosen that this traversal lacks. A layer may have no rows."""
         if layer is None:
             return
-        own = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
-        if f"{kind}/{layer}" not in own:
-            raise no_layer(kind, layer, f"traversals/{self.traversal_id}/layers/{kind}")
+        layers = self._catalog.read_global("traversals", ["layers"]).column(0)[self.row].as_py()
+        if f"{kind}/{layer}" not in layers:
+            raise missing_layer_error(kind, layer, f"traversals/{self.traversal_id}/layers/{kind}")
 
 
 def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Array, chosen: str | None) -> Bool:
-    """Which rows (N,) of a traversal are of one of its layers.
+    """Mask (N,) of the rows of a traversal that belong to one of its layers.
 
     Args:
-        kind: of the layers, for the messages.
+        kind: kind of the layers, for messages.
         traversal_id: the traversal.
-        source: (N,) who made each row; at least one.
+        source: (N,) source of each row, N >= 1.
         version: (N,) version of the source.
-        chosen: ``source@version``, which may have no rows; None: the only one there is.
+        chosen: ``source@version``, which may have no rows; None: the only layer.
 
     Raises:
-        UsageError: there are several and none was chosen.
+        UsageError: the rows are of several layers and none was chosen.
     """
     names = layer_names(source, version)
-    there = sorted(pc.unique(names).to_pylist())
+    layers = sorted(pc.unique(names).to_pylist())
     if chosen is None:
-        if len(there) > 1:
+        if len(layers) > 1:
             raise UsageError(
-                f"traversal {traversal_id} has {kind} of {', '.join(there)}",
-                remedy=f"choose: with_layers({kind}={there[-1]!r})",
+                f"traversal {traversal_id} has {kind} of {', '.join(layers)}",
+                remedy=f"choose: with_layers({kind}={layers[-1]!r})",
             )
-        chosen = there[0]
+        chosen = layers[0]
     return is_member(names, frozenset([chosen]))
 
 
 def layer_names(source: pa.Array, version: pa.Array) -> pa.Array:
-    """``source@version`` (N,) of rows with a source (N,) and its version (N,)."""
+    """Names ``source@version`` (N,) from sources (N,) and their versions (N,)."""
     return pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
 
 
-def no_layer(kind: str, layer: str, where: str) -> DatasetError:
-    """The error for a layer that is not there."""
+def missing_layer_error(kind: str, layer: str, where: str) -> DatasetError:
+    """The error for a missing layer."""
     return DatasetError(
         f"there is no {kind} layer {layer}",
         file=where,
@@ -349,7 +354,7 @@ def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) 
             return np.empty((0, len(names)))
         return np.stack([floats_or_nan(table[name])[rows] for name in names], axis=1)
 
-    def words(name: str) -> tuple[str, ...]:
+    def strings(name: str) -> tuple[str, ...]:
         return tuple(table[name][row].as_py() for row in rows.tolist())
 
     return FrameBoxes(
@@ -358,8 +363,8 @@ def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) 
         pose=Poses(floats(*_POSE[:4]), floats(*_POSE[4:])),
         size_m=floats("length_m", "width_m", "height_m"),
         velocity_mps=floats("vx_mps", "vy_mps", "vz_mps"),
-        category=words("category"),
-        track_id=words("track_id"),
+        category=strings("category"),
+        track_id=strings("track_id"),
         score=floats("score")[:, 0],
-        source=tuple(f"{source}@{version}" for source, version in zip(words("source"), words("source_version"))),
+        source=tuple(f"{source}@{version}" for source, version in zip(strings("source"), strings("source_version"))),
     )

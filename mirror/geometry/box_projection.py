@@ -193,9 +193,9 @@ def _bounds(camera: Camera, boxes: _Boxes, steps: int, near: float) -> Float64:
     rows = np.flatnonzero(lost | ~(inside | np.isnan(points[..., 0])).all(axis=-1))
     if len(rows):
         found = [points[rows], _border_crossings(curves[rows], size)]
-        picture_corners = size * ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
-        rays = camera.unproject(picture_corners)
-        found.append(_seen_through(boxes[rows], rays.direction, picture_corners, _near(camera, near)))
+        image_corners = size * ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+        rays = camera.unproject(image_corners)
+        found.append(_seen_through(boxes[rows], rays.direction, image_corners, _near(camera, near)))
         if lost.any():
             found.append(_seen_through(boxes[rows], *_rim(camera), _near(camera, near)))
         candidates = np.concatenate(found, axis=1)

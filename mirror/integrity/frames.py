@@ -1,4 +1,4 @@
-"""Which pictures of a scene make up frames."""
+"""Which images of a scene make up frames."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mirror.integrity.rows import Rows
 
 @dataclass(frozen=True)
 class Frames:
-    """Columns over the recorded pictures, and over the traversals.
+    """Columns over the recorded images, and over the traversals.
 
     Attributes:
         is_reference: (N,) taken by the rig's reference camera.
-        framed: (N,) belongs to a frame that has a picture of the reference camera.
-        reference_ns: (N,) stamp of that picture; 0 where there is none.
-        has_reference: (traversals,) True where the reference camera has pictures.
-        period_s: (traversals,) its period; infinite where it has fewer than two pictures.
+        framed: (N,) belongs to a frame that has an image of the reference camera.
+        reference_ns: (N,) stamp of that image; 0 where there is none.
+        has_reference: (traversals,) True where the reference camera has images.
+        period_s: (traversals,) its period; infinite where it has fewer than two images.
     """
 
     is_reference: Bool
@@ -31,7 +31,7 @@ class Frames:
 
 
 def assign_frames(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
-    """The frames of recorded pictures, as their table has them.
+    """The frames of recorded images, as their table has them.
 
     Args:
         images: one file a traversal.

@@ -1,4 +1,4 @@
-"""The files behind pictures: their sizes and ends, and what is in them; each file is opened once for all rules."""
+"""The files behind images: their sizes and ends, and what is in them; each file is opened once for all rules."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ImageFiles:
     """What the file system says.
 
     Attributes:
-        size: (N,) bytes of the picture's file; `MISSING`, or `LEAVES_DATASET`: its uri leads out of the dataset.
+        size: (N,) bytes of the image's file; `MISSING`, or `LEAVES_DATASET`: its uri leads out of the dataset.
         ended: (N,) True if a still's bytes end as its codec asks; True for videos and where that cannot be seen.
     """
 
@@ -47,9 +47,9 @@ class ImageContents:
 
     Attributes:
         same_bytes: (N,) False if the bytes have another SHA-256 than the table says.
-        decodes: (N,) False if the picture cannot be decoded.
-        width_px: (N,) of the decoded picture; 0 where it was not decoded.
-        height_px: (N,) of the decoded picture.
+        decodes: (N,) False if the image cannot be decoded.
+        width_px: (N,) of the decoded image; 0 where it was not decoded.
+        height_px: (N,) of the decoded image.
         spread: (N,) difference of its brightest and darkest value in 256; 255 where it was not decoded.
     """
 
@@ -61,10 +61,10 @@ class ImageContents:
 
 
 class ImageFileReader:
-    """Reads the files of pictures, several at once.
+    """Reads the files of images, several at once.
 
     Args:
-        images: the pictures.
+        images: the images.
         store: the dataset's files.
     """
 
@@ -89,7 +89,7 @@ class ImageFileReader:
         )
 
     def contents(self, files: ImageFiles) -> ImageContents:
-        """Hashes, sizes and spread of the pictures.
+        """Hashes, sizes and spread of the images.
 
         Args:
             files: what `files` answered: a file that is too short is not read.
@@ -101,7 +101,7 @@ class ImageFileReader:
         return ImageContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
 
     def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
-        # A task for each picture would cost more than looking at its file.
+        # A task for each image would cost more than looking at its file.
         chunks = [range(start, min(start + _CHUNK, len(self._uri))) for start in range(0, len(self._uri), _CHUNK)]
         with thread_pool(usable_cores()) as pool:
             return [answer for part in pool.map(lambda rows: [read(row) for row in rows], chunks) for answer in part]
@@ -139,7 +139,7 @@ class ImageFileReader:
         return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
 
     def _whole(self, row: int, size: int) -> bool:
-        """Whether a file of that size has all of a picture's bytes."""
+        """Whether a file of that size has all of an image's bytes."""
         offset, length = int(self._offset[row]), int(self._length[row])
         return offset >= 0 and length > 0 and size >= offset + length
 
@@ -153,7 +153,7 @@ class ImageFileReader:
 
 
 def leaves_dataset(uri: str) -> bool:
-    """Whether a picture's relative uri leads out of the dataset."""
+    """Whether an image's relative uri leads out of the dataset."""
     return ".." in uri and ".." in PurePosixPath(uri).parts
 
 

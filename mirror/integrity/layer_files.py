@@ -1,4 +1,4 @@
-"""The files behind rows of layers, masks and depth maps alike: whether they are there, and of a recorded picture."""
+"""The files behind rows of layers, masks and depth maps alike: whether they are there, and of a recorded image."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
 
 
 def rows_without_image(view: SceneView, rows: Rows) -> Iterator[Finding]:
-    """Rows of a picture that was never recorded."""
+    """Rows of an image that was never recorded."""
     images = view.images
     codes, names = images.words("camera")
     code_of = {name: code for code, name in enumerate(names)}
     own_codes, own_names = rows.words("camera")
     camera = np.array([code_of.get(name, -1) for name in own_names], np.int64)[own_codes]
     stamps, taken = rows.integers("timestamp_ns"), images.integers("timestamp_ns")
-    pictures = {number: part for _, number, part in images.slices()}
+    rows_of_images = {number: part for _, number, part in images.slices()}
     lost = np.zeros(len(rows), np.bool_)
     for _, number, part in rows.slices():
-        own = pictures.get(number, slice(0, 0))
+        own = rows_of_images.get(number, slice(0, 0))
         known = set(zip(codes[own].tolist(), taken[own].tolist()))
         lost[part] = [key not in known for key in zip(camera[part].tolist(), stamps[part].tolist())]
-    yield from rows.findings(lost, lambda row: "no picture of this camera and instant")
+    yield from rows.findings(lost, lambda row: "no image of this camera and instant")
 
 
 def _place(view: SceneView, uri: str) -> Path | None:

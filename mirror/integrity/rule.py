@@ -21,14 +21,14 @@ GROUPS: Final = {
     "FIL": "the files that manifests list",
     "GEO": "places on the globe, and the world that hangs on them",
     "IDX": "the index, which is derived from everything else",
-    "IMG": "pictures, their rows, files and pixels",
+    "IMG": "images, their rows, files and pixels",
     "LED": "the ledgers of passes, accepted and refused",
     "MSK": "masks",
     "POS": "the ego poses of a traversal, recorded and in layers",
     "PTS": "points",
     "SPL": "splits, and what leaks through them",
     "TAB": "every table against its schema",
-    "TIM": "stamps of pictures, frames and drives",
+    "TIM": "stamps of images, frames and drives",
 }
 """What the rules of each group look at."""
 

@@ -54,7 +54,7 @@ class SceneView:
 
     @cached_property
     def images(self) -> Rows:
-        """Recorded pictures."""
+        """Recorded images."""
         return self._recorded(IMAGES)
 
     @cached_property
@@ -69,7 +69,7 @@ class SceneView:
 
     @cached_property
     def all_images(self) -> Rows:
-        """Recorded pictures and redacted ones."""
+        """Recorded images and redacted ones."""
         return self._with_layers(self.images, "redaction")
 
     @cached_property
@@ -147,9 +147,9 @@ class SceneView:
         taken, names = self.images.words("camera")
         code_of = {name: code for code, name in enumerate(names)}
         cameras, camera_names = self.calibrations.words("camera")
-        pictures = {number: rows for _, number, rows in self.images.slices()}
+        images = {number: rows for _, number, rows in self.images.slices()}
         for _, number, rows in self.calibrations.slices():
-            own = pictures.get(number, slice(0, 0))
+            own = images.get(number, slice(0, 0))
             for row in range(rows.start, rows.stop):
                 yield row, own, taken[own] == code_of.get(camera_names[cameras[row]], -1)
 

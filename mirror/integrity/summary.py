@@ -1,4 +1,4 @@
-"""What a dataset holds, in brief; it needs no index, and says of one that is there whether it is current."""
+"""A summary of a dataset. It needs no index; it reports whether an index is current."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.errors import MirrorError
 from mirror.integrity.dataset_view import DatasetView
 from mirror.schema.documents import DatasetDocument
 
+_JSON_KEYS: Final = {"images": "pictures", "image_bytes": "picture_bytes"}
+"""Keys of ``mirror info --json`` that differ from the field; they stay for those who read them."""
+
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """A dataset in brief.
+    """Counts and states of a dataset.
 
     Attributes:
         document: ``dataset.json``.
@@ -26,8 +29,8 @@ class DatasetSummary:
         vehicle_types: drives by vehicle type.
         rigs: camera names by rig.
         traversals: number of traversals.
-        pictures: their number.
-        picture_bytes: their size.
+        images: number of recorded images.
+        image_bytes: their total size.
         first_ns: the earliest entry; None: no traversal.
         last_ns: the latest exit.
         hours: sum of the traversals' durations.
@@ -45,8 +48,8 @@ class DatasetSummary:
     vehicle_types: Mapping[str, int]
     rigs: Mapping[str, tuple[str, ...]]
     traversals: int
-    pictures: int
-    picture_bytes: int
+    images: int
+    image_bytes: int
     first_ns: int | None
     last_ns: int | None
     hours: float
@@ -57,22 +60,22 @@ class DatasetSummary:
     problems: tuple[MirrorError, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, for ``--json``."""
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        """All fields as JSON values, for ``--json``."""
+        plain = {_JSON_KEYS.get(name, name): getattr(self, name) for name in self.__dataclass_fields__}
         plain["document"] = self.document.model_dump(mode="json")
         plain["problems"] = [error.to_dict() for error in self.problems]
         return plain
 
 
 def summarise(root: str | Path) -> DatasetSummary:
-    """Look at a dataset's documents, manifests and ledgers.
+    """Summarise a dataset from its documents, manifests and ledgers.
 
     Args:
         root: its folder.
 
     Raises:
-        DatasetError: there is no dataset.
-        SchemaError: its ``dataset.json`` is broken, or of another schema version.
+        DatasetError: the folder holds no dataset.
+        SchemaError: ``dataset.json`` is broken or has another schema version.
     """
     layout = Layout(Path(root))
     require_dataset(layout)
@@ -80,7 +83,7 @@ def summarise(root: str | Path) -> DatasetSummary:
     if view.document is None:
         raise view.problems[view.name(layout.document)]
     traversals = view.traversals.values()
-    pictures = [manifest.pictures for name in view.traversals if (manifest := view.recorded_manifests[name])]
+    images = [manifest.pictures for name in view.traversals if (manifest := view.recorded_manifests[name])]
     passed = [item.ledger_row for item in traversals if item.ledger_row is not None]
     rules = [rule or "accepted" for rule in view.passes.data.column("rule").to_pylist()]
     return DatasetSummary(
@@ -91,8 +94,8 @@ def summarise(root: str | Path) -> DatasetSummary:
         vehicle_types=dict(Counter(drive.vehicle_type for drive in view.drives.values())),
         rigs={name: tuple(camera.name for camera in rig.cameras) for name, rig in view.rigs.items()},
         traversals=len(traversals),
-        pictures=sum(item.count for item in pictures if item is not None),
-        picture_bytes=sum(item.bytes for item in pictures if item is not None),
+        images=sum(item.count for item in images if item is not None),
+        image_bytes=sum(item.bytes for item in images if item is not None),
         first_ns=min((int(str(row["entry_ns"])) for row in passed), default=None),
         last_ns=max((int(str(row["exit_ns"])) for row in passed), default=None),
         hours=sum(int(str(row["exit_ns"])) - int(str(row["entry_ns"])) for row in passed) / 3.6e12,

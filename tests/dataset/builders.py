@@ -1,6 +1,6 @@
 """Recorded folders without ingest: straight drives through regions of interest, with exact truth.
 
-The benchmarks use it too, to make a large dataset of rows without pictures.
+The benchmarks use it too, to make a large dataset of rows without images.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pass:
         pose_ns: period of the poses.
         light: day, dusk or night.
         weather: clear, rain ...
-        dropped: (camera, frame) without a picture.
+        dropped: (camera, frame) without an image.
         images: encoded bytes of an image, by camera, written for every frame; None: only rows are written.
         codec: how they are encoded.
     """
@@ -362,7 +362,7 @@ def box(timestamp_ns: int, track_id: str, **more: object) -> dict[str, object]:
 
 
 def mask_row(camera: str, timestamp_ns: int, uri: str, data: bytes = b"", **more: object) -> dict[str, object]:
-    """A mask of one picture."""
+    """A mask of one image."""
     return {
         "camera": camera,
         "timestamp_ns": timestamp_ns,

@@ -1,4 +1,4 @@
-"""Frames: pictures, poses, calibrations, boxes and masks, against the exact truth of straight drives."""
+"""Frames: images, poses, calibrations, boxes and masks, against the exact truth of straight drives."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SIZE = (48, 32)
 MS = 1_000_000
 
 
-def picture(seed: int, size: tuple[int, int] = SIZE) -> bytes:
+def image(seed: int, size: tuple[int, int] = SIZE) -> bytes:
     """A JPEG of smooth random colours."""
     rough = np.random.default_rng(seed).integers(0, 255, (4, 6, 3), np.uint8)
     return cv2.imencode(".jpg", cv2.resize(rough, size, interpolation=cv2.INTER_CUBIC))[1].tobytes()
 
 
-PICTURES = {camera: picture(seed) for seed, camera in enumerate(CAMERAS)}
+ENCODED = {camera: image(seed) for seed, camera in enumerate(CAMERAS)}
 
 
 def reference_rgb(data: bytes) -> np.ndarray:
@@ -41,7 +41,7 @@ def reference_rgb(data: bytes) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def one_pass() -> Pass:
-    return Pass("a", frames=6, heading_deg=50.0, offset_m=3.0, images=PICTURES, dropped=frozenset({("front_left", 4)}))
+    return Pass("a", frames=6, heading_deg=50.0, offset_m=3.0, images=ENCODED, dropped=frozenset({("front_left", 4)}))
 
 
 @pytest.fixture(scope="module")
@@ -74,17 +74,17 @@ def test_a_sequence_is_indexed_and_sliced(builder: Builder, frames: FrameSequenc
     assert repr(cut) == "FrameSequence(2 frames of 1 traversals)"
 
 
-def test_pictures_are_those_of_the_files(frames: FrameSequence) -> None:
+def test_images_are_those_of_the_files(frames: FrameSequence) -> None:
     frame = frames[1]
     assert tuple(frame.images) == CAMERAS
     for camera, image in frame.images.items():
-        assert image.read(verify=True) == PICTURES[camera]
-        assert np.array_equal(image.decode(), reference_rgb(PICTURES[camera]))
+        assert image.read(verify=True) == ENCODED[camera]
+        assert np.array_equal(image.decode(), reference_rgb(ENCODED[camera]))
         assert image.exposure_start_ns < image.timestamp_ns < image.exposure_end_ns
     planes = frame.decode()
     assert planes.flags.c_contiguous and planes.dtype == np.uint8 and planes.shape == (3, 3, 32, 48)
     for part, camera in zip(planes, CAMERAS):
-        assert np.array_equal(part.transpose(1, 2, 0), reference_rgb(PICTURES[camera]))
+        assert np.array_equal(part.transpose(1, 2, 0), reference_rgb(ENCODED[camera]))
     assert np.array_equal(frame.decode(threads=1), planes)
     assert np.array_equal(frame.decode(["front_right", "front_wide"], verify=True), planes[[2, 0]])
 
@@ -93,7 +93,7 @@ def test_a_missing_camera_is_missing(frames: FrameSequence) -> None:
     frame = frames[4]
     assert tuple(frame.images) == ("front_wide", "front_right")
     assert frame.decode().shape[0] == 2
-    with pytest.raises(UsageError, match="no picture of camera 'front_left' in frame 4"):
+    with pytest.raises(UsageError, match="no image of camera 'front_left' in frame 4"):
         frame.decode(["front_left"])
     planes = np.full((3, 3, 32, 48), 7, np.uint8)
     frame.decode_into(planes, CAMERAS)
@@ -107,7 +107,7 @@ def test_a_view_of_some_cameras_has_only_those(builder: Builder) -> None:
     assert tuple(frame.images) == ("front_wide", "front_right")
 
 
-def test_poses_are_composed_at_each_pictures_own_instant(frames: FrameSequence, one_pass: Pass) -> None:
+def test_poses_are_composed_at_each_images_own_instant(frames: FrameSequence, one_pass: Pass) -> None:
     yaw = np.pi / 2 - np.radians(one_pass.heading_deg)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     # The camera looks along the ego's x: its x is -y of the ego, its y is -z, its z is x.
@@ -149,7 +149,7 @@ def test_calibrations_by_stage_and_time(tmp_path: Path) -> None:
     assert [focal(board, frame) for frame in (0, 2, 3)] == [41.0, 41.0, 42.0]
     assert focal(board.with_layers(stage="factory"), 0) == 40.0
     assert focal(board.with_layers(stage="factory").with_layers(calibrations="ba@1", stage="refined"), 0) == 50.0
-    with pytest.raises(DatasetError, match=r"no calibration of camera front_left holds at .*there|choose a stage"):
+    with pytest.raises(DatasetError, match=r"no calibration of camera front_left is valid at .*|choose one of its stages"):
         focal(board, 3, "front_left")
     with pytest.raises(DatasetError, match="calibrate the camera"):
         focal(dataset.with_layers(calibrations="ba@1"), 0, "front_left")
@@ -175,7 +175,7 @@ def test_a_pose_layer_replaces_the_recorded_poses(tmp_path: Path) -> None:
     assert refined.with_layers(poses="recorded").frames()[0].world_SE3_ego.translation[0, 2] == 0.0
     with pytest.raises(DatasetError, match=r"no poses layer slam@2.*with_layers"):
         _ = refined.where(drive="d1").frames()[0].world_SE3_ego
-    with pytest.raises(DatasetError, match="poses before and after every picture"):
+    with pytest.raises(DatasetError, match="poses before and after every image"):
         _ = dataset.where(drive="d1").with_layers(poses="short@1").frames()[0].world_SE3_ego
 
 
@@ -208,7 +208,7 @@ class TestBoxes:
         assert np.allclose(world.pose.translation, [[8.1, 0.0, 0.8]] * 2, atol=1e-9)
         assert world.velocity_mps.shape == camera.velocity_mps.shape == (2, 3)
         assert np.allclose(world.velocity_mps, [[3.0, 0.0, 0.0]] * 2, atol=1e-12)
-        # The picture of front_left is of 101 ms: the car has gone on by 0.41 m, the camera sits 0.1 m left.
+        # The image of front_left is of 101 ms: the car has gone on by 0.41 m, the camera sits 0.1 m left.
         assert np.allclose(camera.pose.translation, [[0.1, 0.8, 8.09]] * 2, atol=1e-9)
         assert np.allclose(camera.velocity_mps, [[0.0, 0.0, 3.0]] * 2, atol=1e-12)
         assert np.array_equal(world.size_m, [[4.0, 2.0, 1.6]] * 2)
@@ -237,7 +237,7 @@ class TestBoxes:
 def test_masks_and_static_masks(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
-    (traversal,) = builder.drive("d", [Pass("a", images=PICTURES)])
+    (traversal,) = builder.drive("d", [Pass("a", images=ENCODED)])
     grey = np.zeros((32, 48), np.uint8)
     grey[10:20, 5:9] = 255
     png = cv2.imencode(".png", grey)[1].tobytes()
@@ -261,12 +261,12 @@ def test_masks_and_static_masks(tmp_path: Path) -> None:
     assert first.images["front_left"].static_mask() is None
 
 
-class TestBrokenPictures:
+class TestBrokenImages:
     @pytest.fixture
     def dataset(self, tmp_path: Path) -> Dataset:
         builder = Builder(tmp_path)
         builder.scene("a")
-        builder.drive("d", [Pass("a", frames=1, images=PICTURES)])
+        builder.drive("d", [Pass("a", frames=1, images=ENCODED)])
         build_index(tmp_path)
         return mirror.open(tmp_path)
 
@@ -285,34 +285,34 @@ class TestBrokenPictures:
         assert "No such file" in self.faults(dataset)
 
     def test_cut_short(self, dataset: Dataset) -> None:
-        self.path(dataset).write_bytes(PICTURES["front_left"][:-40])
+        self.path(dataset).write_bytes(ENCODED["front_left"][:-40])
         assert "ends after" in self.faults(dataset)
 
     def test_overwritten_to_the_same_length(self, dataset: Dataset) -> None:
-        data = PICTURES["front_left"]
+        data = ENCODED["front_left"]
         for broken in (data[: len(data) // 2] + bytes(len(data) - len(data) // 2), bytes(len(data))):
             self.path(dataset).write_bytes(broken)
             assert "cannot be decoded" in self.faults(dataset)
 
-    def test_another_picture_of_the_same_length(self, dataset: Dataset) -> None:
-        data = bytearray(PICTURES["front_left"])
+    def test_another_image_of_the_same_length(self, dataset: Dataset) -> None:
+        data = bytearray(IMAGES["front_left"])
         data[-30] ^= 1
         self.path(dataset).write_bytes(data)
         dataset.frames()[0].decode()
         assert "not those that were recorded" in self.faults(dataset, verify=True)
 
     def test_another_size(self, dataset: Dataset) -> None:
-        other = picture(1, (16, 12))
-        room = len(PICTURES["front_left"]) - len(other)
+        other = image(1, (16, 12))
+        room = len(IMAGES["front_left"]) - len(other)
         assert room >= 0
         self.path(dataset).write_bytes(other + bytes(room))
-        assert "the picture is 16 x 12 px; expected 48 x 32 px" in self.faults(dataset)
+        assert "the image is 16 x 12 px; expected 48 x 32 px" in self.faults(dataset)
 
 
 def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path / "dataset")
     builder.scene("a")
-    builder.drive("d", [Pass("a", frames=1, images=PICTURES)])
+    builder.drive("d", [Pass("a", frames=1, images=ENCODED)])
     (tmp_path / "secret").write_bytes(b"x" * 2000)
     build_index(builder.root)
     path = builder.root / "index" / "images" / "a.parquet"
@@ -328,7 +328,7 @@ def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
         mirror.open(builder.root).frames()[0].decode()
 
 
-def test_pictures_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
+def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",), size=(64, 48))
     builder.scene("a")
     (traversal,) = builder.drive("d", [Pass("a", frames=30)])

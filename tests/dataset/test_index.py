@@ -73,7 +73,7 @@ def test_every_table_follows_its_specification(tmp_path: Path) -> None:
             assert keys == sorted(keys)
 
 
-def test_positions_of_pictures_are_the_exact_ones(tmp_path: Path) -> None:
+def test_positions_of_images_are_the_exact_ones(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     roi = builder.scene("a", height_m=120.0)
     one = Pass("a", frames=50, heading_deg=77.0, offset_m=12.5, speed_mps=17.0)
@@ -279,7 +279,7 @@ def test_a_redaction_layer_takes_the_place_of_the_recorded_bytes(tmp_path: Path)
     assert all(row["source_sha256"] is None for row in images if row["privacy"] == "raw")
 
 
-def test_a_poses_only_drive_has_a_traversal_without_pictures(tmp_path: Path) -> None:
+def test_a_poses_only_drive_has_a_traversal_without_images(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=())
     builder.scene("a")
     builder.drive("d", [Pass("a")])
@@ -299,7 +299,7 @@ def test_an_empty_dataset_has_an_index(tmp_path: Path) -> None:
     assert dataset.where(within=(0.0, 0.0, 100.0), light="day").table("images").num_rows == 0
 
 
-def test_poses_that_do_not_cover_a_picture_are_named(tmp_path: Path) -> None:
+def test_poses_that_do_not_cover_a_image_are_named(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
     late = Pass("a", frames=40)
@@ -348,7 +348,7 @@ def test_a_missing_table_is_named(tmp_path: Path) -> None:
         build_index(tmp_path)
 
 
-def test_a_picture_table_in_another_order_gives_the_same_index(tmp_path: Path) -> None:
+def test_a_image_table_in_another_order_gives_the_same_index(tmp_path: Path) -> None:
     for name, flip in (("one", False), ("two", True)):
         builder = Builder(tmp_path / name)
         builder.scene("a")

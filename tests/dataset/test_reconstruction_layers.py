@@ -46,7 +46,7 @@ def test_depths_that_cannot_be_kept_are_refused(bad: float) -> None:
         encode_depth(np.zeros((0, 4)))
 
 
-@pytest.mark.parametrize("data", [b"", b"no picture", encode_depth(np.ones((4, 4)))[:40]])
+@pytest.mark.parametrize("data", [b"", b"no image", encode_depth(np.ones((4, 4)))[:40]])
 def test_no_depth_map_decodes_to_nothing(data: bytes) -> None:
     assert decode_depth(data) is None
 

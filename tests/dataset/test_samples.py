@@ -328,8 +328,8 @@ def test_what_cannot_be_is_refused(dataset: Dataset, tmp_path: Path) -> None:
             FrameDataset(dataset, **options)
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
-    picture = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
-    (traversal,) = builder.drive("d0", [Pass("a", images=picture, codec="png")])
+    image = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
+    (traversal,) = builder.drive("d0", [Pass("a", images=image, codec="png")])
     for name in ("one@1", "two@2"):
         builder.layer(traversal, "boxes", name, BOXES, [])
         folder = builder.layout.layer(traversal, "masks", *name.split("@"))
@@ -348,8 +348,8 @@ def test_what_cannot_be_is_refused(dataset: Dataset, tmp_path: Path) -> None:
 def test_a_calibration_of_another_raster_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
-    picture = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
-    (traversal,) = builder.drive("d0", [Pass("a", images=picture, codec="png")])
+    image = {"front_wide": png(np.zeros((32, 48, 3), np.uint8))}
+    (traversal,) = builder.drive("d0", [Pass("a", images=image, codec="png")])
     builder.layer(traversal, "calibrations", "bad@1", CALIBRATIONS, [calibration("front_wide", 0, (96, 64))])
     build_index(tmp_path)
     view = mirror.open(tmp_path).with_layers(calibrations="bad@1")

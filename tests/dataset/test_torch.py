@@ -22,7 +22,7 @@ from torch.utils.data import DataLoader  # noqa: E402
 from mirror.dataset.torch import FrameDataset, IterableFrames, epoch_order  # noqa: E402
 
 JPEG = cv2.imencode(".jpg", np.full((32, 48, 3), (10, 100, 200), np.uint8))[1].tobytes()
-PICTURES = dict.fromkeys(("front_wide", "front_left", "front_right"), JPEG)
+IMAGES = dict.fromkeys(("front_wide", "front_left", "front_right"), JPEG)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     builder.scene("a")
     dropped = frozenset({("front_left", 2)})
     for number in range(3):
-        one = Pass("a", EPOCH + number * 60 * SECOND, frames=9, images=PICTURES, dropped=dropped)
+        one = Pass("a", EPOCH + number * 60 * SECOND, frames=9, images=IMAGES, dropped=dropped)
         builder.drive(f"d{number}", [one])
     build_index(builder.root)
     return mirror.open(builder.root)
@@ -104,7 +104,7 @@ def test_a_state_of_another_view_or_index_is_refused(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
     for number in range(2):
-        builder.drive(f"d{number}", [Pass("a", EPOCH + number * 60 * SECOND, frames=9, images=PICTURES)])
+        builder.drive(f"d{number}", [Pass("a", EPOCH + number * 60 * SECOND, frames=9, images=IMAGES)])
     build_index(tmp_path)
     dataset = mirror.open(tmp_path)
     # As many frames, but others.
@@ -117,7 +117,7 @@ def test_a_state_of_another_view_or_index_is_refused(tmp_path: Path) -> None:
     IterableFrames(circled, 4).load_state_dict(json.loads(json.dumps(both)))
     with pytest.raises(UsageError, match="state has filters"):
         IterableFrames(dataset, 4).load_state_dict(both)
-    builder.drive("d2", [Pass("a", EPOCH + 200 * SECOND, frames=9, images=PICTURES)])
+    builder.drive("d2", [Pass("a", EPOCH + 200 * SECOND, frames=9, images=IMAGES)])
     build_index(tmp_path)
     grown = IterableFrames(mirror.open(tmp_path).where(drive="d0"), 4)
     with pytest.raises(UsageError, match="state has index"):

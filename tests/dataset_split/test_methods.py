@@ -228,13 +228,13 @@ def test_rank_differs_by_seed_and_name() -> None:
     assert len(ranks) == 100
 
 
-def test_poses_alone_are_neither_trained_on_nor_held_out_beside_pictures() -> None:
-    pictured = made(*(("a", f"drive{k}") for k in range(3)))
+def test_poses_alone_are_neither_trained_on_nor_held_out_beside_images() -> None:
+    imaged = made(*(("a", f"drive{k}") for k in range(3)))
     blind = [replace(item, has_images=False) for item in made(*(("a", f"blind{k}") for k in range(3)))]
     parameters = NovelTraversal(train=2, held_out=1)
     for seed in range(20):
-        roles = novel_traversal.assign([*pictured, *blind], [], parameters, seed).roles
+        roles = novel_traversal.assign([*imaged, *blind], [], parameters, seed).roles
         assert {roles[item.traversal_id] for item in blind} == {"unused"}
-        assert sorted(roles[item.traversal_id] for item in pictured) == ["held_out", "train", "train"]
+        assert sorted(roles[item.traversal_id] for item in imaged) == ["held_out", "train", "train"]
     alone = novel_traversal.assign(blind, [], parameters, 0).roles
     assert sorted(alone.values()) == ["held_out", "train", "train"]

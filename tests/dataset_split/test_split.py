@@ -17,7 +17,7 @@ from mirror.schema.documents import ByCondition, ByScene, Condition, NovelTraver
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 
 FIVE = ("d0", "d1", "d2", "d3", "d4")
-PICTURE = {"front_wide": b"one and the same picture"}
+IMAGE = {"front_wide": b"one and the same image"}
 
 
 def fill(builder: Builder, scene: str, drives: tuple[str, ...], start_s: int = 0, **more: object) -> None:
@@ -133,21 +133,21 @@ def test_scenes_with_too_few_are_listed_or_refused(builder: Builder) -> None:
     assert not builder.layout.split("t").exists()
 
 
-def test_the_same_picture_in_two_drives_stays_in_one_role(tmp_path: Path) -> None:
+def test_the_same_image_in_two_drives_stays_in_one_role(tmp_path: Path) -> None:
     builder = Builder(tmp_path, cameras=("front_wide",))
     builder.scene("a")
     fill(builder, "a", FIVE)
-    fill(builder, "a", ("copy0", "copy1"), start_s=1000, images=PICTURE)
+    fill(builder, "a", ("copy0", "copy1"), start_s=1000, images=IMAGE)
     for seed in range(8):
         document = make_split(builder.root, f"s{seed}", NovelTraversal(train=6), seed=seed).document
         roles = {key.split(".")[1]: role for key, role in document.assignments.items()}
         assert roles["copy0"] == roles["copy1"] == "train"
     found = find_ties(read_candidates(builder.layout), by_scene=False)
     assert [tie.kind for tie in found] == ["bytes"]
-    assert "have the same bytes in 1 picture, " in found[0].reason
+    assert "have the same bytes in 1 image, " in found[0].reason
     with pytest.raises(DatasetError, match=r"c\.copy2\.\d+ and c\.copy3\.\d+ have the same bytes"):
         builder.scene("c", longitude_deg=-79.6)
-        fill(builder, "c", ("copy2", "copy3"), start_s=4000, images=PICTURE)
+        fill(builder, "c", ("copy2", "copy3"), start_s=4000, images=IMAGE)
         make_split(builder.root, "t", NovelTraversal(train=1), scenes=["c"])
 
 

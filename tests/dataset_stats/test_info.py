@@ -34,7 +34,7 @@ def builder(tmp_path: Path) -> Builder:
 def test_a_dataset_in_brief(builder: Builder) -> None:
     found = summarise(builder.root)
     assert found.scenes == {"a": 2, "b": 0}
-    assert (found.drives, found.traversals, found.pictures, found.picture_bytes) == (2, 2, 12, 12_000)
+    assert (found.drives, found.traversals, found.images, found.image_bytes) == (2, 2, 12, 12_000)
     assert found.vehicles == {"v": 2}
     assert found.rigs == {"rig": ("front_wide", "rear")}
     assert found.passes == {"accepted": 2, "min_duration": 1}

@@ -120,7 +120,7 @@ def test_a_vehicle_that_stands(tmp_path: Path) -> None:
     assert write_plots(statistics(mirror.open(root)), tmp_path / "plots")
 
 
-def test_plots_are_pictures_of_the_figures(found: Statistics, tmp_path: Path) -> None:
+def test_plots_are_images_of_the_figures(found: Statistics, tmp_path: Path) -> None:
     files = write_plots(found, tmp_path / "new" / "plots")
     assert [file.name for file in files] == ["traversals.png", "conditions.png", "speed.png"]
     for file in files:

@@ -50,7 +50,7 @@ def make_clean(root: Path) -> Path:
     for camera in cameras:
         write_bytes(root / "rigs" / str(camera.static_mask), png(np.zeros(SIZE[::-1], np.uint8)))
     for traversal_id in broken.traversals:
-        _pictures(broken, traversal_id)
+        _images(broken, traversal_id)
         _layers(builder, broken, traversal_id)
         broken.rows(traversal_id, "calibrations", _symmetric)
     for drive in ("d0", "d1", "d2"):
@@ -65,12 +65,12 @@ def png(pixels: np.ndarray) -> bytes:
 
 
 def jpeg(seed: int, size: tuple[int, int] = SIZE) -> bytes:
-    """A picture like no other."""
+    """An image like no other."""
     pixels = np.random.default_rng(seed).integers(0, 256, (*size[::-1], 3), dtype=np.uint8)
     return bytes(cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 60])[1])
 
 
-def _pictures(broken: Broken, traversal_id: str) -> None:
+def _images(broken: Broken, traversal_id: str) -> None:
     number = broken.traversals.index(traversal_id)
 
     def change(rows: Rows) -> Rows:
@@ -222,11 +222,11 @@ class Broken:
         for name in manifest.files:
             data = (folder / name).read_bytes()
             files[name] = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
-        pictures = manifest.pictures
-        if pictures is not None:
+        images = manifest.pictures
+        if images is not None:
             lengths = [row["byte_length"] for row in pq.read_table(folder / "images.parquet").to_pylist()]
-            pictures = ImageTotals(count=len(lengths), bytes=sum(lengths))
-        write_json(folder / MANIFEST, Manifest(derived_from=manifest.derived_from, files=files, pictures=pictures))
+            images = ImageTotals(count=len(lengths), bytes=sum(lengths))
+        write_json(folder / MANIFEST, Manifest(derived_from=manifest.derived_from, files=files, pictures=images))
 
     def _follow(self, path: Path) -> None:
         """A split that knows the manifests as they are now."""

@@ -84,11 +84,11 @@ def cut(path: str, size: int) -> Callable[[Broken], object]:
     return change
 
 
-def picture(broken: Broken, row: int, data: bytes) -> None:
-    """Other bytes for a picture, known to the table."""
+def image(broken: Broken, row: int, data: bytes) -> None:
+    """Other bytes for an image, known to the table."""
     broken.set(A0, "images", row, byte_length=len(data), sha256=hashlib.sha256(data).digest())
     write_bytes(broken.root / broken.read(A0, "images")[row]["uri"], data)
 
 
-def first_picture(broken: Broken) -> str:
+def first_image(broken: Broken) -> str:
     return str(broken.read(A0, "images")[0]["uri"])

@@ -26,7 +26,7 @@ from tests.integrity.edit import (
     cell,
     cut,
     drop,
-    first_picture,
+    first_image,
     key,
     of,
     put,
@@ -170,7 +170,7 @@ def _splits() -> Iterator[Edit]:
         "SPL002", lambda broken: broken.document(file, lambda raw: raw["assignments"].update({"a.x.1": "train"})), file
     )
     yield of("SPL003", _drive_in_two_roles, file)
-    yield of("SPL004", _same_picture, file)
+    yield of("SPL004", _same_image, file)
     yield of("SPL005", _same_time, file, "TIM008")
     yield of("SPL006", _scene_in_two_roles, "splits/t.json")
     yield of(
@@ -194,8 +194,8 @@ def _drive_in_two_roles(broken: Broken) -> None:
     _assign(broken, {B2: "train", B2_AGAIN: "held_out"})
 
 
-def _same_picture(broken: Broken) -> None:
-    data = (broken.root / first_picture(broken)).read_bytes()
+def _same_image(broken: Broken) -> None:
+    data = (broken.root / first_image(broken)).read_bytes()
     broken.set(A1, "images", 0, byte_length=len(data), sha256=hashlib.sha256(data).digest())
     write_bytes(broken.root / broken.read(A1, "images")[0]["uri"], data)
 

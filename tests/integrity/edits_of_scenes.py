@@ -1,4 +1,4 @@
-"""What breaks the rules of poses, places, times, cameras, pictures and boxes."""
+"""What breaks the rules of poses, places, times, cameras, images and boxes."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from tests.integrity.edit import (
     WIDE,
     Edit,
     cell,
-    first_picture,
+    first_image,
+    image,
     key,
     of,
-    picture,
     plus,
     rows,
 )
@@ -158,7 +158,7 @@ def _lost_frame(broken: Broken) -> None:
 
 def _image_before_entry(broken: Broken) -> None:
     names = ("timestamp_ns", "exposure_start_ns", "exposure_end_ns")
-    # The first picture of one camera, a fifth of a period early.
+    # The first image of one camera, a fifth of a period early.
     broken.set(A0, "images", 0, **{name: plus(name, -FRAME_NS // 5) for name in names})
 
 
@@ -201,14 +201,14 @@ def _silent(broken: Broken) -> None:
 
 def _images() -> Iterator[Edit]:
     file = f"{RECORDED}/images.parquet"
-    yield of("IMG001", lambda broken: (broken.root / first_picture(broken)).unlink(), file)
-    yield of("IMG002", lambda broken: write_bytes(broken.root / first_picture(broken), jpeg(1)[:100]), file, seal=False)
+    yield of("IMG001", lambda broken: (broken.root / first_image(broken)).unlink(), file)
+    yield of("IMG002", lambda broken: write_bytes(broken.root / first_image(broken), jpeg(1)[:100]), file, seal=False)
     yield of("IMG002", cell(A0, "images", 0, byte_length=plus("byte_length", -2)), file, "IMG003", "IMG004")
-    yield of("IMG003", lambda broken: picture(broken, 0, jpeg(1)[:-40]), file)
+    yield of("IMG003", lambda broken: image(broken, 0, jpeg(1)[:-40]), file)
     yield of("IMG004", cell(A0, "images", 0, sha256=bytes(32)), file)
-    yield of("IMG005", lambda broken: picture(broken, 0, b"nothing\xff\xd9"), file)
-    yield of("IMG006", lambda broken: picture(broken, 0, jpeg(1, (40, 32))), file)
-    yield of("IMG007", lambda broken: picture(broken, 0, _black()), file)
+    yield of("IMG005", lambda broken: image(broken, 0, b"nothing\xff\xd9"), file)
+    yield of("IMG006", lambda broken: image(broken, 0, jpeg(1, (40, 32))), file)
+    yield of("IMG007", lambda broken: image(broken, 0, _black()), file)
     yield of("IMG008", _frozen_camera, file)
     yield of("IMG009", cell(A0, "images", 0, privacy="raw"), file)
     yield of("IMG010", cell(A0, "images", 0, uri="../../etc/passwd"), file)
@@ -223,8 +223,8 @@ def _black() -> bytes:
 
 
 def _frozen_camera(broken: Broken) -> None:
-    one = broken.root / first_picture(broken)
-    picture(broken, 1, one.read_bytes())
+    one = broken.root / first_image(broken)
+    image(broken, 1, one.read_bytes())
 
 
 def _boxes() -> Iterator[Edit]:

@@ -29,7 +29,7 @@ def test_dgp(real_data: Path, tmp_path: Path) -> None:
     scene = real_data / "dgp_scene_02"
     options = IngestOptions(trigger={"min_duration_s": 0.1, "min_path_m": 1.0}, licence="MIT")
     ingest_recordings([scene], [propose_rois([scene], count=1, options=options).ranked[0].roi], tmp_path / "d", options)
-    # Six cameras, boxes of a lidar, all of them in some picture; faces and plates are as recorded.
+    # Six cameras, boxes of a lidar, all of them in some image; faces and plates are as recorded.
     assert found(check(tmp_path / "d", cost=Cost.IMAGES)) == {"IMG009"}
 
 

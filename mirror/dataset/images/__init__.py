@@ -1,1 +1,1 @@
-"""Pictures: their bytes, checked, and their pixels."""
+"""Images: their bytes, checked, and their pixels."""

@@ -1,4 +1,4 @@
-"""Decoding JPEG and PNG pictures, one by one or a camera set at once into planes."""
+"""Decoding JPEG and PNG images, one by one or a camera set at once into planes."""
 
 from __future__ import annotations
 

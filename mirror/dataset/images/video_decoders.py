@@ -1,6 +1,7 @@
-"""Pictures that lie in videos: decoded by presentation time stamp, with decoders kept open.
+"""Images that lie in videos: decoded by presentation time stamp, with decoders kept open.
 
-A group of pictures is decoded from its key frame; a request that follows the last one goes on from there.
+A video is decoded from the key frame before the requested frame. A request for a frame shortly after the last one goes
+on from there.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class _Decoder:
             import av
         except ImportError as error:
             raise DatasetError(
-                "pictures in videos are read with PyAV, which is not installed",
+                "images in videos are read with PyAV, which is not installed",
                 file=uri,
                 remedy=install_command("video"),
             ) from error
@@ -97,7 +98,7 @@ class _Decoder:
             return None if frame is None else np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
     def _near(self, pts: int) -> bool:
-        """True if the picture follows the last one closely: going on then costs no more than a seek to a key frame."""
+        """True if the image follows the last one closely: going on then costs no more than a seek to a key frame."""
         rate, unit = self._stream.average_rate, self._stream.time_base
         if self._last is None or not rate or not unit:
             return False
@@ -108,7 +109,7 @@ class _Decoder:
         for frame in self._frames:
             if frame.pts == pts:
                 return frame
-            # Frames come in order of display but for broken muxers: the next group of pictures is looked through too.
+            # Broken muxers may not write frames in display order: search up to the second key frame.
             beyond += bool(frame.key_frame and frame.pts is not None and frame.pts > pts)
             if beyond == 2:
                 return None

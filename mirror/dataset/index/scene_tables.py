@@ -69,7 +69,7 @@ def write_scene_tables(
         take: called with each traversal's row of the table TRAVERSALS.
 
     Raises:
-        DatasetError: a table is missing, or poses do not cover a picture.
+        DatasetError: a table is missing, or poses do not cover an image.
         SchemaError: a table is broken.
     """
     writers: dict[str, TableWriter] = {}
@@ -160,19 +160,19 @@ def _layer_tables(layout: Layout, traversal: TraversalInput, kind: str, table: T
 
 
 def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa.Table:
-    """The pictures table with the bytes of the newest redaction layer in the place of the recorded ones."""
+    """The images table with the bytes of the newest redaction layer in the place of the recorded ones."""
     layers = [(source, version) for kind, source, version in traversal.layers if kind == "redaction"]
     if not layers:
         return images.append_column("source_sha256", pa.nulls(images.num_rows, SHA256))
     source, version = max(layers, key=lambda layer: (_natural(layer[1]), layer[0]))
     file = layout.layer(traversal.traversal_id, "redaction", source, version) / f"{REDACTION_TABLE.name}.parquet"
     redaction = read_table(file, REDACTION_TABLE)
-    position = {key: row for row, key in enumerate(_picture_keys(images))}
+    position = {key: row for row, key in enumerate(_image_keys(images))}
     target = []
-    for key in _picture_keys(redaction):
+    for key in _image_keys(redaction):
         if key not in position:
             raise DatasetError(
-                "a redacted picture was never recorded",
+                "a redacted image was never recorded",
                 file=file,
                 place=f"camera {key[0]}, timestamp_ns {key[1]}",
                 expected="camera and timestamp_ns of a row of the recorded images",
@@ -181,7 +181,7 @@ def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa
         target.append(position[key])
     replaced = np.zeros(images.num_rows, np.bool_)
     replaced[target] = True
-    # Row r of the pictures takes row take[r] of the two tables one behind the other.
+    # Row r of the images takes row take[r] of the two tables one behind the other.
     take = np.arange(images.num_rows)
     take[target] = images.num_rows + np.arange(redaction.num_rows)
     result = images
@@ -196,7 +196,7 @@ def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa
     return result.append_column("source_sha256", pc.if_else(mask, images.column("sha256"), pa.scalar(None, SHA256)))
 
 
-def _picture_keys(images: pa.Table) -> list[tuple[str, int]]:
+def _image_keys(images: pa.Table) -> list[tuple[str, int]]:
     return list(zip(images.column("camera").to_pylist(), images.column("timestamp_ns").to_pylist()))
 
 
@@ -206,7 +206,7 @@ def _natural(version: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _with_positions(traversal: TraversalInput, images: pa.Table, poses: pa.Table, folder: Path) -> pa.Table:
-    """The pictures with the ego's place at mid-exposure, linear between the poses round it."""
+    """The images with the ego's place at mid-exposure, linear between the poses round it."""
     query = images.column("timestamp_ns").to_numpy()
     stamps = poses.column("timestamp_ns").to_numpy()
     if len(query):
@@ -214,7 +214,7 @@ def _with_positions(traversal: TraversalInput, images: pa.Table, poses: pa.Table
         if outside.any():
             row = int(np.argmax(outside))
             raise DatasetError(
-                f"the poses of {traversal.traversal_id} do not cover a picture",
+                f"the poses of {traversal.traversal_id} do not cover an image",
                 file=folder / "images.parquet",
                 place=f"camera {images.column('camera')[row]}, timestamp_ns {query[row]}",
                 expected=f"a stamp from {stamps[0]} to {stamps[-1]}" if len(stamps) else "poses",

@@ -42,7 +42,7 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByC
             reason = next(iter(left_out.values())) if role in fitting else f"no traversal has {wanted}"
             raise DatasetError(
                 f"nothing is left to {role} on: {reason}",
-                expected=f"traversals with {wanted} that share no drive, no picture and no time of one vehicle with"
+                expected=f"traversals with {wanted} that share no drive, no image and no time of one vehicle with"
                 " those of the other role",
                 remedy="name other conditions; `mirror stats` lists what there is",
             )

@@ -75,6 +75,6 @@ def _impossible(
         f"{len(scene_of)} traversals of {sum(map(len, units.values()))} scenes cannot fill {len(shares)} roles without"
         f" a leak: {first} and {second} {describe_tie(first, second, [tie])}",
         place=f"scenes {scene_of[first]} and {scene_of[second]}",
-        expected=f"scenes in at least {len(shares)} groups that share no drive, no picture and no ground",
+        expected=f"scenes in at least {len(shares)} groups that share no drive, no image and no ground",
         remedy="leave scenes out by naming the others with --scene, or set shares to 0, e.g. --val 0",
     )

@@ -69,7 +69,7 @@ class Candidates:
 
     @cached_property
     def image_hashes(self) -> Mapping[str, UInt8]:
-        """SHA-256 of each picture as recorded, (N, 32) by traversal; unhashed pictures are left out."""
+        """SHA-256 of each image as recorded, (N, 32) by traversal; unhashed images are left out."""
         files = {key: self.layout.recorded(key) / f"{IMAGES.name}.parquet" for key in self.traversals}
         tables = {key: self.read(file, IMAGES, ["sha256"]) for key, file in files.items()}
         return {key: hash_bytes(data.column(0)) for key, data in tables.items() if data is not None}

@@ -23,7 +23,7 @@ class Tie:
     """Traversals that belong in one role.
 
     Attributes:
-        kind: ``drive``, ``bytes`` (the same picture), ``time`` (one vehicle at the same time), ``scene`` or ``area``
+        kind: ``drive``, ``bytes`` (the same image), ``time`` (one vehicle at the same time), ``scene`` or ``area``
             (scenes that overlap).
         members: ids of the traversals, sorted.
         reason: what they share, in words.
@@ -152,7 +152,7 @@ def _same_bytes(candidates: Candidates) -> Iterator[Tie]:
     for digest, owners in _repeated(hashes, owner):
         shared[owners].append(digest)
     for owners, digests in shared.items():
-        count = "1 picture" if len(digests) == 1 else f"{len(digests)} pictures"
+        count = "1 image" if len(digests) == 1 else f"{len(digests)} images"
         reason = f"have the same bytes in {count}, such as SHA-256 {min(digests).hex()}"
         yield Tie("bytes", tuple(names[index] for index in owners), reason)
 

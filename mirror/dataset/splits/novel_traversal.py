@@ -37,10 +37,10 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
     unit_of = connected_components((item.traversal_id for item in traversals), (tie.members for tie in ties))
     order = {unit: seeded_rank(seed, unit) for unit in unit_of.values()}
     scenes: dict[str, _Passes] = defaultdict(lambda: defaultdict(list))
-    pictured = {item.scene_id for item in traversals if item.has_images}
+    imaged = {item.scene_id for item in traversals if item.has_images}
     for item in sorted(traversals, key=lambda item: (item.scene_id, item.traversal_id)):
         # Nothing can be trained or scored on poses alone; a dataset that has nothing else is divided all the same.
-        if item.scene_id in pictured and not item.has_images:
+        if item.scene_id in imaged and not item.has_images:
             continue
         scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
     wanted = parameters.train + parameters.held_out
@@ -141,6 +141,6 @@ def _impossible(
         f"scene {scene_id} cannot be divided without a leak: {first} and {second} {describe_tie(first, second, ties)},"
         f" but one of them would have to be held out and the other trained on",
         expected=f"{parameters.train} traversals to train on and {parameters.held_out} to hold out that share no drive,"
-        " no picture and no time of one vehicle",
+        " no image and no time of one vehicle",
         remedy="leave the scene out by naming the others with --scene, ask for fewer with --train, or record it again",
     )

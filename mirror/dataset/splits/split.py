@@ -118,7 +118,7 @@ def make_split(
 def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitReport:
     """Put the traversals that came after a split into its train role; all others stay where they are.
 
-    A new traversal that is tied to one in another role (the same drive, picture, vehicle and time, or ground) would
+    A new traversal that is tied to one in another role (the same drive, image, vehicle and time, or ground) would
     leak, and one that does not fit a split by condition is not what to train on: both are left out, and the document
     says why.
 
@@ -287,6 +287,6 @@ def _require_tight(found: Sequence[Tie], roles: Mapping[str, Role], layout: Layo
         raise DatasetError(
             f"the split leaks: {across[0]}" + (f" (and {len(across) - 1} more leaks)" if len(across) > 1 else ""),
             file=layout.root / "splits",
-            expected="no drive, picture, ground, or time of one vehicle in two roles",
+            expected="no drive, image, ground, or time of one vehicle in two roles",
             remedy="make the split anew with --replace, or leave a scene out by naming the others with --scene",
         )

@@ -57,7 +57,7 @@ def _box_quaternion(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "BOX003",
     Severity.WARNING,
-    title="No camera can see a box: no part of it is in any picture's frustum.",
+    title="No camera can see a box: no part of it is in any image's frustum.",
     remedy="check the boxes' frame and the calibration; nothing, if another sensor saw them",
 )
 def _box_unseen(view: SceneView) -> Iterator[Finding]:
@@ -82,7 +82,7 @@ def _box_unseen(view: SceneView) -> Iterator[Finding]:
 
 
 def _cameras(view: SceneView) -> dict[int, list[tuple[Camera, Poses]]]:
-    """Cameras that have pictures, with their mountings, of every stage, by traversal."""
+    """Cameras that have images, with their mountings, of every stage, by traversal."""
     images, rows = view.images, view.all_calibrations
     codes, names = images.words("camera")
     there = {(number, names[code]) for _, number, own in images.slices() for code in np.unique(codes[own]).tolist()}
@@ -226,10 +226,10 @@ def _mask_file(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "MSK002",
     Severity.ERROR,
-    title="A mask is of a picture that was never recorded.",
+    title="A mask is of an image that was never recorded.",
     remedy="write the mask layer again, with the stamps of the images table",
 )
-def _mask_picture(view: SceneView) -> Iterator[Finding]:
+def _mask_image(view: SceneView) -> Iterator[Finding]:
     yield from rows_without_image(view, view.masks)
 
 

@@ -19,7 +19,7 @@ _MIN, _MAX = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 @scene_rule(
     "CAM001",
     Severity.ERROR,
-    title="No calibration of a camera, of any stage, is valid when one of its pictures was taken.",
+    title="No calibration of a camera, of any stage, is valid when one of its images was taken.",
     remedy="give the recording a calibration of that camera for that time, `mirror ingest RECORDING... --replace`",
 )
 def _calibrated(view: SceneView) -> Iterator[Finding]:
@@ -37,7 +37,7 @@ def _calibrated(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "CAM002",
     Severity.ERROR,
-    title="A picture is of another size than its camera is calibrated for.",
+    title="An image is of another size than its camera is calibrated for.",
     remedy="scale the calibration to the stored raster, and `mirror ingest RECORDING... --replace`",
 )
 def _raster(view: SceneView) -> Iterator[Finding]:
@@ -108,7 +108,7 @@ def _implausible_lens(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "CAM005",
     Severity.WARNING,
-    title="The distortion folds back within the picture: beyond that radius no pixel has a ray.",
+    title="The distortion folds back within the image: beyond that radius no pixel has a ray.",
     remedy="calibrate with targets up to the corners; projections are invalid beyond",
 )
 def _distortion_range(view: SceneView) -> Iterator[Finding]:
@@ -284,7 +284,7 @@ def _stages(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "CAM011",
     Severity.ERROR,
-    title="Pictures are of a camera that the rig of their drive does not have.",
+    title="Images are of a camera that the rig of their drive does not have.",
     remedy="add the camera to the rig in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _rig_cameras(view: SceneView) -> Iterator[Finding]:
@@ -307,8 +307,8 @@ def _rig_cameras(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "CAM012",
     Severity.WARNING,
-    title="A camera of the rig has no picture in a traversal that has pictures of others.",
-    remedy="look for the camera's pictures in the recording, and `mirror ingest RECORDING... --replace`",
+    title="A camera of the rig has no image in a traversal that has images of others.",
+    remedy="look for the camera's images in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _silent_camera(view: SceneView) -> Iterator[Finding]:
     images = view.images
@@ -320,4 +320,4 @@ def _silent_camera(view: SceneView) -> Iterator[Finding]:
             [camera.name for camera in rig.cameras if camera.name not in there] if rig is not None and there else []
         )
         if silent:
-            yield Finding(file, f"camera {silent[0]}", f"no picture of {', '.join(silent)}", len(silent))
+            yield Finding(file, f"camera {silent[0]}", f"no image of {', '.join(silent)}", len(silent))

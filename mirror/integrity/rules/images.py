@@ -1,4 +1,4 @@
-"""Rules of IMG: pictures, their rows, files and pixels."""
+"""Rules of IMG: images, their rows, files and pixels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mirror.integrity.scene_view import SceneView
 @scene_rule(
     "IMG001",
     Severity.ERROR,
-    title="A picture's file is missing.",
+    title="An image's file is missing.",
     cost=Cost.FILES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
@@ -34,7 +34,7 @@ def _missing(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG002",
     Severity.ERROR,
-    title="A picture's file is shorter than its bytes, or, where it holds nothing else, longer.",
+    title="An image's file is shorter than its bytes, or, where it holds nothing else, longer.",
     cost=Cost.FILES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
@@ -43,7 +43,7 @@ def _byte_length(view: SceneView) -> Iterator[Finding]:
     offset, length = images.integers("byte_offset"), images.integers("byte_length")
     short = (size >= 0) & (size < offset + length)
     long = np.flatnonzero((size >= 0) & (offset == 0) & (size > length))
-    # A shard holds several pictures one behind the other, the frames of a video are one file.
+    # A shard holds several images one behind the other, the frames of a video are one file.
     shared = _repeated(images, long)
     video = [images.word("codec", int(row)) == "video" for row in long]
     short[long] |= np.array(video, np.bool_) | ~shared
@@ -66,7 +66,7 @@ def _repeated(images: Rows, rows: Int64) -> Bool:
     Severity.ERROR,
     title="A JPEG or PNG is cut short: its end marker is missing.",
     cost=Cost.FILES,
-    remedy="restore the file from the recording, or drop the picture",
+    remedy="restore the file from the recording, or drop the image",
 )
 def _cut_short(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
@@ -78,11 +78,11 @@ def _cut_short(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG004",
     Severity.ERROR,
-    title="A picture's bytes are not those that were recorded: another SHA-256.",
+    title="An image's bytes are not those that were recorded: another SHA-256.",
     cost=Cost.IMAGES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
-def _picture_hash(view: SceneView) -> Iterator[Finding]:
+def _image_hash(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
         ~view.image_contents.same_bytes, lambda row: f"{images.word('uri', row)} has other bytes than were recorded"
@@ -92,9 +92,9 @@ def _picture_hash(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG005",
     Severity.ERROR,
-    title="A picture whose end is there cannot be decoded.",
+    title="An image whose end is there cannot be decoded.",
     cost=Cost.IMAGES,
-    remedy="restore the file from the recording, or drop the picture",
+    remedy="restore the file from the recording, or drop the image",
 )
 def _undecodable(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
@@ -107,11 +107,11 @@ def _undecodable(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG006",
     Severity.ERROR,
-    title="A decoded picture has another width or height than its row says.",
+    title="A decoded image has another width or height than its row says.",
     cost=Cost.IMAGES,
     remedy="`mirror ingest RECORDING... --replace`: the table states another size",
 )
-def _picture_size(view: SceneView) -> Iterator[Finding]:
+def _image_size(view: SceneView) -> Iterator[Finding]:
     images, found = view.all_images, view.image_contents
     width, height = images.integers("width_px"), images.integers("height_px")
     decoded = found.width_px > 0
@@ -130,9 +130,9 @@ _LEAST = 3
 @scene_rule(
     "IMG007",
     Severity.WARNING,
-    title="A picture is blank: all its pixels have the same value, or nearly.",
+    title="An image is blank: all its pixels have the same value, or nearly.",
     cost=Cost.IMAGES,
-    remedy="look at the camera; drop the pictures if it was covered",
+    remedy="look at the camera; drop the images if it was covered",
 )
 def _blank(view: SceneView) -> Iterator[Finding]:
     images, spread = view.all_images, view.image_contents.spread
@@ -144,10 +144,10 @@ def _blank(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG008",
     Severity.WARNING,
-    title="Two pictures of one camera and traversal have the same bytes: a frozen camera.",
-    remedy="look whether the camera froze; drop the repeated pictures in the recording",
+    title="Two images of one camera and traversal have the same bytes: a frozen camera.",
+    remedy="look whether the camera froze; drop the repeated images in the recording",
 )
-def _repeated_picture(view: SceneView) -> Iterator[Finding]:
+def _repeated_image(view: SceneView) -> Iterator[Finding]:
     images = view.images
     rows = np.flatnonzero(images.known("sha256"))
     hashes = hash_bytes(images.data.column("sha256"))
@@ -159,13 +159,13 @@ def _repeated_picture(view: SceneView) -> Iterator[Finding]:
     same = np.all([key[order][1:] == key[order][:-1] for key in keys], axis=0) if len(rows) else np.empty(0, np.bool_)
     bad = np.zeros(len(images), np.bool_)
     bad[rows[order[1:][same]]] = True
-    yield from images.findings(bad, lambda row: "the bytes of an earlier picture of this camera")
+    yield from images.findings(bad, lambda row: "the bytes of an earlier image of this camera")
 
 
 @scene_rule(
     "IMG009",
     Severity.INFO,
-    title="Pictures show faces and plates as recorded: they are raw, and no redaction layer replaces them.",
+    title="Images show faces and plates as recorded: they are raw, and no redaction layer replaces them.",
     remedy="de-identify the dataset before it is passed on",
 )
 def _raw(view: SceneView) -> Iterator[Finding]:
@@ -181,7 +181,7 @@ def _raw(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG010",
     Severity.ERROR,
-    title="The uri of a picture or mask leads out of the dataset's folder.",
+    title="The uri of an image or mask leads out of the dataset's folder.",
     remedy="do not use this dataset: its tables have been tampered with",
 )
 def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
@@ -199,23 +199,23 @@ def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG011",
     Severity.ERROR,
-    title="A traversal's manifest states another number or size of pictures than its images table.",
+    title="A traversal's manifest states another number or size of images than its images table.",
     remedy="`mirror ingest RECORDING... --replace`",
 )
-def _picture_total(view: SceneView) -> Iterator[Finding]:
+def _image_total(view: SceneView) -> Iterator[Finding]:
     length = view.images.integers("byte_length")
     for file, number, rows in view.images.slices():
         stated = view.dataset.recorded_manifests[view.traversals[number].traversal_id].pictures
         count, total = rows.stop - rows.start, int(length[rows].sum())
         if (stated.count, stated.bytes) != (count, total) if stated is not None else count > 0:
-            says = f"{stated.count} pictures of {stated.bytes} bytes" if stated is not None else "nothing of pictures"
-            yield Finding(file, None, f"{count} pictures of {total} bytes, but the manifest says {says}")
+            says = f"{stated.count} images of {stated.bytes} bytes" if stated is not None else "nothing of images"
+            yield Finding(file, None, f"{count} images of {total} bytes, but the manifest says {says}")
 
 
 @scene_rule(
     "IMG012",
     Severity.ERROR,
-    title="A picture in a video has no `video_pts`, or one that lies in a file of its own has one.",
+    title="An image in a video has no `video_pts`, or one that lies in a file of its own has one.",
     remedy="`mirror ingest RECORDING... --replace`",
 )
 def _video_stamp(view: SceneView) -> Iterator[Finding]:

@@ -262,10 +262,10 @@ def _turn_deg(motion: Motion, begin: int, end: int) -> float:
 @scene_rule(
     "POS010",
     Severity.ERROR,
-    title="A picture lies before the first or behind the last pose of its traversal.",
-    remedy="`mirror ingest RECORDING... --replace`: a picture without a pose does not belong to a pass",
+    title="An image lies before the first or behind the last pose of its traversal.",
+    remedy="`mirror ingest RECORDING... --replace`: an image without a pose does not belong to a pass",
 )
-def _cover_pictures(view: SceneView) -> Iterator[Finding]:
+def _cover_images(view: SceneView) -> Iterator[Finding]:
     first, last = view.pose_span()
     stamps = view.images.integers("timestamp_ns")
     number = view.images.traversal

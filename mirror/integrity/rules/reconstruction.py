@@ -26,10 +26,10 @@ def _depth_file(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "DEP002",
     Severity.ERROR,
-    title="A depth map is of a picture that was never recorded.",
+    title="A depth map is of an image that was never recorded.",
     remedy="write the depth layer again, with the stamps of the images table",
 )
-def _depth_picture(view: SceneView) -> Iterator[Finding]:
+def _depth_image(view: SceneView) -> Iterator[Finding]:
     yield from rows_without_image(view, view.depth)
 
 

@@ -63,10 +63,10 @@ def _drive_leak(view: DatasetView) -> Iterator[Finding]:
 @dataset_rule(
     "SPL004",
     Severity.ERROR,
-    title="The same picture is in two roles of a split.",
+    title="The same image is in two roles of a split.",
     remedy="make the split anew: `mirror split DATASET NAME --replace`",
 )
-def _picture_leak(view: DatasetView) -> Iterator[Finding]:
+def _image_leak(view: DatasetView) -> Iterator[Finding]:
     yield from leak_findings(view, "bytes")
 
 

@@ -69,7 +69,7 @@ def backward(rows: Rows) -> Bool:
 @scene_rule(
     "TAB004",
     Severity.ERROR,
-    title="Two rows of a file have the same keys: two pictures of one camera at one instant, one box twice.",
+    title="Two rows of a file have the same keys: two images of one camera at one instant, one box twice.",
     remedy="take the repeated row out where it comes from, and write the table again",
 )
 def _repeated_key(view: SceneView) -> Iterator[Finding]:

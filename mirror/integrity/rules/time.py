@@ -1,4 +1,4 @@
-"""Rules of TIM: stamps of pictures, frames and drives."""
+"""Rules of TIM: stamps of images, frames and drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mirror.schema.documents import DriveDocument
 @scene_rule(
     "TIM001",
     Severity.ERROR,
-    title="A picture's stamp is not within its exposure, or the exposure ends before it starts.",
+    title="An image's stamp is not within its exposure, or the exposure ends before it starts.",
     remedy="correct the stamps in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _exposure(view: SceneView) -> Iterator[Finding]:
@@ -33,7 +33,7 @@ def _exposure(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "TIM002",
     Severity.ERROR,
-    title=("A camera's exposures do not follow each other: one starts or ends before the one of an earlier picture."),
+    title=("A camera's exposures do not follow each other: one starts or ends before the one of an earlier image."),
     remedy="correct the stamps in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _camera_clock(view: SceneView) -> Iterator[Finding]:
@@ -48,7 +48,7 @@ def _camera_clock(view: SceneView) -> Iterator[Finding]:
         same & back,
         lambda row: (
             f"exposure from {images.integers('exposure_start_ns')[row]} to"
-            f" {images.integers('exposure_end_ns')[row]}, that of the picture before it from"
+            f" {images.integers('exposure_end_ns')[row]}, that of the image before it from"
             f" {images.integers('exposure_start_ns')[row - 1]} to {images.integers('exposure_end_ns')[row - 1]}"
         ),
     )
@@ -57,7 +57,7 @@ def _camera_clock(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "TIM003",
     Severity.ERROR,
-    title="A picture is more than half a period away from the reference exposure of its frame.",
+    title="An image is more than half a period away from the reference exposure of its frame.",
     remedy="`mirror ingest RECORDING... --replace`: its frames were put together wrongly",
 )
 def _frame_sync(view: SceneView) -> Iterator[Finding]:
@@ -78,9 +78,7 @@ def _frame_sync(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "TIM004",
     Severity.ERROR,
-    title=(
-        "Frames do not count from 0 along the reference camera, or one has two pictures of a camera, or none of it."
-    ),
+    title=("Frames do not count from 0 along the reference camera, or one has two images of a camera, or none of it."),
     remedy="`mirror ingest RECORDING... --replace`: its frames were put together wrongly",
 )
 def _frame_numbers(view: SceneView) -> Iterator[Finding]:
@@ -96,7 +94,7 @@ def _frame_numbers(view: SceneView) -> Iterator[Finding]:
     yield from images.findings(
         miscounted,
         lambda row: (
-            f"picture {expected[row]} of the reference camera has frame_index {index[row] if known[row] else 'null'}"
+            f"image {expected[row]} of the reference camera has frame_index {index[row] if known[row] else 'null'}"
         ),
     )
     order = np.lexsort((index, images.words("camera")[0], images.owner))
@@ -112,7 +110,7 @@ def _frame_numbers(view: SceneView) -> Iterator[Finding]:
     lost = known & ~frames.framed & frames.has_reference[images.traversal]
     yield from images.findings(
         (repeated | lost) & ~miscounted & ~frames.is_reference,
-        lambda row: f"frame {index[row]} has {'another picture of the camera' if repeated[row] else 'no reference'}",
+        lambda row: f"frame {index[row]} has {'another image of the camera' if repeated[row] else 'no reference'}",
     )
 
 
@@ -122,8 +120,8 @@ _PERIODS = 1.5
 @scene_rule(
     "TIM005",
     Severity.WARNING,
-    title="A camera pauses: two of its pictures are more than one and a half of its periods apart.",
-    remedy="look for dropped pictures in the recording; loaders leave them out",
+    title="A camera pauses: two of its images are more than one and a half of its periods apart.",
+    remedy="look for dropped images in the recording; loaders leave them out",
 )
 def _camera_gap(view: SceneView) -> Iterator[Finding]:
     images = view.images
@@ -137,8 +135,7 @@ def _camera_gap(view: SceneView) -> Iterator[Finding]:
     yield from images.findings(
         step_s > _PERIODS * period_s,
         lambda row: (
-            f"{step_s[row] * 1e3:.1f} ms after the camera's picture before it; its period is"
-            f" {period_s[row] * 1e3:.1f} ms"
+            f"{step_s[row] * 1e3:.1f} ms after the camera's image before it; its period is {period_s[row] * 1e3:.1f} ms"
         ),
         worst=step_s,
     )
@@ -148,7 +145,7 @@ def _camera_gap(view: SceneView) -> Iterator[Finding]:
     "TIM006",
     Severity.WARNING,
     title="Frames lack a camera that the traversal otherwise has; its first and last frame may.",
-    remedy="nothing, if the pictures were not recorded: loaders give frames without them",
+    remedy="nothing, if the images were not recorded: loaders give frames without them",
 )
 def _missing_camera(view: SceneView) -> Iterator[Finding]:
     images = view.images
@@ -164,7 +161,7 @@ def _missing_camera(view: SceneView) -> Iterator[Finding]:
                 yield Finding(
                     file,
                     f"camera {names[camera]}, frame {missing[0]}",
-                    f"no picture in {len(missing)} of {len(inner) + 2} frames",
+                    f"no image in {len(missing)} of {len(inner) + 2} frames",
                     len(missing),
                 )
 
@@ -218,7 +215,7 @@ def _one_vehicle(view: DatasetView) -> Iterator[Finding]:
 @scene_rule(
     "TIM009",
     Severity.ERROR,
-    title="A picture was taken before the entry or after the exit of its pass.",
+    title="An image was taken before the entry or after the exit of its pass.",
     remedy="`mirror ingest RECORDING... --replace`",
 )
 def _outside_pass(view: SceneView) -> Iterator[Finding]:

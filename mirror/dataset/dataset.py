@@ -295,7 +295,7 @@ class Dataset:
         """
         from mirror.dataset.frames import FrameSequence
 
-        return FrameSequence.of(self._catalog, self.filters, self.layers)
+        return FrameSequence.from_view(self._catalog, self.filters, self.layers)
 
     def _column(self, table: str, column: str) -> list[Any]:
         return self.table(table, [column]).column(0).to_pylist()

@@ -1,4 +1,4 @@
-"""Frames: synchronised images of a rig with poses, intrinsics, boxes and masks, read when they are asked for."""
+"""Frames: synchronised images of a rig with poses, intrinsics, boxes and masks. They are read on first use."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from mirror.geometry.poses import Poses
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One instant of a rig.
+    """One instant of a rig: an exposure of the reference camera and the nearest image of each other camera.
 
     Attributes:
         scene_id: the scene.
         traversal_id: the traversal.
-        frame_index: counts from 0 within the traversal.
-        timestamp_ns: mid-exposure of the reference camera.
+        frame_index: number of the frame in its traversal, from 0.
+        timestamp_ns: mid-exposure of the reference camera, Unix.
     """
 
     scene_id: str
@@ -42,7 +42,7 @@ class Frame:
 
     @cached_property
     def images(self) -> Mapping[str, Image]:
-        """Images by camera, in the rig's order; a camera without an image in this frame is not there."""
+        """Images by camera, in the rig's order, without the cameras that have no image in this frame."""
         rows = {row["camera"]: row for row in self._traversal.image_rows(self.frame_index)}
         return {
             camera: Image(**rows[camera], _traversal=self._traversal, _loader=self._loader)
@@ -51,36 +51,38 @@ class Frame:
 
     @property
     def world_SE3_ego(self) -> Poses:  # noqa: N802
-        """The ego's pose at the frame's instant (one pose), of the chosen pose layer.
+        """The ego pose at the frame's time (one pose), of the chosen pose layer.
 
         Raises:
-            DatasetError: the poses do not cover it.
+            DatasetError: the poses do not cover that time.
         """
         return self._traversal.world_SE3_ego(self.timestamp_ns)
 
     @property
     def track(self) -> tuple[Int64, Poses]:
-        """Stamps (N,) and ``world_SE3_ego`` of the whole traversal, as dense as the chosen pose layer has them."""
+        """Timestamps (N,) and N poses ``world_SE3_ego`` of the whole traversal, of the chosen pose layer."""
         return self._traversal.track
 
     @property
     def track_ids(self) -> tuple[str, ...]:
-        """Every object that the boxes of the whole traversal have, of the chosen layer, sorted.
+        """Ids of all objects in the traversal's chosen box layer, sorted.
 
         Raises:
-            UsageError: there are several box layers and none was chosen.
+            UsageError: the traversal has several box layers and none was chosen.
             DatasetError: the traversal does not have the chosen layer.
         """
         return self._traversal.track_ids
 
     def boxes(self, frame: str = "ego") -> FrameBoxes:
-        """The boxes nearest in time, at most half a period of theirs away.
+        """The boxes nearest in time, if they are at most half of their period away; else no boxes.
 
         Args:
-            frame: ``ego`` at the boxes' own instant, ``world``, or ``camera:<name>`` at that image's mid-exposure.
+            frame: frame of the poses: ``ego`` at the boxes' own time, ``world``, or ``camera:<name>`` at the
+                mid-exposure of that camera's image.
 
         Raises:
-            UsageError: no such frame, no image of that camera, or several box layers and none chosen.
+            UsageError: the frame is unknown, the camera has no image, or there are several box layers and none was
+                chosen.
             DatasetError: the chosen poses or calibrations do not cover the time.
 
         Example:
@@ -106,12 +108,12 @@ class Frame:
     def decode(
         self, cameras: Sequence[str] | None = None, *, threads: int | None = None, verify: bool = False
     ) -> UInt8:
-        """The images of several cameras as one contiguous array (C, 3, H, W), RGB.
+        """Decode the images of several cameras into one contiguous array (C, 3, H, W), uint8, RGB.
 
         Args:
-            cameras: which, in this order; default: all of `images`.
-            threads: None: one a core; 1: none but the caller's, for loader processes.
-            verify: hold the bytes against their hashes.
+            cameras: the cameras, in this order; default: all of `images`.
+            threads: number of threads; None: one for each core; 1: only the calling thread, for loader processes.
+            verify: compare the bytes with their hashes.
 
         Raises:
             UsageError: a camera has no image in this frame, or the sizes differ.
@@ -130,7 +132,7 @@ class Frame:
         sizes = {(images[name].height_px, images[name].width_px): name for name in names}
         if len(sizes) > 1:
             listed = ", ".join(f"{name} {width} x {height} px" for (height, width), name in sizes.items())
-            raise UsageError(f"images of different sizes: {listed}", remedy="decode them one by one, or by size")
+            raise UsageError(f"images of different sizes: {listed}", remedy="decode them one by one, or grouped by size")
         planes = np.empty((len(names), 3, *next(iter(sizes), (0, 0))), np.uint8)
         self.decode_into(planes, names, threads=threads, verify=verify)
         return planes
@@ -138,26 +140,26 @@ class Frame:
     def decode_into(
         self, planes: UInt8, cameras: Sequence[str], *, threads: int | None = None, verify: bool = False
     ) -> None:
-        """Decode into an array that is there already; that of a camera without an image is left as it is.
+        """Decode images into an existing array. The part of a camera without an image is not changed.
 
         Args:
-            planes: (C, 3, H, W), each camera's part contiguous.
-            cameras: (C,) names.
-            threads: as for `decode`.
-            verify: as for `decode`.
+            planes: (C, 3, H, W) uint8; the part of each camera is contiguous.
+            cameras: C names.
+            threads: as in `decode`.
+            verify: as in `decode`.
 
         Raises:
-            UsageError: an image is not of the size (H, W).
+            UsageError: an image does not have the size (H, W).
             DatasetError: an image is missing or broken.
         """
-        wanted = [(self.images[name], out) for name, out in zip(cameras, planes) if name in self.images]
-        for image, out in wanted:
+        jobs = [(self.images[name], out) for name, out in zip(cameras, planes) if name in self.images]
+        for image, out in jobs:
             if out.shape != (3, image.height_px, image.width_px):
                 raise UsageError(
                     f"camera {image.camera} of {self._name} has {image.width_px} x {image.height_px} px",
                     expected=f"{out.shape[2]} x {out.shape[1]} px",
                 )
-        _decode_into(wanted, threads=threads, verify=verify)
+        _decode_into(jobs, threads=threads, verify=verify)
 
     @property
     def _name(self) -> str:
@@ -166,29 +168,29 @@ class Frame:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameSequence(Sequence[Frame]):
-    """Frames of a view, in order of traversal and time; nothing of them is held but what finds them.
+    """The frames of a view, in order of traversal and time. It holds only their positions in the index.
 
     Attributes:
-        parts: row groups of the frames table, with the rows that are in the view.
+        parts: row groups of the frames table, with their rows in the view.
         starts: (len(parts) + 1,) position of each part's first frame.
-        chosen: positions that a slice has left.
+        positions: positions of the frames of this sequence; a slice keeps some of them.
     """
 
     parts: Sequence[RowGroupPart]
     starts: Int64
-    chosen: range
+    positions: range
     _loader: Loader
 
     @classmethod
-    def of(cls, catalog: Catalog, filters: Filters, layers: LayerChoice) -> FrameSequence:
-        """All frames that pass the filters."""
+    def from_view(cls, catalog: Catalog, filters: Filters, layers: LayerChoice) -> FrameSequence:
+        """Select all frames that pass the filters."""
         parts = list(select_parts(catalog, filters, "frames"))
         starts = np.cumsum([0, *(part.rows for part in parts)], dtype=np.int64)
         loader = Loader(catalog, layers, filters.camera)
         return cls(parts, starts, range(int(starts[-1])), loader)
 
     def __len__(self) -> int:
-        return len(self.chosen)
+        return len(self.positions)
 
     def __repr__(self) -> str:
         return f"FrameSequence({len(self)} frames of {len(self.parts)} traversals)"
@@ -198,10 +200,10 @@ class FrameSequence(Sequence[Frame]):
     @overload
     def __getitem__(self, index: slice) -> FrameSequence: ...
     def __getitem__(self, index: int | slice) -> Frame | FrameSequence:
-        """One frame, or a sequence of some."""
+        """One frame, or the frames of a slice."""
         if isinstance(index, slice):
-            return FrameSequence(self.parts, self.starts, self.chosen[index], self._loader)
-        position = self.chosen[index]
+            return FrameSequence(self.parts, self.starts, self.positions[index], self._loader)
+        position = self.positions[index]
         number = int(np.searchsorted(self.starts, position, side="right")) - 1
         part = self.parts[number]
         row = position - int(self.starts[number])
@@ -226,7 +228,7 @@ def _decode_into(images: Sequence[tuple[Image, UInt8]], *, threads: int | None, 
     """Decode images, each into its contiguous planes (3, H, W), on several threads."""
     from mirror.dataset.images.decoding import run_jobs, split_planes
 
-    def one(image: Image, planes: UInt8) -> None:
+    def decode_one(image: Image, planes: UInt8) -> None:
         split_planes(image.decode(verify=verify), planes)
 
-    run_jobs([partial(one, *image) for image in images], [image.byte_length for image, _ in images], threads)
+    run_jobs([partial(decode_one, *image) for image in images], [image.byte_length for image, _ in images], threads)

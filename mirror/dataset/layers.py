@@ -1,4 +1,4 @@
-"""Which of a traversal's layers are read."""
+"""The choice of the layers that a view reads."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LayerChoice:
-    """Which layers stand behind poses, calibrations, boxes, depth maps and points.
+    """The layers that a view reads.
 
     Attributes:
         poses: ``recorded``, or a pose layer ``source@version`` (its table: ``ego_poses.parquet``).
         calibrations: ``recorded``, or a calibration layer (its table: ``calibrations.parquet``).
-        stage: the calibration stage to take; None: refined before online before factory.
+        stage: the calibration stage to use; None: the best one, in the order refined, online, factory.
         boxes: a box layer; None: the only one a traversal has.
         depth: a layer of depth maps; None: the only one a traversal has.
         points: a layer of points; None: the only one a traversal has.

@@ -1,4 +1,4 @@
-"""What the frames of a view share: traversals, rigs and masks loaded once, and the reading of images."""
+"""Reads traversals, rigs, masks and images for the frames of a view, and keeps what several frames need."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _TRAVERSALS_HELD: Final = 64
 
 
 class Loader:
-    """Reads for all frames of one sequence.
+    """Reads the files of all frames of one sequence.
 
     Args:
         catalog: the index.
         layers: the layers to read.
-        cameras: only these; None: all.
+        cameras: the cameras of the view; None: all.
     """
 
     def __init__(self, catalog: Catalog, layers: LayerChoice, cameras: frozenset[str] | None) -> None:
@@ -54,7 +54,7 @@ class Loader:
         return VideoDecoders(self.store)
 
     def traversal(self, row: int) -> tuple[str, Traversal]:
-        """Scene id and traversal of a row of the table of traversals."""
+        """Scene id and traversal for a row of the table of traversals."""
         with self._lock:
             if row not in self._traversals:
                 traversal_id = self._keys.column("traversal_id")[row].as_py()
@@ -65,10 +65,10 @@ class Loader:
             return self._keys.column("scene_id")[row].as_py(), self._traversals[row]
 
     def rig(self, row: int) -> Rig | None:
-        """The rig of a traversal; None for a poses-only drive.
+        """The rig of a traversal; None: its drive has no cameras.
 
         Raises:
-            DatasetError: its file is missing.
+            DatasetError: the rig's file is missing.
         """
         rig_id = self._keys.column("rig_id")[row].as_py()
         if rig_id is None:
@@ -78,14 +78,14 @@ class Loader:
         return self._rigs[rig_id]
 
     def in_rig_order(self, row: int, cameras: Collection[str]) -> list[str]:
-        """The wanted ones of some cameras, in the order of the rig."""
+        """Those of some cameras that are in the view, in the order of the rig."""
         rig = self.rig(row)
         order = [] if rig is None else [camera.name for camera in rig.cameras]
         listed = [*(name for name in order if name in cameras), *sorted(set(cameras) - set(order))]
         return [name for name in listed if self._cameras is None or name in self._cameras]
 
     def static_mask(self, row: int, camera: str) -> UInt8 | None:
-        """The rig's mask of a camera (H, W); None: not known.
+        """The rig's mask (H, W) of a camera; None: the rig has none.
 
         Raises:
             DatasetError: the file is missing or broken.
@@ -102,7 +102,7 @@ class Loader:
         return self._static_masks[key]
 
     def mask(self, uri: str, byte_length: int, place: str) -> UInt8:
-        """Pixels (H, W) of a mask.
+        """Read the pixels (H, W) of a mask.
 
         Raises:
             DatasetError: the file is missing or broken.
@@ -110,10 +110,10 @@ class Loader:
         return self._grey(uri, byte_length, place)
 
     def depth(self, uri: str, byte_length: int, shape: tuple[int, int], place: str) -> Float32:
-        """Depths (H, W) of a map, NaN where unknown.
+        """Read the depths (H, W) of a map in metres, NaN where unknown.
 
         Raises:
-            DatasetError: the file is missing or broken, or of another shape.
+            DatasetError: the file is missing or broken, or has another shape.
         """
         from mirror.dataset.images.depth_codec import decode_depth
 
@@ -124,10 +124,10 @@ class Loader:
         return depth
 
     def read(self, uri: str, offset: int, length: int, place: str) -> bytes:
-        """Some bytes of a file.
+        """Read ``length`` bytes of a file.
 
         Raises:
-            DatasetError: the file is missing or ends before.
+            DatasetError: the file is missing or too short.
         """
         try:
             data = self.store.read_range(uri, offset, length)
@@ -138,7 +138,7 @@ class Loader:
         return data
 
     def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
-        """Pixels (H, W, 3) of a video's frame; None: the video has no such frame, or is broken.
+        """Decode a frame of a video to pixels (H, W, 3); None: the video has no such frame, or is broken.
 
         Raises:
             DatasetError: the video cannot be opened.

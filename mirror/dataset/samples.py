@@ -1,4 +1,4 @@
-"""One frame as tensors, with all that is needed to use them right: lenses, poses, stamps, masks, boxes, ids."""
+"""One frame as tensors: images with their lenses, poses, timestamps, masks, boxes and ids."""
 
 from __future__ import annotations
 
@@ -30,39 +30,39 @@ LENS_MODELS: Final = tuple(COEFFICIENTS)
 _COEFFICIENTS: Final = 16
 
 
-def sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) -> Sample:
-    """One frame as tensors that collate; `mirror.dataset.torch.FrameDataset` lists them.
+def make_sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) -> Sample:
+    """Make the tensors of one frame, which torch can collate; `mirror.dataset.torch.FrameDataset` lists them.
 
     Args:
         frame: the frame.
-        contents: what the sample holds.
-        shape: height and width of the images' tensors.
+        contents: the contents of samples.
+        shape: height and width of the image tensors.
 
     Raises:
-        UsageError: an image is larger than the shape, or there are several masks of a kind and none was chosen.
+        UsageError: an image is larger than the shape, or an image has several masks of a kind and none was chosen.
         DatasetError: an image, mask, pose or calibration is missing or broken.
     """
-    arrays = _empty(contents, shape)
+    arrays = _empty_arrays(contents, shape)
     jobs, costs = [], []
     for row, camera in enumerate(contents.cameras):
         image = frame.images.get(camera)
         if image is None:
             continue
         raster = _raster_of(image, contents)
-        _place(arrays, row, image, raster.final)
-        jobs.append(partial(_decode, image, raster, contents, _each(arrays, itemgetter((row, ...)))))
+        _write_geometry(arrays, row, image, raster.final)
+        jobs.append(partial(_write_pixels, image, raster, contents, _map_arrays(arrays, itemgetter((row, ...)))))
         costs.append(image.byte_length)
     in_worker = get_worker_info() is not None
     if in_worker and cv2.getNumThreads() != 1:
-        # A worker is one of many: it keeps to its own thread.
+        # One of several workers must not start threads of its own.
         cv2.setNumThreads(1)
     run_jobs(jobs, costs, 1 if in_worker else None)
     if contents.is_single_camera:
-        arrays = _each(arrays, itemgetter((0, ...)))
+        arrays = _map_arrays(arrays, itemgetter((0, ...)))
     if contents.boxes is not None:
         arrays |= _boxes(frame, contents, contents.boxes)
     return {
-        **_each(arrays, torch.from_numpy),
+        **_map_arrays(arrays, torch.from_numpy),
         "world_SE3_ego": torch.from_numpy(frame.world_SE3_ego.matrix()[0]),
         "scene_id": frame.scene_id,
         "traversal_id": frame.traversal_id,
@@ -75,18 +75,18 @@ def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
     """The lens of one image of a sample or batch, for `mirror.geometry`.
 
     Args:
-        sample: a sample, or a batch of collated ones.
-        index: of the image: of its camera in a sample, of sample and camera in a batch; without the camera where
-            samples are of one camera.
+        sample: a sample, or a batch of collated samples.
+        index: number of the camera in a sample; numbers of sample and camera in a batch. If samples have a single
+            camera, its number is left out.
 
     Raises:
-        UsageError: there is no such image, or its camera has none in that frame.
+        UsageError: the index is out of range, or the camera has no image in that frame.
     """
     lens = sample["lens"]
-    if len(index) != lens.ndim or not all(0 <= at < size for at, size in zip(index, lens.shape)):
+    if len(index) != lens.ndim or not all(0 <= axis < size for axis, size in zip(index, lens.shape)):
         raise UsageError(f"image {index} of lenses of shape {tuple(lens.shape)}", expected="an index for each axis")
     if not sample["valid"][index]:
-        raise UsageError(f"image {index} is not there: its camera has none in this frame", remedy="skip it by 'valid'")
+        raise UsageError(f"image {index} is missing: its camera has none in this frame", remedy="skip it by 'valid'")
     model, matrix = LENS_MODELS[int(lens[index])], sample["intrinsics"][index].tolist()
     count = int(sample["distortion_count"][index])
     return Camera(
@@ -101,13 +101,13 @@ def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
     )
 
 
-def _each(arrays: Mapping[str, Any], change: Callable[[AnyArray], Any]) -> dict[str, Any]:
-    """Change every array of nested dictionaries."""
-    return {name: _each(item, change) if isinstance(item, dict) else change(item) for name, item in arrays.items()}
+def _map_arrays(arrays: Mapping[str, Any], change: Callable[[AnyArray], Any]) -> dict[str, Any]:
+    """Apply a function to every array of nested dictionaries."""
+    return {name: _map_arrays(item, change) if isinstance(item, dict) else change(item) for name, item in arrays.items()}
 
 
-def _empty(contents: SampleContents, shape: tuple[int, int]) -> dict[str, Any]:
-    """The arrays of a sample without an image, the camera axis first."""
+def _empty_arrays(contents: SampleContents, shape: tuple[int, int]) -> dict[str, Any]:
+    """Arrays of a sample without images; the first axis is the camera."""
     count = len(contents.cameras)
     channels = (3, *shape) if contents.layout == "chw" else (*shape, 3)
     arrays: dict[str, Any] = {
@@ -132,7 +132,7 @@ def _raster_of(image: Image, contents: SampleContents) -> ImageRaster:
     camera = image.camera_model
     if (camera.width_px, camera.height_px) != (image.width_px, image.height_px):
         raise DatasetError(
-            f"the image is {image.width_px} x {image.height_px} px, its calibration is of {camera.width_px} x "
+            f"the image has {image.width_px} x {image.height_px} px, but its calibration is for {camera.width_px} x "
             f"{camera.height_px} px",
             place=f"camera {image.camera}, timestamp_ns {image.timestamp_ns}",
             expected="a calibration of the recorded raster",
@@ -148,8 +148,8 @@ def _raster_of(image: Image, contents: SampleContents) -> ImageRaster:
     return image_raster(camera, contents.undistort, contents.resize)
 
 
-def _place(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera) -> None:
-    """Write what is known of an image before it is decoded."""
+def _write_geometry(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera) -> None:
+    """Write the values of an image that are known before it is decoded."""
     values = {
         "valid": True,
         "timestamp_ns": image.timestamp_ns,
@@ -167,8 +167,8 @@ def _place(arrays: Mapping[str, Any], row: int, image: Image, camera: Camera) ->
     arrays["distortion"][row, : len(camera.distortion)] = camera.distortion
 
 
-def _decode(image: Image, raster: ImageRaster, contents: SampleContents, out: Mapping[str, Any]) -> None:
-    """Write the pixels and masks of one image into arrays that have no camera axis."""
+def _write_pixels(image: Image, raster: ImageRaster, contents: SampleContents, out: Mapping[str, Any]) -> None:
+    """Write the pixels and masks of one image into arrays without a camera axis."""
     height, width = raster.final.height_px, raster.final.width_px
     if height > out["pixel_valid"].shape[0] or width > out["pixel_valid"].shape[1]:
         raise UsageError(
@@ -197,7 +197,7 @@ def _decode(image: Image, raster: ImageRaster, contents: SampleContents, out: Ma
 
 
 def _mask(image: Image, recorded: Sequence[Mask], name: str) -> UInt8 | None:
-    """The recorded mask (H, W) of an image that a name stands for; None: there is none."""
+    """The recorded mask (H, W) of an image for a name of `SampleContents.masks`; None: the image has none."""
     kind, _, layer = name.partition("/")
     found = {f"{mask.source}@{mask.source_version}": mask for mask in recorded if mask.kind == kind}
     if layer:
@@ -227,14 +227,14 @@ def _boxes(frame: Frame, contents: SampleContents, count: int) -> dict[str, AnyA
         "box_timestamp_ns": np.array(boxes.timestamp_ns),
     }
     if rows:
-        own = slice(len(rows))
-        arrays["box_valid"][own] = True
-        arrays["world_SE3_box"][own] = boxes.pose.matrix()[rows]
-        arrays["box_size_m"][own] = boxes.size_m[rows]
-        arrays["box_velocity_mps"][own] = boxes.velocity_mps[rows]
-        arrays["box_category"][own] = [numbers[boxes.category[row]] for row in rows]
-        arrays["box_track"][own] = [bisect_left(frame.track_ids, boxes.track_id[row]) for row in rows]
-        arrays["box_score"][own] = boxes.score[rows]
+        filled = slice(len(rows))
+        arrays["box_valid"][filled] = True
+        arrays["world_SE3_box"][filled] = boxes.pose.matrix()[rows]
+        arrays["box_size_m"][filled] = boxes.size_m[rows]
+        arrays["box_velocity_mps"][filled] = boxes.velocity_mps[rows]
+        arrays["box_category"][filled] = [numbers[boxes.category[row]] for row in rows]
+        arrays["box_track"][filled] = [bisect_left(frame.track_ids, boxes.track_id[row]) for row in rows]
+        arrays["box_score"][filled] = boxes.score[rows]
     return arrays
 
 

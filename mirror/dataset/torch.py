@@ -1,8 +1,8 @@
-"""Torch datasets of frames: map-style and iterable, safe in worker processes, resumable to the sample.
+"""Torch datasets of frames: map-style and iterable, safe in worker processes, resumable at any sample.
 
-The order of an epoch is a pure function of seed and epoch. Only the dataset's path and the view's restrictions travel
-to a worker; it opens the dataset itself. Worker processes are started with ``spawn`` or ``forkserver``: a forked one
-inherits the locks of threads that it lacks, and may wait for them for ever, so that it is refused.
+The order of an epoch is a pure function of seed and epoch. A worker receives only the dataset's path and the view's
+restrictions and opens the dataset itself. Workers must be started with ``spawn`` or ``forkserver``. A forked worker is
+refused: it inherits locks of threads that it does not have, and may wait for them for ever.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from mirror.dataset.contents import ImageLayout, raster_shapes, resolve_contents
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import FrameSequence
 from mirror.dataset.raster import Resize
-from mirror.dataset.samples import LENS_MODELS, Sample, camera_of, sample
+from mirror.dataset.samples import LENS_MODELS, Sample, camera_of, make_sample
 from mirror.errors import UsageError
 
 __all__ = ["LENS_MODELS", "FrameDataset", "IterableFrames", "Sample", "SampleOptions", "camera_of", "epoch_order"]
 
-_MAKE_AGAIN: Final = {
-    "index": "restore the dataset as it was, or begin a new epoch with set_epoch",
-    "filters": "make the view with the same where(...), or begin a new epoch with set_epoch",
+_REMEDIES: Final = {
+    "index": "restore the dataset of the state, or start a new epoch with set_epoch",
+    "filters": "make the view with the same where(...), or start a new epoch with set_epoch",
 }
 
 
 class SampleOptions(TypedDict, total=False):
-    """The options of `FrameDataset`, with their meaning there."""
+    """Options of `FrameDataset`, which documents them."""
 
     undistort: bool
     resize: Resize | None
@@ -46,49 +46,49 @@ class SampleOptions(TypedDict, total=False):
 class FrameDataset(TorchDataset[Sample]):
     """The frames of a view as a map-style dataset.
 
-    A sample is a dictionary, ready for torch's own collate function. With C cameras, all of them in one order, images
-    of at most H x W pixels and at most N boxes:
+    A sample is a dictionary that torch's own collate function accepts. It has C cameras in a fixed order, images of at
+    most H x W pixels and at most N boxes:
 
-    - ``images`` (C, 3, H, W) uint8, RGB. A smaller image fills the upper left corner, with zeros beyond it, so that
-      intrinsics hold for it. ``height_px``, ``width_px`` (C,): its size. ``valid`` (C,) bool: False where a camera has
-      no image in this frame; its part of the sample is zero. ``pixel_valid`` (C, H, W) bool: True where a pixel is made
-      of recorded ones: False beyond a smaller image, and where an undistorted one shows what the lens does not see.
-    - ``intrinsics`` (C, 3, 3) float64: the matrix K of the images as they are here; the first pixel's centre is at 0.5.
-      ``lens`` (C,): number of the camera model in `LENS_MODELS`, -1 without an image. K alone is the whole lens only of
-      a ``pinhole``. ``distortion`` (C, 16) float64: the model's coefficients, then zeros; ``distortion_count`` (C,).
-      `camera_of` makes a `mirror.geometry.Camera` of them.
-    - ``world_SE3_camera`` (C, 4, 4) at each image's mid-exposure, ``world_SE3_ego`` (4, 4) at the frame's instant,
+    - ``images`` (C, 3, H, W) uint8, RGB. A smaller image fills the upper left corner, so its intrinsics stay valid; the
+      rest is zero. ``height_px``, ``width_px`` (C,): its size. ``valid`` (C,) bool: False where a camera has no image
+      in this frame; its part of the sample is then zero. ``pixel_valid`` (C, H, W) bool: True where a pixel is computed
+      from recorded pixels. It is False beyond a smaller image, and where an undistorted image extends beyond the lens.
+    - ``intrinsics`` (C, 3, 3) float64: the matrix K of the images in the sample; the first pixel's centre is at 0.5.
+      ``lens`` (C,): number of the camera model in `LENS_MODELS`, -1 without an image. K describes the complete lens
+      only for a ``pinhole``. ``distortion`` (C, 16) float64: the model's coefficients, then zeros;
+      ``distortion_count`` (C,): their number. `camera_of` makes a `mirror.geometry.Camera` from these values.
+    - ``world_SE3_camera`` (C, 4, 4) at each image's mid-exposure, ``world_SE3_ego`` (4, 4) at the frame's time,
       float64, in metres.
     - ``timestamp_ns``, ``exposure_start_ns``, ``exposure_end_ns`` (C,) int64; ``frame_timestamp_ns``.
     - ``scene_id``, ``traversal_id``, ``frame_index``.
-    - ``masks``: by name (C, H, W) bool, True for what the name says; ``instance`` (C, H, W) uint8, as stored.
-      ``mask_valid``: by name (C,) bool: False where an image has no such mask; its mask is then False everywhere, which
-      says nothing.
+    - ``masks``: by name (C, H, W) bool, True for pixels of that kind; ``instance`` (C, H, W) uint8, as stored.
+      ``mask_valid``: by name (C,) bool, False where an image has no such mask; the mask is then False everywhere and
+      has no meaning.
     - ``world_SE3_box`` (N, 4, 4), ``box_size_m`` (N, 3) length, width, height, ``box_velocity_mps`` (N, 3) over ground
       along the world's axes, NaN where unknown; ``box_category`` (N,): number in ``categories``; ``box_track`` (N,):
       number of the object within its traversal, in `Frame.track_ids`; ``box_score`` (N,), NaN for a label without one;
-      ``box_valid`` (N,) bool: False behind the last box. ``box_timestamp_ns``: the instant that the boxes describe.
+      ``box_valid`` (N,) bool: False in the rows after the last box. ``box_timestamp_ns``: the time of the boxes.
 
-    For a resumable shuffled order give a loader ``sampler=epoch_order(len(dataset), seed, epoch)[consumed:]``.
+    For a resumable shuffled order, pass ``sampler=epoch_order(len(dataset), seed, epoch)[consumed:]`` to the loader.
 
     Args:
         dataset: the view.
-        cameras: cameras of every sample, in this order; default: all of the view. A name alone: samples of that camera,
-            whose tensors have no camera axis.
-        undistort: take images and masks to the pinhole of `mirror.geometry.undistorted`, which is that of the
-            benchmark's protocols; ``lens`` and ``intrinsics`` are then that pinhole's.
-        resize: (height, width) for all images, or a factor such as 0.5; ``intrinsics`` follow.
+        cameras: cameras of every sample, in this order; default: all of the view. With a single name, samples hold that
+            camera only, and their tensors have no camera axis.
+        undistort: map images and masks to the pinhole of `mirror.geometry.undistorted`, which the benchmark's protocols
+            use; ``lens`` and ``intrinsics`` are then those of the pinhole.
+        resize: (height, width) for all images, or a factor such as 0.5; ``intrinsics`` are scaled accordingly.
         layout: ``chw``, or ``hwc``: ``images`` is (C, H, W, 3).
-        boxes: whether samples have boxes, of the layer that the view reads.
-        categories: only boxes of these, numbered in this order; default: all of the dataset, sorted.
-        masks: a list of ``kind`` or ``kind/source@version``; default: every kind that the dataset has. ``ego`` is the
-            rig's mask where an image has none of its own.
-        verify: hold every image against its hash.
+        boxes: whether samples have boxes; they come from the box layer of the view.
+        categories: keep only boxes of these categories, numbered in this order; default: all of the dataset, sorted.
+        masks: a list of ``kind`` or ``kind/source@version``; default: every kind in the dataset. For ``ego``, the mask
+            of the rig is used where an image has no such mask.
+        verify: compare every image with its hash.
 
     Attributes:
         dataset: the view.
         cameras: names along the camera axis.
-        categories: of boxes, by number.
+        categories: categories of boxes, by number.
         masks: names of the masks.
 
     Raises:
@@ -131,14 +131,14 @@ class FrameDataset(TorchDataset[Sample]):
 
     @property
     def frames(self) -> FrameSequence:
-        """The frames, found on first use in each process.
+        """The frames; each process selects them on first use.
 
         Raises:
-            UsageError: this is a worker process of a loader, and it was forked.
+            UsageError: this is a forked worker process of a loader.
         """
         if get_worker_info() is not None and is_forked():
             raise UsageError(
-                "this worker process was forked, and may wait for ever for threads that it has not",
+                "this worker process was forked, and may wait for ever for threads that it does not have",
                 expected="workers that are spawned",
                 remedy='DataLoader(..., multiprocessing_context="spawn"), or "forkserver"',
             )
@@ -148,7 +148,7 @@ class FrameDataset(TorchDataset[Sample]):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Height and width that hold every image."""
+        """Height and width (H, W) that fit every image."""
         heights, widths = zip(*self._shapes.values())
         return max(heights), max(widths)
 
@@ -159,15 +159,15 @@ class FrameDataset(TorchDataset[Sample]):
         return len(self.frames)
 
     def __getitem__(self, index: int) -> Sample:
-        return sample(self.frames[int(index)], self._contents, self.shape)
+        return make_sample(self.frames[int(index)], self._contents, self.shape)
 
     def unpadded(self, index: int) -> Sample:
-        """As an item, with tensors of images only as large as the largest image of the frame's traversal."""
+        """Make the sample of a frame with image tensors as large as the largest image of its traversal."""
         frame = self.frames[int(index)]
-        return sample(frame, self._contents, self._shape_of(frame.traversal_id))
+        return make_sample(frame, self._contents, self._shape_of(frame.traversal_id))
 
     def shapes(self) -> Int64:
-        """Height and width (F, 2) of the tensors of images that `unpadded` makes of each of F frames."""
+        """Height and width (F, 2) of the image tensors that `unpadded` makes for each of F frames."""
         parts = self.frames.parts
         traversals = self.dataset.catalog.traversal_ids
         of_parts = [self._shape_of(traversals[part.traversal].as_py()) for part in parts]
@@ -175,26 +175,28 @@ class FrameDataset(TorchDataset[Sample]):
 
 
 class IterableFrames(IterableDataset[Sample]):
-    """The frames of a view as batches, in an order that is shuffled anew each epoch, and resumable.
+    """The frames of a view as batches, in a resumable order that is shuffled in every epoch.
 
-    It makes the batches itself: give a loader ``batch_size=None`` and any number of workers; the batches and their
-    order do not depend on that number. A batch is a collated sample with ``epoch`` and its number ``step``.
+    It makes the batches itself: pass ``batch_size=None`` and any number of workers to the loader. The batches and their
+    order do not depend on the number of workers. A batch is a dictionary of collated samples with ``epoch`` and the
+    batch number ``step``.
 
     To resume, save ``state_dict(batch)`` of the last batch that was used, and load it before iterating again. Workers
-    take epoch and state over when they start: do not keep them over epochs (``persistent_workers``).
+    copy epoch and state when they start, so do not keep them over epochs (``persistent_workers``).
 
     Args:
         dataset: the view.
         batch_size: samples a batch; the last one of an epoch, or of a size, may be smaller.
-        cameras: as of `FrameDataset`.
-        seed: what the order is drawn by.
-        shuffle: False: in order of traversal and time.
-        rank: which share of the samples is this process's.
-        world_size: number of shares; they have no sample in common.
-        drop_last: leave out what does not fill a batch of every rank, so that all ranks have as many.
-        group_by_size: make each batch of frames whose images need tensors of one size, and no larger. Else all tensors
-            of the view are as large as its largest image.
-        options: those of `FrameDataset`.
+        cameras: as in `FrameDataset`.
+        seed: random seed of the order.
+        shuffle: False: frames come in order of traversal and time.
+        rank: number of this process's share of the samples.
+        world_size: number of shares; no sample is in two shares.
+        drop_last: leave out frames that do not fill a batch of every rank, so that all ranks have the same number of
+            batches.
+        group_by_size: put frames with image tensors of the same size into a batch. Without it, all tensors of the view
+            are as large as its largest image.
+        options: options of `FrameDataset`.
 
     Raises:
         UsageError: the view has no images, an argument does not fit it, or a number is out of range.
@@ -232,7 +234,7 @@ class IterableFrames(IterableDataset[Sample]):
 
     @property
     def samples(self) -> FrameDataset:
-        """What the batches are made of; it has the names of cameras, categories and masks."""
+        """The samples of the batches; it has the names of cameras, categories and masks."""
         return self._samples
 
     @property
@@ -241,31 +243,31 @@ class IterableFrames(IterableDataset[Sample]):
         return self._samples.cameras
 
     def set_epoch(self, epoch: int) -> None:
-        """Begin an epoch at its first batch."""
+        """Start an epoch at its first batch."""
         self._epoch = epoch
         self._step = 0
 
     def __len__(self) -> int:
-        """Batches of this rank in a whole epoch."""
-        together = self._batch_size * self._world_size
-        whole, rest = np.divmod(np.array([len(group) for group in self._groups()], np.int64), together)
-        return int(whole.sum() + (0 if self._drop_last else np.count_nonzero(rest > self._rank)))
+        """Number of batches of this rank in an epoch."""
+        frames_a_step = self._batch_size * self._world_size
+        full, rest = np.divmod(np.array([len(group) for group in self._groups()], np.int64), frames_a_step)
+        return int(full.sum() + (0 if self._drop_last else np.count_nonzero(rest > self._rank)))
 
     def __iter__(self) -> Iterator[Sample]:
-        """Batches from where the state stands to the end of the epoch; with workers, every n-th of them."""
+        """Yield the batches from the current state to the end of the epoch; one of n workers yields every n-th."""
         worker = get_worker_info()
         number, workers = (0, 1) if worker is None else (worker.id, worker.num_workers)
         batches = self._batches()
-        # Worker w takes every n-th batch from the first to do: a loader asks its workers in turn, so that batches come
-        # in order, and those that were used are always the first ones of the epoch.
+        # Worker w takes every n-th batch from the first remaining one. A loader takes a batch from each worker in turn,
+        # so batches come in order, and the used ones are always the first of the epoch.
         for step in range(self._step + number, len(batches), workers):
             yield {**default_collate(self._load(batches[step])), "epoch": self._epoch, "step": step}
 
     def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """What to load to go on behind a batch.
+        """The state to load in order to continue after a batch.
 
         Args:
-            batch: the last batch that was used; None: the state as it was loaded or set.
+            batch: the last batch that was used; None: the state that was loaded or set.
         """
         epoch, step = (self._epoch, self._step) if batch is None else (int(batch["epoch"]), int(batch["step"]) + 1)
         return {
@@ -281,13 +283,13 @@ class IterableFrames(IterableDataset[Sample]):
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from a state.
+        """Continue from a state of `state_dict`.
 
         Raises:
-            UsageError: it is of another seed, batch size, number of ranks, index or view: the order differs.
+            UsageError: the state has another seed, batch size, number of ranks, index or view, so its order differs.
         """
         ours = self.state_dict()
-        # States from before there were groups have none.
+        # States of older versions have no group_by_size.
         state = {"group_by_size": False, **state}
         for name in ("seed", "batch_size", "world_size", "shuffle", "group_by_size", "index", "filters"):
             theirs = state.get(name)
@@ -296,7 +298,7 @@ class IterableFrames(IterableDataset[Sample]):
                     f"the state has {name} {theirs!s:.200}, this dataset {ours[name]!s:.200}",
                     place=f"state_dict[{name!r}]",
                     expected="the state of a dataset made in the same way",
-                    remedy=_MAKE_AGAIN.get(name, f"make the dataset with {name}={theirs}"),
+                    remedy=_REMEDIES.get(name, f"make the dataset with {name}={theirs}"),
                 )
         self._epoch = state["epoch"]
         self._step = state["step"]
@@ -306,7 +308,7 @@ class IterableFrames(IterableDataset[Sample]):
         return [read(int(index)) for index in indices]
 
     def _groups(self) -> list[Int64]:
-        """Frames that may share a batch, each in ascending order."""
+        """Groups of frames that may share a batch, each in ascending order."""
         total = len(self._samples)
         if not self._group_by_size:
             return [np.arange(total)]
@@ -314,39 +316,40 @@ class IterableFrames(IterableDataset[Sample]):
         return [np.flatnonzero(group == number) for number in range(len(shapes))]
 
     def _batches(self) -> list[Int64]:
-        """This rank's batches of the epoch, each of some frames of one group.
+        """The frame numbers of this rank's batches in the epoch; a batch holds frames of one group.
 
-        The ranks' batches of a step are cut from the same stretch of their group, so that they are of one size; steps
-        come in the order of their first frames.
+        In each step, the batches of all ranks come from the same section of a group, so they have the same size. Steps
+        are ordered by their first frames.
         """
         total = len(self._samples)
         order = epoch_order(total, self._seed, self._epoch) if self._shuffle else np.arange(total)
-        place = np.empty(total, np.int64)
-        place[order] = np.arange(total)
-        together = self._batch_size * self._world_size
-        found: list[tuple[int, Int64]] = []
+        position = np.empty(total, np.int64)
+        position[order] = np.arange(total)
+        frames_a_step = self._batch_size * self._world_size
+        batches: list[tuple[int, Int64]] = []
         for group in self._groups():
-            places = np.sort(place[group])
-            for start in range(0, len(places), together):
-                stretch = places[start : start + together]
-                own = order[stretch[self._rank :: self._world_size]]
-                if len(own) and (len(stretch) == together or not self._drop_last):
-                    found.append((int(stretch[0]), own))
-        return [own for _, own in sorted(found, key=lambda batch: batch[0])]
+            positions = np.sort(position[group])
+            for start in range(0, len(positions), frames_a_step):
+                section = positions[start : start + frames_a_step]
+                frames = order[section[self._rank :: self._world_size]]
+                if len(frames) and (len(section) == frames_a_step or not self._drop_last):
+                    batches.append((int(section[0]), frames))
+        return [frames for _, frames in sorted(batches, key=lambda batch: batch[0])]
 
 
 def epoch_order(count: int, seed: int, epoch: int) -> Int64:
-    """A permutation (count,) of 0 .. count - 1 that depends on seed and epoch alone.
+    """A permutation (count,) of 0 .. count - 1 that depends only on seed and epoch.
 
-    Samples are sorted by a hash of seed, epoch and index (the finaliser of SplitMix64, Steele et al. 2014), which no
-    release of a library changes.
+    Samples are sorted by a hash of seed, epoch and index: the finaliser of SplitMix64 (Steele et al. 2014). So no
+    version of a library changes the order.
     """
-    # A list of one makes numpy keep the type and wrap without a warning.
+    # With a one-element array, numpy keeps the type and wraps without a warning.
     key = _mix(_mix(np.array([seed % 2**64], np.uint64)) + np.array([epoch % 2**64], np.uint64))
     return np.argsort(_mix(key + np.arange(count, dtype=np.uint64)), kind="stable")
 
 
 def is_forked() -> bool:
+    """Whether this process was started by a fork."""
     if "fork" not in multiprocessing.get_all_start_methods():
         return False
     process = multiprocessing.current_process()
@@ -355,6 +358,7 @@ def is_forked() -> bool:
 
 
 def _mix(values: Any) -> Any:
+    """The finaliser of SplitMix64."""
     values = values + np.uint64(0x9E3779B97F4A7C15)
     values = (values ^ (values >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     values = (values ^ (values >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -149,7 +149,7 @@ def test_calibrations_by_stage_and_time(tmp_path: Path) -> None:
     assert [focal(board, frame) for frame in (0, 2, 3)] == [41.0, 41.0, 42.0]
     assert focal(board.with_layers(stage="factory"), 0) == 40.0
     assert focal(board.with_layers(stage="factory").with_layers(calibrations="ba@1", stage="refined"), 0) == 50.0
-    with pytest.raises(DatasetError, match=r"no calibration of camera front_left is valid at .*|choose one of its stages"):
+    with pytest.raises(DatasetError, match=r"no calibration of camera front_left is valid at"):
         focal(board, 3, "front_left")
     with pytest.raises(DatasetError, match="calibrate the camera"):
         focal(dataset.with_layers(calibrations="ba@1"), 0, "front_left")

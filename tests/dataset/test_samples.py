@@ -353,7 +353,7 @@ def test_a_calibration_of_another_raster_is_refused(tmp_path: Path) -> None:
     builder.layer(traversal, "calibrations", "bad@1", CALIBRATIONS, [calibration("front_wide", 0, (96, 64))])
     build_index(tmp_path)
     view = mirror.open(tmp_path).with_layers(calibrations="bad@1")
-    with pytest.raises(DatasetError, match="48 x 32 px, its calibration is of 96 x 64 px"):
+    with pytest.raises(DatasetError, match="48 x 32 px, but its calibration is for 96 x 64 px"):
         FrameDataset(view)[0]
 
 

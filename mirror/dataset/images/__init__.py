@@ -1,1 +1,1 @@
-"""Images: their bytes, checked, and their pixels."""
+"""Decoding of images and videos, and the codec of depth maps."""

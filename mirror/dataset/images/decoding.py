@@ -1,4 +1,4 @@
-"""Decoding JPEG and PNG images, one by one or a camera set at once into planes."""
+"""Decoding JPEG and PNG images, one by one or several in parallel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.recordings.raster import has_end_marker
 
 
 def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
-    """Pixels (H, W, 3) of a JPEG or PNG as stored, whatever its EXIF orientation says; None: broken or cut short."""
+    """Decode a JPEG or PNG to pixels (H, W, 3), RGB, ignoring its EXIF orientation; None: broken or cut short."""
     if not data or not has_end_marker(data, codec):
         return None
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
@@ -25,23 +25,23 @@ def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
 
 
 def decode_grey(data: bytes) -> UInt8 | None:
-    """Pixels (H, W) of a one-channel PNG; None: broken."""
+    """Decode a one-channel PNG to pixels (H, W); None: broken."""
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     return None if pixels is None else np.asarray(pixels, np.uint8)
 
 
 def split_planes(pixels: UInt8, planes: UInt8) -> None:
-    """Write the channels of (H, W, 3) pixels into contiguous planes (3, H, W)."""
+    """Copy the channels of pixels (H, W, 3) into contiguous planes (3, H, W)."""
     cv2.mixChannels([pixels], [planes[0], planes[1], planes[2]], [0, 0, 1, 1, 2, 2])
 
 
 def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: int | None = None) -> None:
-    """Run jobs on the cores of this process, the dearest first, so that none is left for the end.
+    """Run jobs on the cores of this process, the most expensive first, so that all threads end at about the same time.
 
     Args:
-        jobs: what to run; the first error among them is raised when all have ended.
-        costs: (len(jobs),) any measure of their cost.
-        threads: None: one a core; 1: in this thread.
+        jobs: functions to call; the first error is raised when all jobs have ended.
+        costs: (len(jobs),) relative cost of each job.
+        threads: number of threads; None: one for each core; 1: only the calling thread.
     """
     count = usable_cores() if threads is None else threads
     order = sorted(range(len(jobs)), key=lambda index: -costs[index])
@@ -56,7 +56,7 @@ def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: 
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -64,11 +64,11 @@ _pool_lock = threading.Lock()
 
 
 @cache
-def _made_pool(process: int, threads: int) -> ThreadPoolExecutor:
+def _cached_pool(process: int, threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="mirror-decode")
 
 
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
-    # By process: a child must not inherit a pool whose threads stayed behind.
+    # One pool for each process: a forked child would inherit a pool without its threads.
     with _pool_lock:
-        return _made_pool(process, threads)
+        return _cached_pool(process, threads)

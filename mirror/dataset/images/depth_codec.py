@@ -1,4 +1,4 @@
-"""Depth maps as 16-bit PNGs on a logarithmic scale: the same relative step, 1.8e-4, from 0.1 m to 10 km."""
+"""Depth maps as 16-bit PNGs on a logarithmic scale: a constant relative step of 1.8e-4 from 0.1 m to 10 km."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _LOG_RANGE: Final = float(np.log(FARTHEST_M / NEAREST_M))
 
 
 def encode_depth(depth_m: AnyArray) -> bytes:
-    """A PNG of depths; decoded, they are off by at most 8.8e-5 of themselves.
+    """Encode depths as a PNG. The relative error after decoding is at most 8.8e-5.
 
     Args:
-        depth_m: (H, W) camera z; NaN where unknown.
+        depth_m: (H, W) depth along the camera's z axis; NaN where unknown.
 
     Raises:
-        UsageError: not a map, or a depth that is not from `NEAREST_M` to `FARTHEST_M`.
+        UsageError: the array is not (H, W), or a depth is outside `NEAREST_M` to `FARTHEST_M`.
     """
     depth = np.asarray(depth_m, np.float64)
     known = ~np.isnan(depth)
@@ -35,23 +35,23 @@ def encode_depth(depth_m: AnyArray) -> bytes:
             expected=f"{NEAREST_M:g} to {FARTHEST_M:g} m, or NaN where unknown",
         )
     steps = np.zeros(depth.shape, np.uint16)
-    # Step 0 means unknown, so the nearest depths take step 1.
+    # Step 0 means unknown, so the smallest depths are stored as step 1.
     steps[known] = np.maximum(np.round(np.log(depth[known] / NEAREST_M) * (_STEPS / _LOG_RANGE)), 1.0)
     return bytes(cv2.imencode(".png", steps)[1])
 
 
 def decode_depth(data: bytes) -> Float32 | None:
-    """Camera z (H, W) in metres, NaN where unknown; None: no such PNG, or broken."""
+    """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: not a 16-bit PNG, or broken."""
     steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
         return None
     return _DEPTH_OF_STEP[steps]
 
 
-def _table() -> Float32:
+def _depth_of_steps() -> Float32:
     depth = NEAREST_M * np.exp(np.arange(_STEPS + 1) * (_LOG_RANGE / _STEPS))
     depth[0] = np.nan
     return depth.astype(np.float32)
 
 
-_DEPTH_OF_STEP: Final = _table()
+_DEPTH_OF_STEP: Final = _depth_of_steps()

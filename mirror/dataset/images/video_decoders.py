@@ -1,4 +1,4 @@
-"""Images that lie in videos: decoded by presentation time stamp, with decoders kept open.
+"""Images in videos: they are decoded by presentation time stamp, and decoders are kept open.
 
 A video is decoded from the key frame before the requested frame. A request for a frame shortly after the last one goes
 on from there.
@@ -26,11 +26,11 @@ _NEAR_FRAMES: Final = 8
 
 
 class VideoDecoders:
-    """Open videos of a dataset, least recently used closed first.
+    """Open video decoders of a dataset. Beyond a limit, the least recently used one is closed.
 
     Args:
-        store: where the videos are.
-        limit: how many to keep open.
+        store: the dataset's files.
+        limit: largest number of open videos.
     """
 
     def __init__(self, store: Store, limit: int = _OPEN_VIDEOS) -> None:
@@ -40,7 +40,7 @@ class VideoDecoders:
         self._lock = threading.Lock()
 
     def decode(self, uri: str, pts: int) -> UInt8 | None:
-        """Pixels (H, W, 3) of the frame with a time stamp; None: the video has no such frame, or is broken.
+        """Decode the frame with a time stamp to pixels (H, W, 3), RGB; None: the video has no such frame, or is broken.
 
         Raises:
             DatasetError: PyAV is not installed, or the uri leads out of the dataset.
@@ -87,30 +87,31 @@ class _Decoder:
 
         with self._lock:
             try:
-                frame = self._forward(pts) if self._near(pts) else None
+                frame = self._read_up_to(pts) if self._is_shortly_after_last(pts) else None
                 if frame is None:
                     self._container.seek(pts, stream=self._stream, backward=True)
                     self._frames = self._container.decode(self._stream)
-                    frame = self._forward(pts)
+                    frame = self._read_up_to(pts)
             except av.FFmpegError:
                 frame = None
             self._last = None if frame is None else pts
             return None if frame is None else np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
-    def _near(self, pts: int) -> bool:
-        """True if the image follows the last one closely: going on then costs no more than a seek to a key frame."""
+    def _is_shortly_after_last(self, pts: int) -> bool:
+        """Whether decoding on from the last frame costs no more than a seek to a key frame."""
         rate, unit = self._stream.average_rate, self._stream.time_base
         if self._last is None or not rate or not unit:
             return False
         return 0 < (pts - self._last) * unit * rate <= _NEAR_FRAMES
 
-    def _forward(self, pts: int) -> av.VideoFrame | None:
-        beyond = 0
+    def _read_up_to(self, pts: int) -> av.VideoFrame | None:
+        """Decode frames until the one with a time stamp; None: it does not come."""
+        key_frames_beyond = 0
         for frame in self._frames:
             if frame.pts == pts:
                 return frame
             # Broken muxers may not write frames in display order: search up to the second key frame.
-            beyond += bool(frame.key_frame and frame.pts is not None and frame.pts > pts)
-            if beyond == 2:
+            key_frames_beyond += bool(frame.key_frame and frame.pts is not None and frame.pts > pts)
+            if key_frames_beyond == 2:
                 return None
         return None

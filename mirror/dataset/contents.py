@@ -1,4 +1,4 @@
-"""What the samples of a view hold: worked out once, from the index alone, so that all of them have the same shapes."""
+"""The contents of a view's samples: determined once from the index, so that all samples have the same shapes."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ MASK_KINDS: Final = ("dynamic", "ego", "sky", "instance")
 
 @dataclass(frozen=True)
 class SampleContents:
-    """What one sample holds.
+    """The contents of one sample.
 
     Attributes:
-        cameras: in the order of the samples' camera axis.
-        is_single_camera: the samples have no camera axis.
-        layout: where images have their channels.
-        undistort: images are those of a pinhole.
-        resize: of `mirror.dataset.raster.resized_shape`.
-        boxes: rows of the tensors of boxes; None: samples have none.
-        categories: classes of boxes, in the order of their numbers.
-        masks: ``kind`` or ``kind/source@version``.
-        verify: hold images against their hashes.
+        cameras: names along the camera axis.
+        is_single_camera: True: the samples have no camera axis.
+        layout: position of the channels in image tensors.
+        undistort: whether images are mapped to a pinhole.
+        resize: argument of `mirror.dataset.raster.resized_shape`.
+        boxes: number of rows in the tensors of boxes; None: samples have no boxes.
+        categories: categories of boxes, in the order of their numbers.
+        masks: names ``kind`` or ``kind/source@version``.
+        verify: whether images are compared with their hashes.
     """
 
     cameras: tuple[str, ...]
@@ -63,7 +63,9 @@ def resolve_contents(
     masks: Sequence[str] | None,
     verify: bool,
 ) -> SampleContents:
-    """The contents of samples, with what was left to the view filled in; arguments as of `FrameDataset`.
+    """Determine the contents of samples; arguments that are None take their values from the view.
+
+    The arguments are those of `FrameDataset`.
 
     Raises:
         UsageError: the view has no images, or an argument does not fit it.
@@ -88,7 +90,7 @@ def resolve_contents(
 
 
 def raster_shapes(dataset: Dataset, contents: SampleContents) -> dict[str, tuple[int, int]]:
-    """Height and width that hold every image of a traversal as samples have it, by traversal."""
+    """Height and width of the tensors that fit all images of a traversal, after resizing, by traversal id."""
     view = _whole_traversals(dataset).where(camera=contents.cameras)
     table = view.table("images", ["traversal_id", "height_px", "width_px"])
     rows = table.group_by(["traversal_id", "height_px", "width_px"]).aggregate([]).to_pylist()
@@ -114,30 +116,30 @@ def _cameras(dataset: Dataset, cameras: str | Sequence[str] | None) -> tuple[str
 
 
 def _boxes(dataset: Dataset) -> tuple[tuple[str, ...], int]:
-    """Categories and the most boxes of one instant, in the whole dataset: views of it have the same ones."""
+    """Categories, and the largest number of boxes at one time, in the whole dataset, so that all views agree."""
     catalog, chosen = dataset.catalog, dataset.layers.boxes
     categories: set[str] = set()
-    most = 0
+    largest = 0
     for part in select_parts(catalog, Filters(), "boxes"):
         names = ["timestamp_ns", "category", "source", "source_version"]
         stamps, category, source, version = catalog.columns.read(part.path, part.number, names)
         if chosen is None:
-            own = np.ones(len(stamps), np.bool_)
+            in_layer = np.ones(len(stamps), np.bool_)
         else:
-            own = is_member(layer_names(source, version), frozenset([chosen]))
-        categories.update(pc.unique(category.filter(to_arrow_mask(own))).to_pylist())
-        most = max(most, int(_run_lengths(to_numpy(stamps)[own]).max(initial=0)))
-    return tuple(sorted(categories)), most
+            in_layer = is_member(layer_names(source, version), frozenset([chosen]))
+        categories.update(pc.unique(category.filter(to_arrow_mask(in_layer))).to_pylist())
+        largest = max(largest, int(_run_lengths(to_numpy(stamps)[in_layer]).max(initial=0)))
+    return tuple(sorted(categories)), largest
 
 
 def _run_lengths(values: Int64) -> Int64:
-    """How often each value stands in a row of equal ones."""
+    """Lengths of the runs of equal values."""
     ends = np.flatnonzero(np.diff(values, append=values[-1:] + 1))
     return np.diff(ends, prepend=-1)
 
 
 def _masks(dataset: Dataset, masks: Sequence[str] | None) -> tuple[str, ...]:
-    """The masks of samples; every kind that the whole dataset has, if none is named."""
+    """Names of the masks of samples; default: every kind in the whole dataset."""
     if isinstance(masks, str):
         raise UsageError(f"masks={masks!r}", expected=f"a list of names, such as [{masks!r}]")
     everything = replace(dataset, filters=Filters())
@@ -160,5 +162,5 @@ def _masks(dataset: Dataset, masks: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _whole_traversals(dataset: Dataset) -> Dataset:
-    """A view of all that the traversals of a view have, whatever its times, places and cameras."""
+    """A view of the complete traversals of a view, without its filters of time, place and camera."""
     return replace(dataset, filters=Filters(traversal=frozenset(dataset.traversals())))

@@ -112,7 +112,7 @@ class Frame:
 
         Args:
             cameras: the cameras, in this order; default: all of `images`.
-            threads: number of threads; None: one for each core; 1: only the calling thread, for loader processes.
+            threads: number of threads; None: one a core; 1: only the calling thread, for loader processes.
             verify: compare the bytes with their hashes.
 
         Raises:

@@ -1,9 +1,9 @@
-"""Generations of a dataset: a reader goes on reading what it opened while a run replaces it.
+"""Generations of a dataset: a reader keeps reading the state that it opened while a run replaces files.
 
-The index's manifest is a generation. Before a run changes a file or folder that a generation names, it moves it to
-`.superseded/<number>.<generation>/`, at the same relative path (`supersede`). A reader of a generation looks there
-first, in the layer of its own generation and then in those after it: what it finds is what its generation named. It
-holds a shared lock on its manifest, so that `release` removes layers once no reader needs them.
+The manifest of the index identifies a generation. Before a run changes a file or folder of a generation, `supersede`
+moves it to `.superseded/<number>.<generation>/`, at the same relative path. A reader searches there first, in the layer
+of its own generation and then in the later ones: the first match is the file of its generation. A reader holds a shared
+lock on its manifest, so `release` can remove the layers that no reader needs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable_error
 
 FOLDER: Final = ".superseded"
 UNLOCKABLE_AGE_S: Final = 24 * 3600
-"""Where the file system has no locks, nobody knows of readers: what was superseded is removed after a day."""
+"""Without locks in the file system, readers are unknown: superseded files are then removed after one day."""
 
 _INDEX: Final = f"index/{MANIFEST}"
 _NONE: Final = "none"
@@ -34,12 +34,12 @@ _moving: Final = threading.Lock()
 
 
 class Generation:
-    """A generation that a reader has opened and holds.
+    """A generation that a reader has opened and locked.
 
     Attributes:
         root: the dataset's folder.
         manifest: bytes of the index's manifest.
-        sha256: of them.
+        sha256: hash of these bytes.
     """
 
     def __init__(self, root: Path, handle: int, manifest: bytes) -> None:
@@ -51,17 +51,17 @@ class Generation:
 
     @classmethod
     def current(cls, root: Path) -> Generation:
-        """The generation that a dataset is at now.
+        """Open the current generation of a dataset.
 
         Raises:
             FileNotFoundError: the dataset has no index.
         """
         end = time.monotonic() + _PATIENCE_S
         while True:
-            found = cls._held(root, root / _INDEX)
-            if found is not None:
-                return found
-            # Between two generations, or on the way to being superseded.
+            generation = cls._open_locked(root, root / _INDEX)
+            if generation is not None:
+                return generation
+            # The manifest is being replaced: try again.
             if time.monotonic() > end:
                 raise FileNotFoundError(root / _INDEX)
             if not (root / FOLDER).exists() and not (root / _INDEX).exists():
@@ -70,22 +70,22 @@ class Generation:
 
     @classmethod
     def find(cls, root: Path, sha256: str) -> Generation | None:
-        """A generation by its hash, the current or a superseded one; None: it is gone."""
+        """Open a generation by its hash, the current or a superseded one; None: it no longer exists."""
         for path in (root / _INDEX, *(layer / _INDEX for layer in _layers(root)), root / _INDEX):
-            found = cls._held(root, path)
-            if found is not None and found.sha256 == sha256:
-                return found
+            generation = cls._open_locked(root, path)
+            if generation is not None and generation.sha256 == sha256:
+                return generation
         return None
 
     @classmethod
-    def _held(cls, root: Path, path: Path) -> Generation | None:
-        """The generation of a manifest, locked; None: the file is not there, or another has taken its place."""
+    def _open_locked(cls, root: Path, path: Path) -> Generation | None:
+        """Open and lock the generation of a manifest; None: the file is missing or has been replaced."""
         try:
             handle = os.open(path, os.O_RDONLY)
         except (FileNotFoundError, NotADirectoryError):
             return None
         try:
-            # A file system without locks: `UNLOCKABLE_AGE_S` stands in for them.
+            # Without locks in the file system, `UNLOCKABLE_AGE_S` decides.
             with suppress(OSError):
                 fcntl.flock(handle, fcntl.LOCK_SH)
             if os.path.samestat(os.fstat(handle), os.stat(path)):  # noqa: PTH116 - beside fstat
@@ -97,23 +97,23 @@ class Generation:
         return None
 
     def is_current(self) -> bool:
-        """Whether no later generation has taken this one's place."""
+        """Whether no later generation has replaced this one."""
         try:
             return os.path.samestat(os.fstat(self._handle), (self.root / _INDEX).stat())
         except FileNotFoundError:
             return False
 
     def locate(self, path: str) -> Path | None:
-        """Where a file of this generation was moved to; None: it is where it was.
+        """The place to which a file of this generation was moved; None: it was not moved.
 
         Args:
             path: relative to the dataset's root.
         """
         unit = _unit(path)
-        own = False
+        is_reached = False
         for layer in _layers(self.root):
-            own = own or layer.name.endswith(f".{self.sha256[:16]}")
-            if own and (layer / unit).exists():
+            is_reached = is_reached or layer.name.endswith(f".{self.sha256[:16]}")
+            if is_reached and (layer / unit).exists():
                 return layer / path
         return None
 
@@ -121,11 +121,11 @@ class Generation:
 def supersede(layout: Layout, path: Path) -> None:
     """Move a file, or the folder of a drive or traversal, out of the way; the caller holds the dataset's writer lock.
 
-    What was put there since the current generation is in the way of nobody, and is removed.
+    A file or folder that was written after the current generation has no reader and is removed.
 
     Args:
         layout: the dataset.
-        path: below its root; nothing happens if it is not there.
+        path: a path below its root; nothing happens if it does not exist.
 
     Raises:
         DatasetError: it cannot be moved.
@@ -145,17 +145,17 @@ def supersede(layout: Layout, path: Path) -> None:
 
 
 def recover(layout: Layout) -> None:
-    """Finish what an interrupted run was replacing: a drive that is not complete again comes back as it was.
+    """Repair the dataset after an interrupted run: restore the drives that the run replaced only in part.
 
-    What a killed run left under the temporary names of files goes too. The caller holds the dataset's writer lock.
+    Temporary files of a killed run are removed. The caller holds the dataset's writer lock.
 
     Raises:
         DatasetError: the dataset's folders cannot be written.
     """
     try:
         for folder in (layout.root, layout.root / "rigs", layout.root / "splits"):
-            for left in folder.glob(f".*{TEMPORARY}"):
-                left.unlink()
+            for temporary in folder.glob(f".*{TEMPORARY}"):
+                temporary.unlink()
         layer = _layer_of(layout, _generation(layout))
         if layer is None:
             return
@@ -164,12 +164,12 @@ def recover(layout: Layout) -> None:
                 continue
             for traversal in sorted((layer / "traversals").glob(f"*.{drive.name}.*")):
                 _restore(layout, traversal, layout.traversal(traversal.name))
-            # Last, so that an interruption finds the drive still aside and brings back the rest.
+            # The drive comes last: after an interruption, the next run still finds it here and restores the rest.
             _restore(layout, drive, layout.drive(drive.name))
         for traversal in sorted((layer / "traversals").glob("*")):
             if not layout.traversal(traversal.name).exists():
                 _restore(layout, traversal, layout.traversal(traversal.name))
-        if {one.relative_to(layer).as_posix() for one in layer.rglob("*") if not one.is_dir()} <= {_INDEX}:
+        if {path.relative_to(layer).as_posix() for path in layer.rglob("*") if not path.is_dir()} <= {_INDEX}:
             _remove(layout, layer)
             with suppress(OSError):
                 (layout.root / FOLDER).rmdir()
@@ -178,24 +178,27 @@ def recover(layout: Layout) -> None:
 
 
 def release(layout: Layout) -> None:
-    """Remove what was superseded and no reader needs; the caller holds the writer lock, and the index is up to date."""
+    """Remove the superseded layers that no reader needs.
+
+    The caller holds the writer lock, and the index is up to date.
+    """
     current = _generation(layout)
     needed = False
     for layer in _layers(layout.root):
-        # What is in a layer of the current generation was replaced by the same: nobody needs it, and readers that open
-        # the dataset now must not find it.
-        same = layer.name.endswith(f".{current}")
-        needed = needed or (not same and _has_readers(layer))
-        if same or not needed:
+        # Files in a layer of the current generation were replaced by equal ones: no reader needs them, and readers that
+        # open the dataset now must not find them.
+        is_current = layer.name.endswith(f".{current}")
+        needed = needed or (not is_current and _has_readers(layer))
+        if is_current or not needed:
             _remove(layout, layer)
-    for left in (layout.root / FOLDER).glob(".*"):
-        _remove(layout, left)
+    for unfinished in (layout.root / FOLDER).glob(".*"):
+        _remove(layout, unfinished)
     with suppress(OSError):
         (layout.root / FOLDER).rmdir()
 
 
 def _unit(path: str) -> PurePosixPath:
-    """What is moved as a whole: the folder of a traversal or drive, else the file."""
+    """The path that is moved as a whole: the folder of a traversal or drive, else the file."""
     parts = PurePosixPath(path).parts
     return PurePosixPath(*parts[:2]) if parts[:1] in (("traversals",), ("drives",)) else PurePosixPath(path)
 
@@ -211,7 +214,7 @@ def _layers(root: Path) -> list[Path]:
 
 
 def _generation(layout: Layout) -> str:
-    """What names the current generation's layer."""
+    """The name of the current generation in the names of layers."""
     try:
         return sha256_bytes((layout.root / _INDEX).read_bytes())[:16]
     except FileNotFoundError:
@@ -219,33 +222,33 @@ def _generation(layout: Layout) -> str:
 
 
 def _layer_of(layout: Layout, generation: str) -> Path | None:
-    """The newest layer, if it is of a generation."""
+    """The newest layer, if it belongs to a generation; else None."""
     last = _layers(layout.root)[-1:]
     return last[0] if last and last[0].name.endswith(f".{generation}") else None
 
 
 def _current_layer(layout: Layout) -> Path:
-    """The layer of the current generation; made with its manifest, by which readers hold it."""
+    """The layer of the current generation. A new one gets the manifest, which readers lock."""
     generation = _generation(layout)
     layer = _layer_of(layout, generation)
     if layer is not None:
         return layer
-    number = max((int(one.name.partition(".")[0]) for one in _layers(layout.root)), default=0) + 1
-    begun = layout.root / FOLDER / f".{secrets.token_hex(6)}"
-    (begun / "index").mkdir(parents=True)
+    number = max((int(path.name.partition(".")[0]) for path in _layers(layout.root)), default=0) + 1
+    unfinished = layout.root / FOLDER / f".{secrets.token_hex(6)}"
+    (unfinished / "index").mkdir(parents=True)
     if (layout.root / _INDEX).exists():
         try:
-            os.link(layout.root / _INDEX, begun / _INDEX)
+            os.link(layout.root / _INDEX, unfinished / _INDEX)
         except OSError:
-            # A file system without hard links; readers cannot hold what is copied, and open the dataset again.
-            shutil.copyfile(layout.root / _INDEX, begun / _INDEX)
+            # Without hard links the manifest is copied. Readers cannot lock the copy and must open the dataset again.
+            shutil.copyfile(layout.root / _INDEX, unfinished / _INDEX)
     layer = layout.root / FOLDER / f"{number}.{generation}"
-    begun.rename(layer)
+    unfinished.rename(layer)
     return layer
 
 
 def _has_readers(layer: Path) -> bool:
-    """Whether a reader holds the generation of a layer."""
+    """Whether a reader has locked the generation of a layer."""
     try:
         with (layer / _INDEX).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -258,18 +261,19 @@ def _has_readers(layer: Path) -> bool:
     return False
 
 
-def _restore(layout: Layout, aside: Path, target: Path) -> None:
+def _restore(layout: Layout, superseded: Path, target: Path) -> None:
+    """Move a superseded folder back to its place."""
     if target.exists():
         _remove(layout, target)
-    aside.rename(target)
+    superseded.rename(target)
 
 
 def _remove(layout: Layout, path: Path) -> None:
-    """Remove a file or folder: it is gone at once, and never half there."""
+    """Remove a file or folder. A rename makes it disappear at once, so no reader finds it in part."""
     (layout.root / FOLDER).mkdir(exist_ok=True)
-    gone = layout.root / FOLDER / f".{secrets.token_hex(6)}"
-    path.rename(gone)
-    if gone.is_dir():
-        shutil.rmtree(gone, ignore_errors=True)
+    removed = layout.root / FOLDER / f".{secrets.token_hex(6)}"
+    path.rename(removed)
+    if removed.is_dir():
+        shutil.rmtree(removed, ignore_errors=True)
     else:
-        gone.unlink(missing_ok=True)
+        removed.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Writing a layer of a traversal: its files one by one, its table and its manifest last, and never over another."""
+"""Writing a layer of a traversal: first its files, then its table, then its manifest. No layer is overwritten."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from mirror.schema.tables import Table
 class LayerWriter:
     """Writes one layer; the caller holds the dataset's writer lock.
 
-    It is written in a folder of its own, which becomes the layer when it is complete. What an interrupted run left is
-    removed by the next writer of the same layer, once its owner is known to be dead: `mirror.dataset.owned_folder`.
+    It writes to a work folder, which is renamed to the layer when it is complete. The next writer of the same layer
+    removes the work folder of an interrupted run (see `mirror.dataset.owned_folder`).
 
     Attributes:
         layout: the dataset.
         traversal_id: the traversal.
-        kind: of the layer: its folder.
-        source: who makes it.
-        version: of the source.
+        kind: kind of the layer: the name of its parent folder.
+        source: program that makes the layer.
+        version: version of the source.
 
     Raises:
-        UsageError: the source or version cannot be part of a folder's name.
-        DatasetError: the traversal does not exist, or the layer is there already.
+        UsageError: the source or version is not valid in a folder's name.
+        DatasetError: the traversal does not exist, or the layer exists already.
     """
 
     layout: Layout
@@ -55,13 +55,13 @@ class LayerWriter:
         if not (recorded / MANIFEST).is_file():
             raise DatasetError("there is no such traversal", file=recorded, remedy="check the id: `mirror info`")
         if (self.folder / MANIFEST).is_file():
-            raise self._taken()
-        begun = f".{self.folder.name}"
-        for left in abandoned_folders(self.folder.parent, begun):
-            shutil.rmtree(left, ignore_errors=True)
-        self._own = OwnedFolder(self.folder.parent, begun)
-        # Where the writer is given up without an end, nobody else would remove it so soon.
-        weakref.finalize(self, self._own.remove)
+            raise self._exists_error()
+        work_name = f".{self.folder.name}"
+        for abandoned in abandoned_folders(self.folder.parent, work_name):
+            shutil.rmtree(abandoned, ignore_errors=True)
+        self._work = OwnedFolder(self.folder.parent, work_name)
+        # Removes the work folder of a writer that is dropped before `finish`.
+        weakref.finalize(self, self._work.remove)
 
     def file(self, name: str, data: bytes) -> dict[str, object]:
         """Write a file of the layer.
@@ -71,9 +71,9 @@ class LayerWriter:
             data: its bytes.
 
         Returns:
-            What its row says of it: uri, byte_length, sha256.
+            The columns uri, byte_length and sha256 of the file's row.
         """
-        write_bytes(self._own.path / name, data)
+        write_bytes(self._work.path / name, data)
         return {
             "uri": (self.folder / name).relative_to(self.layout.root).as_posix(),
             "byte_length": len(data),
@@ -83,39 +83,39 @@ class LayerWriter:
     def finish(
         self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str]
     ) -> None:
-        """Write the layer's table, then its manifest: from then on the layer exists.
+        """Write the layer's table, then its manifest. From then on the layer exists.
 
         Args:
-            table: which.
+            table: specification of the table.
             data: its rows in the table's order; source and version are added.
-            derived_from: hashes of what the layer was made from; that of the recorded traversal is added.
+            derived_from: hashes of the inputs of the layer; the hash of the recorded traversal is added.
         """
-        schema = pa.schema([one for one in table.schema if one.name not in ("source", "source_version")])
+        schema = pa.schema([field for field in table.schema if field.name not in ("source", "source_version")])
         rows = data if isinstance(data, pa.Table) else pa.Table.from_pylist(list(data), schema=schema)
-        for name, word in (("source", self.source), ("source_version", self.version)):
+        for name, value in (("source", self.source), ("source_version", self.version)):
             if name in table.schema.names:
-                rows = rows.append_column(name, pa.repeat(pa.scalar(word), rows.num_rows))
+                rows = rows.append_column(name, pa.repeat(pa.scalar(value), rows.num_rows))
         name, encoded = f"{table.name}.parquet", encode_table(rows.select(table.schema.names), table)
-        write_bytes(self._own.path / name, encoded)
+        write_bytes(self._work.path / name, encoded)
         recorded = read_json(self.layout.recorded(self.traversal_id) / MANIFEST, Manifest).content
-        seal(self._own.path, {name: encoded}, derived_from={**derived_from, "recorded": recorded})
-        self._take_place()
+        seal(self._work.path, {name: encoded}, derived_from={**derived_from, "recorded": recorded})
+        self._move_to_place()
 
-    def _take_place(self) -> None:
+    def _move_to_place(self) -> None:
         try:
-            self._own.path.rename(self.folder)
+            self._work.path.rename(self.folder)
         except OSError as error:
             if (self.folder / MANIFEST).is_file():
-                raise self._taken() from error
+                raise self._exists_error() from error
             if not self.folder.exists():
                 raise unwritable_error(self.folder, error) from error
-            # Without its manifest it does not exist.
+            # A folder without a manifest is not a layer: move it away and try again.
             supersede(self.layout, self.folder)
-            self._take_place()
+            self._move_to_place()
         else:
-            self._own.release()
+            self._work.release()
 
-    def _taken(self) -> DatasetError:
+    def _exists_error(self) -> DatasetError:
         return DatasetError(
-            "the layer is there already", file=self.folder, remedy="write it under another version, side by side"
+            "the layer exists already", file=self.folder, remedy="write it under another version, side by side"
         )

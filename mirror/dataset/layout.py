@@ -1,4 +1,4 @@
-"""Where everything lies in a dataset's folder, and what makes a folder complete."""
+"""The paths in a dataset's folder, and the manifests that mark folders as complete."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """Paths of a dataset under ``root``; nothing here touches the disk but the listings."""
+    """Paths of a dataset below ``root``. Only `drive_ids` and `layers` read the disk."""
 
     root: Path
 
@@ -32,12 +32,12 @@ class Layout:
 
     @property
     def lock(self) -> Path:
-        """The file that a writer locks."""
+        """The lock file of writers."""
         return self.root / ".lock"
 
     @property
     def index(self) -> Path:
-        """The folder of derived tables."""
+        """The folder of the index: the derived tables."""
         return self.root / "index"
 
     def rig(self, rig_id: str) -> Path:
@@ -53,11 +53,11 @@ class Layout:
         return self.root / "traversals" / traversal_id
 
     def recorded(self, traversal_id: str) -> Path:
-        """The immutable part of a traversal."""
+        """The folder of a traversal's recorded files, which never change."""
         return self.traversal(traversal_id) / "recorded"
 
     def layer(self, traversal_id: str, kind: str, source: str, version: str) -> Path:
-        """One layer of a traversal: ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
+        """The folder of one layer; ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
         return self.traversal(traversal_id) / "layers" / kind / f"{source}@{version}"
 
     def split(self, name: str) -> Path:
@@ -65,7 +65,7 @@ class Layout:
         return self.root / "splits" / f"{name}.json"
 
     def drive_ids(self) -> list[str]:
-        """Complete drives, sorted."""
+        """Ids of the complete drives, sorted."""
         return sorted(folder.name for folder in _complete(self.root / "drives"))
 
     def layers(self, traversal_id: str) -> list[tuple[str, str, str]]:
@@ -88,7 +88,7 @@ def _complete(parent: Path) -> Iterator[Path]:
 
 
 def require_dataset(layout: Layout) -> None:
-    """Refuse a folder that is no dataset.
+    """Raise an error if a folder is not a dataset.
 
     Raises:
         DatasetError: ``dataset.json`` is missing.
@@ -109,12 +109,12 @@ def seal(
     derived_from: Mapping[str, str],
     images: ImageTotals | None = None,
 ) -> None:
-    """Complete a folder: write its manifest, last.
+    """Complete a folder by writing its manifest, which must be its last file.
 
     Args:
-        folder: a folder whose files are all written.
-        files: the bytes of every file except the images, by name relative to the folder, as written.
-        derived_from: hashes of what the folder was made from.
+        folder: a folder with all its files.
+        files: bytes of every file except the images, by path relative to the folder.
+        derived_from: hashes of the inputs of the folder, by name.
         images: number and total size of the images; None: the folder has none.
     """
     entries = {
@@ -126,17 +126,17 @@ def seal(
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder, or None: the folder is not complete, so it does not exist.
+    """Read the manifest of a folder; None: it has none, so the folder counts as missing.
 
     Raises:
-        SchemaError: the manifest is there but broken.
+        SchemaError: the manifest is broken.
     """
     path = folder / MANIFEST
     return read_json(path, Manifest) if path.is_file() else None
 
 
 def complete_manifest(folder: Path) -> Manifest | None:
-    """As `read_manifest`, for a writer that can make the folder anew: a broken manifest completes nothing either."""
+    """Read the manifest of a folder; None: missing or broken, so a writer has to write the folder again."""
     try:
         return read_manifest(folder)
     except SchemaError:
@@ -144,7 +144,7 @@ def complete_manifest(folder: Path) -> Manifest | None:
 
 
 def is_intact(folder: Path) -> bool:
-    """Whether a folder is complete and its files, images aside, have the bytes that its manifest names."""
+    """Whether a folder is complete and its files, except images, have the hashes in its manifest."""
     manifest = complete_manifest(folder)
     if manifest is None:
         return False
@@ -156,5 +156,5 @@ def is_intact(folder: Path) -> bool:
 
 
 def manifest_sha256(folder: Path) -> str:
-    """SHA-256 of the manifest's bytes: the identity of everything in a complete folder."""
+    """SHA-256 of the manifest's bytes, which identifies the contents of a complete folder."""
     return hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()

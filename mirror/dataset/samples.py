@@ -103,7 +103,9 @@ def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
 
 def _map_arrays(arrays: Mapping[str, Any], change: Callable[[AnyArray], Any]) -> dict[str, Any]:
     """Apply a function to every array of nested dictionaries."""
-    return {name: _map_arrays(item, change) if isinstance(item, dict) else change(item) for name, item in arrays.items()}
+    return {
+        name: _map_arrays(item, change) if isinstance(item, dict) else change(item) for name, item in arrays.items()
+    }
 
 
 def _empty_arrays(contents: SampleContents, shape: tuple[int, int]) -> dict[str, Any]:

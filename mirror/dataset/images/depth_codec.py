@@ -41,7 +41,7 @@ def encode_depth(depth_m: AnyArray) -> bytes:
 
 
 def decode_depth(data: bytes) -> Float32 | None:
-    """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: not a 16-bit PNG, or broken."""
+    """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: no 16-bit PNG, or broken."""
     steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
         return None

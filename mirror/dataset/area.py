@@ -1,4 +1,4 @@
-"""The ground that scenes cover."""
+"""The area of the ground that scenes cover."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from mirror.geometry.geodesy import geodesic_circle
 from mirror.schema.documents import Roi
 
 _VERTICES: Final = 720
-# A polygon of that many corners on a circle has less area; its corners stand so much farther out that it has the same.
-_OUTWARD: Final = math.sqrt((2 * math.pi / _VERTICES) / math.sin(2 * math.pi / _VERTICES))
+# A polygon with its corners on a circle has a smaller area. With this factor on the radius both areas are equal.
+_RADIUS_FACTOR: Final = math.sqrt((2 * math.pi / _VERTICES) / math.sin(2 * math.pi / _VERTICES))
 
 
 def covered_area_m2(scenes: Sequence[Roi]) -> float:
-    """Area of the union of circles on the ellipsoid, or in the planes of local metric frames.
+    """Area of the union of circles on the ellipsoid, or in the planes of local metric frames, in square metres.
 
-    A circle that meets no other is ``pi r^2``: curvature takes 2e-9 of it away at 1 km, 8e-7 at 20 km. Circles that
-    overlap are joined as polygons of 720 corners in an equal-area projection (PROJ's ``laea``).
+    A circle without overlap counts as ``pi r^2``; the ellipsoid's curvature reduces its area by 2e-9 at a radius of 1 km
+    and by 8e-7 at 20 km. Overlapping circles are united as polygons with 720 corners in an equal-area projection
+    (PROJ's ``laea``).
 
     Args:
-        scenes: regions of interest with different ids.
+        scenes: regions of interest with unique ids.
     """
     by_id = {roi.scene_id: roi for roi in scenes}
-    pairs = [(one.scene_id, other.scene_id) for one, other, _ in overlapping_scenes(scenes)]
+    pairs = [(first.scene_id, second.scene_id) for first, second, _ in overlapping_scenes(scenes)]
     total = 0.0
     for members in members_by_component(connected_components(by_id, pairs)).values():
-        own = [by_id[name] for name in members]
-        total += math.pi * own[0].radius_m ** 2 if len(own) == 1 else _union_m2(own)
+        rois = [by_id[name] for name in members]
+        total += math.pi * rois[0].radius_m ** 2 if len(rois) == 1 else _union_m2(rois)
     return total
 
 
@@ -44,8 +45,8 @@ def _union_m2(scenes: Sequence[Roi]) -> float:
 
 
 def _ring(roi: Roi, origin: Roi) -> Float64:
-    """A circle's corners (720, 2) in metres, in the plane of the local frame or equal-area round an origin."""
-    radius = roi.radius_m * _OUTWARD
+    """Corners (720, 2) of a circle in metres, in its local frame or in the equal-area projection at an origin."""
+    radius = roi.radius_m * _RADIUS_FACTOR
     if roi.longitude_deg is None or roi.latitude_deg is None:
         angle = np.linspace(0.0, 2 * math.pi, _VERTICES, endpoint=False)
         return np.column_stack([(roi.x_m or 0.0) + radius * np.cos(angle), (roi.y_m or 0.0) + radius * np.sin(angle)])

@@ -112,7 +112,7 @@ class Frame:
 
         Args:
             cameras: the cameras, in this order; default: all of `images`.
-            threads: number of threads; None: one a core; 1: only the calling thread, for loader processes.
+            threads: number of threads; None: one a core; 1: only the calling thread, for worker processes.
             verify: compare the bytes with their hashes.
 
         Raises:
@@ -132,7 +132,9 @@ class Frame:
         sizes = {(images[name].height_px, images[name].width_px): name for name in names}
         if len(sizes) > 1:
             listed = ", ".join(f"{name} {width} x {height} px" for (height, width), name in sizes.items())
-            raise UsageError(f"images of different sizes: {listed}", remedy="decode them one by one, or grouped by size")
+            raise UsageError(
+                f"images of different sizes: {listed}", remedy="decode them one by one, or grouped by size"
+            )
         planes = np.empty((len(names), 3, *next(iter(sizes), (0, 0))), np.uint8)
         self.decode_into(planes, names, threads=threads, verify=verify)
         return planes

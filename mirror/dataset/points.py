@@ -1,4 +1,4 @@
-"""Points of the static scene, as layers hold them."""
+"""Points of the static scene from the layers of traversals."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _COLUMNS: Final = ("x_m", "y_m", "z_m", "r", "g", "b", "kind", "views", "sigma_m
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """N points.
+    """N points of the static scene.
 
     Attributes:
         position_m: (N, 3) in the world frame of their scene.
         rgb: (N, 3) colours.
         kind: (N,) ``ground``, ``background`` or ``far``.
-        views: (N,) images that agree on each.
-        sigma_m: (N,) 1-sigma along the ray; NaN: unknown.
-        traversal_id: (N,) the traversal that saw each first.
+        views: (N,) number of images that agree on each point.
+        sigma_m: (N,) standard deviation along the ray; NaN: unknown.
+        traversal_id: (N,) traversal of each point's layer.
     """
 
     position_m: Float64
@@ -44,18 +44,20 @@ class Points:
 
 
 def read_points(catalog: Catalog, filters: Filters, chosen: str | None) -> Points:
-    """The points of the traversals that pass the filters, of the chosen layer; see `Dataset.points`."""
+    """Read the points of the chosen layer, of the traversals that pass the filters; see `Dataset.points`."""
     if chosen is not None:
-        listed = read_rows(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
-        if listed and not any(f"{POINTS.name}/{chosen}" in own for own in listed):
+        layers = read_rows(catalog, filters, "traversals", ["layers"]).column(0).to_pylist()
+        if layers and not any(f"{POINTS.name}/{chosen}" in names for names in layers):
             raise missing_layer_error(POINTS.name, chosen, catalog.store.root)
     ids: list[str] = []
     parts: list[pa.Table] = []
     for part in select_parts(catalog, filters, POINTS.name):
         table = pa.Table.from_arrays(catalog.columns.read(part.path, part.number, _COLUMNS), names=_COLUMNS)
         traversal_id = catalog.traversal_ids[part.traversal].as_py()
-        own = rows_of_layer(POINTS.name, traversal_id, table.column("source"), table.column("source_version"), chosen)
-        parts.append(table.filter(to_arrow_mask(own)).drop_columns(["source", "source_version"]))
+        in_layer = rows_of_layer(
+            POINTS.name, traversal_id, table.column("source"), table.column("source_version"), chosen
+        )
+        parts.append(table.filter(to_arrow_mask(in_layer)).drop_columns(["source", "source_version"]))
         ids += [traversal_id] * parts[-1].num_rows
     plain = pa.schema([POINTS.schema.field(name) for name in _COLUMNS[:-2]])
     points = pa.concat_tables([plain.empty_table(), *parts], promote_options="permissive").combine_chunks()

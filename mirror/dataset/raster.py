@@ -1,4 +1,4 @@
-"""From the recorded raster of a camera to another one at the same place: undistorted, resized, or both."""
+"""Resampling of images and masks from the recorded raster to an undistorted or resized raster, or both."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from mirror.geometry.cameras import Camera, undistorted
 Resize = tuple[int, int] | float
 """(height, width) in pixels, or a factor."""
 
-# Maps of a lens take 8 bytes a pixel.
-_HELD: Final = 32
+# Number of rasters that are kept; the maps of a lens take 8 bytes a pixel.
+_CACHED_RASTERS: Final = 32
 
 
 @dataclass(frozen=True)
 class ImageRaster:
-    """Takes images and masks of one camera into another raster: first undistorted, then resized.
+    """Resamples images and masks of one camera: they are first undistorted, then resized.
 
     Attributes:
-        recorded: the camera as calibrated.
-        full: the camera of the undistorted raster, of the recorded size; ``recorded`` itself: nothing is undistorted.
+        recorded: the calibrated camera.
+        full: the undistorted camera with the recorded size; equal to ``recorded`` if nothing is undistorted.
         final: ``full``, resized.
     """
 
@@ -36,12 +36,12 @@ class ImageRaster:
 
     @cached_property
     def maps(self) -> tuple[Float32, Float32] | None:
-        """Where each pixel of ``full`` lies in the recorded image, for ``cv2.remap``; None: in the same place."""
+        """Position of each pixel of ``full`` in the recorded image, for ``cv2.remap``; None: the same position."""
         return None if self.full == self.recorded else self.recorded.undistort_maps(self.full)
 
     @cached_property
     def outside(self) -> Bool:
-        """(H, W) of ``full``: True where the lens sees nothing, or a pixel would be interpolated across the border."""
+        """(H, W) of ``full``: True outside the lens's range, or where interpolation would cross the image's border."""
         if self.maps is None:
             return np.zeros((self.full.height_px, self.full.width_px), np.bool_)
         u, v = self.maps
@@ -50,13 +50,13 @@ class ImageRaster:
 
     @cached_property
     def covered(self) -> Bool:
-        """(H, W) of ``final``: True where a pixel is made of recorded pixels alone."""
+        """(H, W) of ``final``: True where a pixel is computed only from recorded pixels."""
         return np.asarray(self._resized(self.outside.astype(np.float32)) == 0.0)
 
     def image(self, recorded: UInt8) -> UInt8:
-        """A recorded image (H, W, 3) in the final raster; black where the lens sees nothing.
+        """Resample a recorded image (H, W, 3) to the final raster; black outside the lens's range.
 
-        Undistorting is bilinear. A smaller raster takes the mean of what each pixel covers, a larger one is bilinear.
+        Undistortion and enlargement are bilinear. A pixel of a smaller raster is the mean of the area that it covers.
         """
         if self.maps is not None:
             recorded = np.asarray(
@@ -65,10 +65,10 @@ class ImageRaster:
         return np.asarray(self._resized(recorded), np.uint8)
 
     def mask(self, recorded: UInt8) -> UInt8:
-        """A recorded mask (H, W) in the final raster: the value at each pixel's centre; 0 where the lens sees nothing.
+        """Resample a recorded mask (H, W) to the final raster by nearest neighbour; 0 outside the lens's range.
 
         Raises:
-            UsageError: the mask is of another size than the recorded image.
+            UsageError: the size of the mask differs from that of the recorded image.
         """
         size = (self.recorded.height_px, self.recorded.width_px)
         if recorded.shape != size:
@@ -82,7 +82,7 @@ class ImageRaster:
 
     @cached_property
     def _mask_maps(self) -> tuple[Float32, Float32]:
-        """One step for both: a mask that is rounded to pixels twice would be off by up to one."""
+        """Maps for undistortion and resizing in one step: rounding twice would shift a mask by up to one pixel."""
         return self.recorded.undistort_maps(self.final)
 
     @property
@@ -100,17 +100,17 @@ class ImageRaster:
         return np.asarray(cv2.resize(pixels, self._size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR))
 
 
-@lru_cache(_HELD)
+@lru_cache(_CACHED_RASTERS)
 def image_raster(camera: Camera, undistort: bool, resize: Resize | None) -> ImageRaster:
-    """The raster of a camera; those of 32 cameras are held, with their maps.
+    """The raster of a camera. The rasters of the last 32 cameras are kept, with their maps.
 
     Args:
-        camera: as calibrated.
-        undistort: to the pinhole of `mirror.geometry.undistorted`; a pinhole stays as it is.
-        resize: of `resized_shape`.
+        camera: the calibrated camera.
+        undistort: map to the pinhole of `mirror.geometry.undistorted`; a pinhole is not changed.
+        resize: argument of `resized_shape`.
 
     Raises:
-        UsageError: the lens sees nothing that a pinhole can show.
+        UsageError: no pinhole shows any part of the lens's range.
     """
     full = undistorted(camera) if undistort and camera.model != "pinhole" else camera
     height, width = resized_shape((camera.height_px, camera.width_px), resize)
@@ -118,12 +118,12 @@ def image_raster(camera: Camera, undistort: bool, resize: Resize | None) -> Imag
 
 
 def resized_shape(shape: tuple[int, int], resize: Resize | None) -> tuple[int, int]:
-    """Height and width of an image of some height and width after it is resized.
+    """Height and width of a resized image.
 
     Args:
-        shape: (height, width).
-        resize: (height, width) to come to, whatever the image's own proportions are; a factor for both, to the nearest
-            whole pixel; None: as it is.
+        shape: (height, width) before.
+        resize: (height, width) after, which need not keep the proportions; or a factor for both, rounded to whole
+            pixels; None: no change.
     """
     if resize is None:
         return shape
@@ -133,10 +133,10 @@ def resized_shape(shape: tuple[int, int], resize: Resize | None) -> tuple[int, i
 
 
 def validate_resize(resize: object) -> Resize | None:
-    """What `resized_shape` takes, of what a caller gave.
+    """Convert an option ``resize`` of a caller to an argument of `resized_shape`.
 
     Raises:
-        UsageError: it is neither (height, width) nor a factor.
+        UsageError: the value is neither (height, width) nor a factor.
     """
     if resize is None:
         return None

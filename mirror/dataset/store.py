@@ -1,4 +1,4 @@
-"""Where a dataset's bytes come from: a local folder, or anything fsspec reads. Read only."""
+"""Reading of a dataset's files from a local folder or any file system of fsspec. Nothing is written."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from mirror.schema.files import Model, parse_json
 Result = TypeVar("Result")
 
 _READERS: Final = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs", "az": "adlfs", "https": "aiohttp"}
-"""Packages with which fsspec reads URLs."""
+"""Packages that fsspec needs to read URLs, by scheme."""
 
 _REMOTE_REQUESTS: Final = 16
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
 
 
 class Store:
-    """Files below one root, by relative path.
+    """Files below a root, by relative path.
 
-    A local root is read by the operating system's own calls; fsspec is imported only for a URL.
+    A local folder is read with calls of the operating system; fsspec is imported only for a URL.
 
     Args:
         root: a path, or a URL that fsspec understands (``s3://bucket/dataset``, ``zip::file.zip``, ``memory://x``).
-        generation: of a local dataset: files are read as they were then, whatever a run has replaced since.
+        generation: generation of a local dataset; files are read in their state of that generation.
     """
 
     def __init__(self, root: str | os.PathLike[str], generation: Generation | None = None) -> None:
@@ -51,18 +51,18 @@ class Store:
     def _remote(self) -> tuple[Any, str]:
         import fsspec
 
-        # `zip::file.zip` names no path within: fsspec wants `zip://::file.zip`.
+        # `zip::file.zip` has no path inside the archive: fsspec expects `zip://::file.zip`.
         head, chained, tail = self.root.partition("::")
         url = f"{head}://::{tail}" if chained and "://" not in head else self.root
         try:
             filesystem, base = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError) as error:
-            # fsspec names the missing package, or the protocol that it does not know.
+            # The message of fsspec names the missing package or the unknown protocol.
             raise UsageError(
                 f"this URL cannot be opened: {error}",
                 file=self.root,
                 expected="a folder, or a URL that fsspec reads with the packages installed here",
-                remedy=f"{_how_to_read(self.root)}, or correct the URL",
+                remedy=f"{_install_hint(self.root)}, or correct the URL",
             ) from error
         return filesystem, base.rstrip("/")
 
@@ -71,21 +71,20 @@ class Store:
         return f"{base}/{path}" if base else path
 
     def full_path(self, path: str) -> str:
-        """The full name of a file, for messages; an absolute uri is one already."""
+        """The full path or URL of a file, for messages; an absolute uri is returned unchanged."""
         if "://" in path:
             return path
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
 
     def read_stable(self, path: str, read: Callable[[Path], Result]) -> Result:
-        """Read a local file as it is in this store's generation.
+        """Read a local file in its state of this store's generation.
 
         Args:
-            path: relative to the root.
-            read: reads, or opens, the file at the path that it is given; called again where the file was moved
-                meanwhile.
+            path: path relative to the root.
+            read: reads or opens the file at the path in its argument; called again if the file was moved meanwhile.
 
         Raises:
-            FileNotFoundError: there is none.
+            FileNotFoundError: the file does not exist.
         """
         if self.folder is None:
             raise UsageError("a remote store has no local files", file=self.root)
@@ -104,20 +103,22 @@ class Store:
                 return result
 
     def read(self, path: str) -> bytes:
-        """The bytes of one file.
+        """Read the bytes of one file.
 
         Raises:
-            FileNotFoundError: there is none.
+            FileNotFoundError: the file does not exist.
         """
         if self.folder is not None:
             return self.read_stable(path, Path.read_bytes)
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
-        """The bytes of those files that exist; from a remote store, fetched at once."""
+        """Read the bytes of the existing files among some, by path. Remote files are fetched in parallel."""
         if self.folder is None:
-            found = self._remote[0].cat([self._remote_path(path) for path in paths], on_error="omit") if paths else {}
-            return {path: bytes(found[full]) for path in paths if (full := self._remote_path(path)) in found}
+            contents = (
+                self._remote[0].cat([self._remote_path(path) for path in paths], on_error="omit") if paths else {}
+            )
+            return {path: bytes(contents[full]) for path in paths if (full := self._remote_path(path)) in contents}
         data = {}
         for path in paths:
             try:
@@ -147,18 +148,18 @@ class Store:
         )
 
     def list_folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
-        """As `list_folders` for several; a remote store is asked in parallel."""
+        """Names of the folders in several folders, by path; see `list_folders`. Remote requests run in parallel."""
         if self.folder is not None or len(paths) < 2:
             return {path: self.list_folders(path) for path in paths}
         with ThreadPoolExecutor(_REMOTE_REQUESTS) as pool:
             return dict(zip(paths, pool.map(self.list_folders, paths)))
 
     def json(self, path: str, model: type[Model]) -> Model:
-        """A validated JSON document.
+        """Read and validate a JSON document.
 
         Raises:
             DatasetError: the file is missing.
-            SchemaError: it is broken, or of another schema version.
+            SchemaError: the file is broken or has another schema version.
         """
         try:
             data = self.read(path)
@@ -167,20 +168,20 @@ class Store:
         return parse_json(data, model, self.full_path(path))
 
     def open(self, path: str) -> pa.NativeFile:
-        """An open file; a local one stays what it is when another is renamed to its name.
+        """Open a file. An open local file is not affected when another file is renamed to its path.
 
         Raises:
-            FileNotFoundError: there is none.
+            FileNotFoundError: the file does not exist.
         """
         if self.folder is not None:
             return self.read_stable(path, lambda place: pa.OSFile(str(place)))
         return pa.PythonFile(self._remote[0].open(self._remote_path(path), "rb"), mode="r")
 
     def read_range(self, uri: str, offset: int, length: int) -> bytes:
-        """Some bytes of an image's uri; fewer if the file ends before.
+        """Read a range of bytes of an image's uri; the result is shorter if the file ends earlier.
 
         Raises:
-            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
+            DatasetError: a relative uri leads out of the dataset, or no installed package reads an absolute one.
             OSError: the file cannot be read.
         """
 
@@ -193,15 +194,15 @@ class Store:
         )
 
     def open_uri(self, uri: str, local: Callable[[Path], Result], remote: Callable[[Any, str], Result]) -> Result:
-        """Read an image's uri, or open it.
+        """Read or open an image's uri with one of two functions.
 
         Args:
-            uri: of its row.
-            local: reads a local path.
-            remote: reads a path of a file system.
+            uri: uri in the image's row.
+            local: reads or opens a local path.
+            remote: reads or opens a path in an fsspec file system.
 
         Raises:
-            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
+            DatasetError: a relative uri leads out of the dataset, or no installed package reads an absolute one.
             OSError: the file cannot be read.
         """
         place = self.resolve(uri)
@@ -212,10 +213,10 @@ class Store:
         return self.read_stable(uri, local)
 
     def resolve(self, uri: str) -> Path | tuple[Any, str]:
-        """An image's uri as a local path, or as a file system and a path in it.
+        """Convert an image's uri to a local path, or to an fsspec file system and a path in it.
 
         Raises:
-            DatasetError: a relative uri leads out of the dataset, or nothing here reads an absolute one.
+            DatasetError: a relative uri leads out of the dataset, or no installed package reads an absolute one.
         """
         if "://" in uri:
             if uri.startswith("file://"):
@@ -229,7 +230,7 @@ class Store:
                     f"this uri cannot be opened: {error}",
                     file=uri,
                     expected="a uri that fsspec reads with the packages installed here",
-                    remedy=_how_to_read(uri),
+                    remedy=_install_hint(uri),
                 ) from error
             return filesystem, path
         if uri.startswith("/"):
@@ -247,10 +248,10 @@ class Store:
 
 
 def store_at(root: str, sha256: str | None) -> Store:
-    """A store at a generation, by its hash; at none, where it has none.
+    """Make a store of a generation, which is given by its hash; None: a store without a generation.
 
     Raises:
-        DatasetError: the generation is gone.
+        DatasetError: the generation no longer exists.
     """
     if sha256 is None:
         return Store(root)
@@ -264,8 +265,8 @@ def store_at(root: str, sha256: str | None) -> Store:
     return Store(root, generation)
 
 
-def unreadable(file: str, error: BaseException) -> SchemaError:
-    """The error for a Parquet file that cannot be read."""
+def unreadable_error(file: str, error: BaseException) -> SchemaError:
+    """The error for an unreadable Parquet file."""
     return SchemaError(
         f"cannot be read ({str(error).splitlines()[0]})",
         file=file,
@@ -274,7 +275,7 @@ def unreadable(file: str, error: BaseException) -> SchemaError:
     )
 
 
-def _how_to_read(url: str) -> str:
+def _install_hint(url: str) -> str:
     scheme = url.partition(":")[0]
     if scheme in _READERS:
         return f"pip install {_READERS[scheme]}"

@@ -1,1 +1,1 @@
-"""Queries on the index: filters, what they let a query skip, and the columns that are read and kept."""
+"""Queries on the index: filters, selection of row groups, and cached columns."""

@@ -1,4 +1,4 @@
-"""The index as a query sees it: global tables in memory by column, row groups with what they can be skipped by."""
+"""The index for queries: columns of the global tables, and the ranges of row groups that let a query skip them."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class RowGroups:
     """The row groups of one table.
 
     Attributes:
-        path: (G,) file of each.
+        path: (G,) file of each row group.
         number: (G,) position in the file.
         traversal: (G,) row of its traversal in the table of traversals.
         rows: (G,) number of rows.
-        start_ns: (G,) smallest stamp; 0 where the table has none.
-        end_ns: (G,) largest stamp.
-        west: (G,) smallest longitude; NaN where there is none.
+        start_ns: (G,) smallest timestamp; 0 where the table has none.
+        end_ns: (G,) largest timestamp.
+        west: (G,) smallest longitude in degrees; NaN where the table has none.
         east: (G,) largest longitude.
         south: (G,) smallest latitude.
         north: (G,) largest latitude.
@@ -52,11 +52,11 @@ class RowGroups:
 
 
 class Catalog:
-    """The global tables of an index and the row groups of the others; shared by all views of a dataset.
+    """The global tables of an index and the row groups of the other tables. All views of a dataset share it.
 
     Args:
         store: the dataset's files.
-        files: what the index's manifest says of its files, by name.
+        files: sizes and hashes of the index's files from its manifest, by name.
     """
 
     def __init__(self, store: Store, files: Mapping[str, FileEntry]) -> None:
@@ -66,7 +66,7 @@ class Catalog:
         self._by_traversal: dict[str, dict[int, int]] = {}
 
     def read_global(self, name: str, columns: Sequence[str]) -> pa.Table:
-        """Columns of a global table, all rows, each column in one piece."""
+        """Read columns of a global table with all rows; each column is one chunk."""
         path, schema = f"index/{name}.parquet", pa.schema([TABLES[name].schema.field(key) for key in columns])
         parts = [
             pa.Table.from_arrays(self.columns.read(path, group, columns), schema=schema)
@@ -76,21 +76,21 @@ class Catalog:
 
     @cached_property
     def traversal_ids(self) -> pa.Array:
-        """Ids in the order of the table of traversals."""
+        """Traversal ids in the order of the table of traversals."""
         return self.read_global("traversals", ["traversal_id"]).column(0).combine_chunks()
 
     def row_groups(self, name: str) -> RowGroups:
-        """The row groups of a table, in order of scene and traversal."""
+        """The row groups of a table, sorted by scene and traversal."""
         if name not in self._groups:
             self._groups[name] = self._load_groups(name)
         return self._groups[name]
 
     def group_of(self, name: str, traversal: int) -> tuple[str, int] | None:
-        """File and position of the row group with a traversal's rows of a table; None: it has none.
+        """File and position of the row group with a traversal's rows in a table; None: it has no rows.
 
         Args:
-            name: the table.
-            traversal: row in the table of traversals.
+            name: name of the table.
+            traversal: row of the traversal in the table of traversals.
         """
         groups = self.row_groups(name)
         if name not in self._by_traversal:

@@ -1,4 +1,4 @@
-"""Decoded columns of row groups, kept up to a number of bytes: least recently used goes first."""
+"""A cache of decoded columns of row groups. Beyond a limit in bytes, the least recently used columns are dropped."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Final
 import pyarrow as pa
 
 from mirror.dataset.query.files import TableFiles
-from mirror.dataset.store import unreadable
+from mirror.dataset.store import unreadable_error
 
 CACHE_BYTES: Final = 48 * 1024 * 1024
 
 
 class ColumnCache:
-    """Columns of Parquet files by row group.
+    """Reads columns of Parquet files by row group, and caches them.
 
     Args:
         files: the files.
-        limit_bytes: bytes of decoded columns to keep.
+        limit_bytes: largest size of the cached columns.
     """
 
     def __init__(self, files: TableFiles, limit_bytes: int = CACHE_BYTES) -> None:
@@ -28,58 +28,58 @@ class ColumnCache:
         self.limit_bytes = limit_bytes
         self._held = 0
         self.columns: OrderedDict[tuple[str, int, str], pa.Array] = OrderedDict()
-        # Arrow's reader is not made for several threads at once.
+        # Arrow's reader is not safe for use by several threads at once.
         self._lock = threading.Lock()
 
     @property
     def held_bytes(self) -> int:
-        """Bytes of decoded columns held now."""
+        """Size of the cached columns in bytes."""
         return self._held
 
     def row_groups(self, path: str) -> int:
-        """How many row groups a file has.
+        """Number of row groups of a file.
 
         Raises:
-            DatasetError: the file is missing, or not the one that the index's manifest names.
+            DatasetError: the file is missing, or differs from the one in the index's manifest.
             SchemaError: the file is broken.
         """
         with self._lock:
             return int(self._files.parquet(path).metadata.num_row_groups)
 
     def read(self, path: str, row_group: int, names: Sequence[str]) -> list[pa.Array]:
-        """Columns of one row group, each one contiguous array.
+        """Read columns of one row group; each is one contiguous array.
 
         Raises:
-            DatasetError: the file is missing, or not the one that the index's manifest names.
+            DatasetError: the file is missing, or differs from the one in the index's manifest.
             SchemaError: the file is broken.
         """
         with self._lock:
             missing = [name for name in names if (path, row_group, name) not in self.columns]
-            fresh = self.decode(path, row_group, missing) if missing else {}
-            found = []
+            decoded = self.decode(path, row_group, missing) if missing else {}
+            arrays = []
             for name in names:
                 key = (path, row_group, name)
-                if name in fresh:
-                    found.append(fresh[name])
+                if name in decoded:
+                    arrays.append(decoded[name])
                 else:
                     self.columns.move_to_end(key)
-                    found.append(self.columns[key])
-            for name, column in fresh.items():
+                    arrays.append(self.columns[key])
+            for name, column in decoded.items():
                 self.columns[(path, row_group, name)] = column
                 self._held += column.nbytes
             while self._held > self.limit_bytes:
                 _, dropped = self.columns.popitem(last=False)
                 self._held -= dropped.nbytes
-            return found
+            return arrays
 
     def decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
-        """Columns of one row group by name, read from the file and not kept."""
+        """Read columns of one row group by name from the file, without caching them."""
         file = self._files.parquet(path)
         try:
             table = file.read_row_group(row_group, columns=list(names), use_threads=False)
             columns = [table.column(name) for name in names]
         except (pa.ArrowInvalid, OSError, KeyError) as error:
-            raise unreadable(self._files.store.full_path(path), error) from error
+            raise unreadable_error(self._files.store.full_path(path), error) from error
         return {
             name: column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
             for name, column in zip(names, columns)

@@ -1,6 +1,6 @@
-"""Table files, open; those of the index are the ones that a view was opened on, never what later took their place.
+"""Open table files. Files of the index are those of the opened view; a file that later replaced one is refused.
 
-Row groups are known by their number in a file; in a later file of the same name they are others.
+A row group is identified by its number in a file, and a later file of the same name has other row groups.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final, TypeAlias
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from mirror.dataset.store import Store, unreadable
+from mirror.dataset.store import Store, unreadable_error
 from mirror.errors import DatasetError
 from mirror.schema.documents import FileEntry
 from mirror.schema.version import require_readable
@@ -26,14 +26,14 @@ _Identity: TypeAlias = tuple[int, int, int, int]
 
 
 class TableFiles:
-    """Open Parquet files, up to a number: least recently used is closed first.
+    """Opens Parquet files and keeps them open. Beyond a limit, the least recently used file is closed.
 
-    A local file of the index is held against the manifest's hash, a remote one, of which only some ranges are fetched,
-    against its size.
+    A local file of the index is compared with the hash in the manifest. Of a remote file only some ranges are fetched,
+    so only its size is compared.
 
     Args:
-        store: where the files are.
-        entries: what the index's manifest says of its files, by name.
+        store: the dataset's files.
+        entries: sizes and hashes of the index's files from its manifest, by name.
     """
 
     def __init__(self, store: Store, entries: Mapping[str, FileEntry]) -> None:
@@ -43,35 +43,35 @@ class TableFiles:
         self._hashed: dict[str, _Identity] = {}
 
     def parquet(self, path: str) -> pq.ParquetFile:
-        """An open table file.
+        """Open a table file.
 
         Args:
-            path: relative to the dataset's root.
+            path: path relative to the dataset's root.
 
         Raises:
-            DatasetError: the file is missing, or not the one that the index's manifest names.
-            SchemaError: it is not a complete Parquet file, or of another schema version.
+            DatasetError: the file is missing, or differs from the one in the index's manifest.
+            SchemaError: the file is no complete Parquet file, or has another schema version.
         """
         if path not in self._open:
-            self._open[path] = self._opened(path)
+            self._open[path] = self._open_file(path)
             if len(self._open) > MAX_OPEN_FILES:
                 _, oldest = self._open.popitem(last=False)
                 oldest.close(force=True)
         self._open.move_to_end(path)
         return self._open[path]
 
-    def _opened(self, path: str) -> pq.ParquetFile:
+    def _open_file(self, path: str) -> pq.ParquetFile:
         name = self.store.full_path(path)
         try:
-            # What was held against the manifest is what is read: the name is not looked up a second time.
+            # The file is opened once, so that the compared file is also the one that is read.
             file = self.store.open(path)
-            if path.startswith(_INDEX) and not self._is_named(path, file):
+            if path.startswith(_INDEX) and not self._is_in_manifest(path, file):
                 file.close()
-                raise self._changed(path)
+                raise self._changed_error(path)
             parquet = pq.ParquetFile(file)
         except FileNotFoundError as error:
             if path.startswith(_INDEX):
-                raise self._changed(path) from error
+                raise self._changed_error(path) from error
             raise DatasetError(
                 "missing",
                 file=name,
@@ -79,19 +79,19 @@ class TableFiles:
                 remedy="restore it or ingest the recording again",
             ) from error
         except (pa.ArrowInvalid, OSError) as error:
-            raise unreadable(name, error) from error
+            raise unreadable_error(name, error) from error
         version = (parquet.schema_arrow.metadata or {}).get(b"mirror_schema_version")
         if version is not None:
             require_readable(version.decode(), name)
         return parquet
 
-    def _is_named(self, path: str, file: pa.NativeFile) -> bool:
+    def _is_in_manifest(self, path: str, file: pa.NativeFile) -> bool:
         entry = self._entries.get(path.removeprefix(_INDEX))
         if entry is None or file.size() != entry.bytes:
             return False
         if not isinstance(file, pa.OSFile):
             return True
-        # A file that was closed for room and is opened again is not read through again.
+        # A file that is opened again and has not changed is not hashed again.
         status = os.fstat(file.fileno())
         identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
         if self._hashed.get(path) != identity:
@@ -100,12 +100,12 @@ class TableFiles:
             self._hashed[path] = identity
         return True
 
-    def _changed(self, path: str) -> DatasetError:
+    def _changed_error(self, path: str) -> DatasetError:
         root = self.store.root
         return DatasetError(
             "the index has changed since this dataset was opened",
             file=self.store.full_path(path),
-            expected="the file that the index's manifest named then",
+            expected="the file in the index's manifest at that time",
             remedy=f"open it again: mirror.open({root!r}); if the error stays, the file is damaged: "
             f"run `mirror index {root}`",
         )

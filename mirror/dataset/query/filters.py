@@ -1,4 +1,4 @@
-"""What a view of a dataset is restricted to."""
+"""The restrictions of a view of a dataset."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mirror.errors import UsageError
 from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M, surface_distance_m
 
 MAX_RADIUS_M: Final = 20_000.0
-# The smallest radius of curvature of the ellipsoid: no degree of latitude is shorter than one on this sphere.
+# The smallest radius of curvature of the ellipsoid: a degree of latitude is nowhere shorter than on this sphere.
 _SMALLEST_CURVATURE_M: Final = 6_335_439.0
-# Below this latitude, distances on the plane that touches at the centre are far enough from wrong up to this distance.
+# Below this latitude and up to this distance, the error bound of distances on the tangent plane holds.
 _PLANAR_BELOW_DEG: Final = 85.0
 _PLANAR_WITHIN_M: Final = 250_000.0
 
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle on the WGS 84 ellipsoid; its edge belongs to it.
+    """A circle on the WGS 84 ellipsoid, including its edge.
 
     Attributes:
-        longitude_deg: centre.
-        latitude_deg: centre.
+        longitude_deg: longitude of the centre.
+        latitude_deg: latitude of the centre.
         radius_m: geodesic radius on the surface.
     """
 
@@ -44,30 +44,31 @@ class Circle:
             )
 
     def contains(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
-        """Which places (N,) lie in it: the distance is the geodesic's, to 1e-4 m at 20 km; NaN lies nowhere.
+        """Mask (N,) of the places in the circle. Distances are geodesic, to 1e-4 m at 20 km; NaN is in no circle.
 
-        Only places so near to the edge, or so far off, that the plane does not tell are measured on the ellipsoid.
+        Only places near the edge or very far away are measured on the ellipsoid; for the others, the distance on the
+        tangent plane is sufficient.
         """
         if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
-            return self._measured(longitude_deg, latitude_deg)
+            return self._is_within_geodesic(longitude_deg, latitude_deg)
         planar, margin = self._planar_m(longitude_deg, latitude_deg), self._planar_error_m
         inside = planar <= self.radius_m - margin
-        unsure = ~inside & ((planar < self.radius_m + 4.0 * margin) | (planar > _PLANAR_WITHIN_M))
-        if unsure.any():
-            rows = np.flatnonzero(unsure)
-            inside[rows] = self._measured(longitude_deg[rows], latitude_deg[rows])
+        undecided = ~inside & ((planar < self.radius_m + 4.0 * margin) | (planar > _PLANAR_WITHIN_M))
+        if undecided.any():
+            rows = np.flatnonzero(undecided)
+            inside[rows] = self._is_within_geodesic(longitude_deg[rows], latitude_deg[rows])
         return inside
 
     def covers(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
-        """Boxes (N,) of longitudes and latitudes that surely lie in it as a whole; NaN boxes do not."""
+        """Mask (N,) of the boxes of longitudes and latitudes that certainly lie inside; False for NaN boxes."""
         if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
             return np.zeros(len(west), np.bool_)
-        # On the plane a box is a rectangle, of which a corner is the farthest point.
+        # On the plane a box is a rectangle; its farthest point is a corner.
         corners = [self._planar_m(lon, lat) for lon in (west, east) for lat in (south, north)]
         return (east - west < 180.0) & (np.max(corners, axis=0) <= self.radius_m - self._planar_error_m)
 
     def _planar_m(self, longitude_deg: Float64, latitude_deg: Float64) -> Float64:
-        """Distances (N,) from the centre, by the metres that a degree is long at the centre."""
+        """Distances (N,) from the centre on the tangent plane, from the length of a degree at the centre."""
         lat = np.radians(self.latitude_deg)
         inner = 1.0 - ECCENTRICITY_SQUARED * np.sin(lat) ** 2
         normal = SEMI_MAJOR_M / np.sqrt(inner)
@@ -81,42 +82,42 @@ class Circle:
 
     @property
     def _planar_error_m(self) -> float:
-        """Bound of the planar distance's error for places at the distance of the radius.
+        """Bound of the error of the planar distance at a distance of one radius.
 
-        cos(latitude) changes by tan(latitude) a radian, of which half enters the distance; the radii of curvature
+        Per radian, cos(latitude) changes by tan(latitude), and half of that enters the distance. The radii of curvature
         change by 1 %. The error grows with the square of the distance.
         """
         slope = abs(np.tan(np.radians(self.latitude_deg))) + 0.1
         return float(slope * self.radius_m**2 / _SMALLEST_CURVATURE_M + 1e-3)
 
-    def _measured(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
+    def _is_within_geodesic(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
         distance = surface_distance_m(longitude_deg, latitude_deg, self.longitude_deg, self.latitude_deg)
         return distance <= self.radius_m
 
     def touches(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
-        """Which boxes (N,) of longitudes and latitudes may share a place with it; NaN boxes do not."""
+        """Mask (N,) of the boxes of longitudes and latitudes that may overlap the circle; False for NaN boxes."""
         height = np.degrees(self.radius_m / _SMALLEST_CURVATURE_M) * (1 + 1e-9)
         low, high = self.latitude_deg - height, self.latitude_deg + height
-        beside = (south <= high) & (north >= low)
+        in_latitude = (south <= high) & (north >= low)
         steepest = np.radians(max(abs(low), abs(high)))
         if steepest >= np.radians(89.9):
-            return beside
+            return in_latitude
         # sin(width) = sin(radius) / cos(latitude) on a sphere; the steepest latitude and curvature bound it from above.
         width = np.degrees(np.arcsin(min(1.0, np.sin(np.radians(height)) / np.cos(steepest))))
-        near = np.zeros(len(west), np.bool_)
+        overlaps = np.zeros(len(west), np.bool_)
         for turn in (-360.0, 0.0, 360.0):
-            near |= (west <= self.longitude_deg + turn + width) & (east >= self.longitude_deg + turn - width)
-        return beside & near
+            overlaps |= (west <= self.longitude_deg + turn + width) & (east >= self.longitude_deg + turn - width)
+        return in_latitude & overlaps
 
 
 @dataclass(frozen=True)
 class LocalCircle:
-    """A circle in a local metric frame; its edge belongs to it.
+    """A circle in a local metric frame, including its edge.
 
     Attributes:
-        frame: the frame's name.
-        x_m: centre.
-        y_m: centre.
+        frame: name of the frame.
+        x_m: x of the centre.
+        y_m: y of the centre.
         radius_m: radius.
     """
 
@@ -129,13 +130,13 @@ class LocalCircle:
         _check_radius(self.radius_m)
 
     def contains(self, x_m: Float64, y_m: Float64) -> Bool:
-        """Which places (N,) lie in it."""
+        """Mask (N,) of the places in the circle."""
         return np.hypot(x_m - self.x_m, y_m - self.y_m) <= self.radius_m
 
 
 @dataclass(frozen=True)
 class Filters:
-    """Restrictions that all hold at once; None restricts nothing.
+    """Restrictions that apply together; None restricts nothing.
 
     Attributes:
         scene: ids.
@@ -145,7 +146,7 @@ class Filters:
         camera: names.
         light: day, dusk, night.
         weather: clear, clouds ...
-        time: from (included) to (excluded), Unix ns.
+        time: start (included) and end (excluded), Unix ns.
         within: circles; a place must lie in all of them.
     """
 
@@ -160,7 +161,7 @@ class Filters:
     within: tuple[Circle | LocalCircle, ...] = ()
 
     def combined_with(self, other: Filters) -> Filters:
-        """Both restrictions."""
+        """Restrictions that require both these and others."""
         changes: dict[str, object] = {"within": self.within + other.within}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(other, field.name)
@@ -174,14 +175,14 @@ class Filters:
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def to_dict(self) -> dict[str, object]:
-        """The restrictions as JSON values, sets sorted; what does not restrict is left out."""
+        """The restrictions as JSON values. Sets are sorted; fields without a restriction are left out."""
         plain: dict[str, object] = {}
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, frozenset):
                 plain[field.name] = sorted(value)
             elif value:
-                plain[field.name] = [asdict(one) for one in value] if field.name == "within" else list(value)
+                plain[field.name] = [asdict(circle) for circle in value] if field.name == "within" else list(value)
         return plain
 
 

@@ -1,6 +1,6 @@
-"""Running a query: which row groups are touched, which of their rows pass, and only the columns that are asked for.
+"""Running a query: select the row groups and rows that pass, and read only the requested columns.
 
-Where a table has a stamp, a place or a camera, its rows are filtered by it; where it has not, the rows of the
+Where a table has a timestamp, a place or a camera, each row is filtered by it. Where it has not, the rows of the
 traversals that pass are taken.
 """
 
@@ -36,11 +36,11 @@ class RowGroupPart:
     """Rows of one row group.
 
     Attributes:
-        path: its file.
-        number: its position in the file.
+        path: file of the row group.
+        number: position of the row group in the file.
         traversal: row of its traversal in the table of traversals.
-        rows: how many rows pass.
-        mask: which; None: all.
+        rows: number of rows that pass.
+        mask: which rows pass; None: all.
     """
 
     path: str
@@ -51,7 +51,7 @@ class RowGroupPart:
 
 
 def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[str]) -> pa.Table:
-    """The rows of a table that pass, in the table's order."""
+    """Read the rows of a table that pass, in the table's order."""
     schema = pa.schema([TABLES[name].schema.field(column) for column in columns])
     if name in GLOBAL:
         return catalog.read_global(name, columns).filter(to_arrow_mask(_global_mask(catalog, filters, name)))
@@ -65,14 +65,14 @@ def read_rows(catalog: Catalog, filters: Filters, name: str, columns: Sequence[s
 
 
 def count_rows(catalog: Catalog, filters: Filters, name: str) -> int:
-    """How many rows of a table pass; what row groups tell is not read."""
+    """Count the rows of a table that pass. Row groups that pass as a whole are not read."""
     if name in GLOBAL:
         return int(_global_mask(catalog, filters, name).sum())
     return sum(part.rows for part in select_parts(catalog, filters, name))
 
 
 def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowGroupPart]:
-    """The row groups with rows that pass."""
+    """Yield the row groups with rows that pass."""
     schema = TABLES[name].schema
     stamped, placed = "timestamp_ns" in schema.names, "longitude_deg" in schema.names
     groups = catalog.row_groups(name)
@@ -106,13 +106,13 @@ def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowG
 
 
 def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, place: bool = True) -> Bool:
-    """Which traversals pass.
+    """Mask of the traversals that pass, in the order of the table of traversals.
 
     Args:
         catalog: the index.
         filters: the restrictions; a camera restricts no traversal.
-        time: let the time decide: entry to exit overlaps it.
-        place: let circles decide: the driven line has a point in each of them; else only their frame does.
+        time: apply the filter of time: the interval from entry to exit must overlap it.
+        place: apply circles to the driven line, which must have a point in each; False: only its frame must match.
     """
     passing = np.ones(len(catalog.traversal_ids), np.bool_)
     for key, column in _BY_TRAVERSAL.items():
@@ -138,17 +138,17 @@ def _global_mask(catalog: Catalog, filters: Filters, name: str) -> Bool:
 
 
 def _scene_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bool:
-    """Scenes with a traversal that passes; if nothing but scenes is asked for, also those without any traversal."""
+    """Mask of the scenes with a traversal that passes. Filters of scenes alone also keep scenes without traversals."""
     scene_ids = catalog.read_global("scenes", ["scene_id"]).column(0)
     if filters == Filters(scene=filters.scene):
         return np.ones(len(scene_ids), np.bool_) if filters.scene is None else is_member(scene_ids, filters.scene)
     traversals = catalog.read_global("traversals", ["scene_id", "traversal_id"])
-    own = traversals.column("scene_id").filter(to_arrow_mask(is_member(traversals.column("traversal_id"), chosen)))
-    return is_member(scene_ids, frozenset(own.to_pylist()))
+    passing = traversals.column("scene_id").filter(to_arrow_mask(is_member(traversals.column("traversal_id"), chosen)))
+    return is_member(scene_ids, frozenset(passing.to_pylist()))
 
 
 def _pass_mask(catalog: Catalog, filters: Filters, chosen: frozenset[str]) -> Bool:
-    """Passes by their own columns; what only traversals have (vehicle, place ...) leaves accepted passes alone."""
+    """Mask of the passes that pass by their columns. Filters of vehicle or place keep only accepted passes."""
     columns = catalog.read_global("passes", [*_BY_PASS.values(), "traversal_id"])
     passing = np.ones(columns.num_rows, np.bool_)
     for key, column in _BY_PASS.items():
@@ -168,7 +168,7 @@ def _overlaps(catalog: Catalog, name: str, time: tuple[int, int]) -> Bool:
 
 
 def _box_tests(groups: RowGroups, circle: Circle | LocalCircle) -> tuple[Bool, Bool]:
-    """Row groups that may have a row in the circle, and those that lie in it as a whole."""
+    """Masks of the row groups that may have a row in the circle, and of those that lie entirely in it."""
     if isinstance(circle, Circle):
         boxes = (groups.west, groups.east, groups.south, groups.north)
         return circle.touches(*boxes), circle.covers(*boxes)
@@ -182,7 +182,7 @@ def _inside(catalog: Catalog, part: tuple[str, int], circle: Circle | LocalCircl
 
 
 def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
-    """Traversals of the scenes in the circle's frame."""
+    """Mask of the traversals of scenes in the circle's frame."""
     scenes = catalog.read_global("scenes", ["scene_id", "frame"])
     frame = circle.frame if isinstance(circle, LocalCircle) else None
     same = frozenset(row["scene_id"] for row in scenes.to_pylist() if row["frame"] == frame)
@@ -190,26 +190,28 @@ def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
 
 
 def _lines_touch(catalog: Catalog, circle: Circle | LocalCircle, among: Bool) -> Bool:
-    """Which of some traversals have a point in the circle: of the driven line, or a pose in a local frame."""
-    found = among & _in_frame(catalog, circle)
+    """Mask of those among some traversals with a point of the driven line, or a pose in a local frame, in the circle."""
+    passing = among & _in_frame(catalog, circle)
     if isinstance(circle, LocalCircle):
-        own = frozenset(catalog.traversal_ids.filter(to_arrow_mask(found)).to_pylist())
-        hits = select_parts(catalog, Filters(traversal=own, within=(circle,)), "ego_poses")
-        return np.isin(np.arange(len(found)), [part.traversal for part in hits])
+        ids = frozenset(catalog.traversal_ids.filter(to_arrow_mask(passing)).to_pylist())
+        hits = select_parts(catalog, Filters(traversal=ids, within=(circle,)), "ego_poses")
+        return np.isin(np.arange(len(passing)), [part.traversal for part in hits])
     (boxes,) = catalog.read_global("traversals", ["bbox"]).column(0).chunks
     west, south, east, north = (floats_or_nan(part) for part in boxes.flatten())
-    found &= circle.touches(west, east, south, north)
-    near = np.flatnonzero(found)
-    if len(near):
-        lines = catalog.read_global("traversals", ["geometry"]).column(0).take(to_arrow_rows(near))
-        found[near] = [_line_distance_m(line_points(wkb), circle) <= circle.radius_m for wkb in lines.to_pylist()]
-    return found
+    passing &= circle.touches(west, east, south, north)
+    candidates = np.flatnonzero(passing)
+    if len(candidates):
+        lines = catalog.read_global("traversals", ["geometry"]).column(0).take(to_arrow_rows(candidates))
+        passing[candidates] = [
+            _line_distance_m(line_points(wkb), circle) <= circle.radius_m for wkb in lines.to_pylist()
+        ]
+    return passing
 
 
 def _line_distance_m(points: Float64, circle: Circle) -> float:
-    """Smallest distance of a line (N, 2) from the circle's centre.
+    """Smallest distance in metres of a line (N, 2) of longitudes and latitudes from the circle's centre.
 
-    Segments are straight in space; of a segment of 100 m the surface lies 0.2 mm above the middle.
+    Segments are straight in space; the middle of a 100 m segment lies 0.2 mm below the surface.
     """
     xyz = geodetic_to_ecef(points[:, 0], points[:, 1]) - geodetic_to_ecef(circle.longitude_deg, circle.latitude_deg)
     start, step = xyz[:-1], np.diff(xyz, axis=0)

@@ -1,4 +1,4 @@
-"""Splits: which traversals to train on and which to test on, drawn by seed, frozen, and without a leak."""
+"""Splits: frozen assignments of traversals to training and test roles, chosen by seed and without leaks."""
 
 from __future__ import annotations
 

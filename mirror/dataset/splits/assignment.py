@@ -1,4 +1,4 @@
-"""What a method answers."""
+"""The result of a split method."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from mirror.schema.documents import Role
 
 @dataclass(frozen=True)
 class Assignment:
-    """The role of every traversal by id, and why a scene or a traversal is in none, by its id."""
+    """Roles of the traversals, and the scenes and traversals without a role.
+
+    Attributes:
+        roles: role of every traversal, by id.
+        left_out: reason why a scene or traversal has no role, by its id.
+    """
 
     roles: Mapping[str, Role]
     left_out: Mapping[str, str]
 
 
 def describe_tie(first: str, second: str, ties: Iterable[Tie]) -> str:
-    """What two traversals of one unit share, in words."""
+    """A clause that says what two traversals of one unit share."""
     direct = [tie.reason for tie in ties if first in tie.members and second in tie.members]
-    return direct[0] if direct else "are tied to each other by others in between"
+    return direct[0] if direct else "are tied to each other through other traversals"

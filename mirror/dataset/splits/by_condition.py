@@ -1,4 +1,4 @@
-"""Traversals by the light and weather they were recorded in."""
+"""A split by condition: roles follow the light and weather of the recordings."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from mirror.schema.documents import ByCondition, Condition, Role
 
 
 def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByCondition) -> Assignment:
-    """Traversals that fit a test condition are tested on, the others that fit a train condition are trained on.
+    """Assign roles by condition: a matching test condition gives the role test, else a matching train condition train.
 
-    Where a drive passes from one into the other (into dusk, out of the rain), its passes that fit a test condition stay
-    there and its others are in no role.
+    If conditions change during a drive (into dusk, out of the rain), its passes that match a test condition are tested
+    on, and its other passes get no role.
 
     Args:
-        traversals: to be divided.
-        ties: what must not be torn apart.
+        traversals: the traversals to assign.
+        ties: ties between traversals.
         parameters: the conditions.
 
     Raises:
-        DatasetError: a role gets no traversal, because none fits or because all that do are tied to the other role.
+        DatasetError: a role gets no traversal: none matches, or all matching ones are tied to the other role.
     """
     roles: dict[str, Role] = {item.traversal_id: role_of(item, parameters) for item in traversals}
-    fitting = set(roles.values())
+    matched_roles = set(roles.values())
     left_out: dict[str, str] = {}
     units = members_by_component(connected_components(roles, (tie.members for tie in ties)))
     for members in units.values():
@@ -38,27 +38,27 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByC
                 left_out[key] = f"{key} and {tested[0]}, which is tested on, {describe_tie(key, tested[0], ties)}"
     for role, conditions in (("train", parameters.train), ("test", parameters.test)):
         if role not in roles.values():
-            wanted = " or ".join(_text(condition) for condition in conditions)
-            reason = next(iter(left_out.values())) if role in fitting else f"no traversal has {wanted}"
+            listed = " or ".join(_text(condition) for condition in conditions)
+            reason = next(iter(left_out.values())) if role in matched_roles else f"no traversal has {listed}"
             raise DatasetError(
-                f"nothing is left to {role} on: {reason}",
-                expected=f"traversals with {wanted} that share no drive, no image and no time of one vehicle with"
+                f"no traversal is left to {role} on: {reason}",
+                expected=f"traversals with {listed} that share no drive, no image and no time of one vehicle with"
                 " those of the other role",
-                remedy="name other conditions; `mirror stats` lists what there is",
+                remedy="name other conditions; `mirror stats` lists the conditions of the dataset",
             )
     return Assignment(roles, left_out)
 
 
 def role_of(item: Candidate, parameters: ByCondition) -> Role:
-    """What a traversal's own light and weather make of it."""
-    if any(_fits(item, condition) for condition in parameters.test):
+    """The role that follows from a traversal's light and weather."""
+    if any(_matches(item, condition) for condition in parameters.test):
         return "test"
-    if any(_fits(item, condition) for condition in parameters.train):
+    if any(_matches(item, condition) for condition in parameters.train):
         return "train"
     return "unused"
 
 
-def _fits(item: Candidate, condition: Condition) -> bool:
+def _matches(item: Candidate, condition: Condition) -> bool:
     return condition.light in (None, item.light) and condition.weather in (None, item.weather)
 
 

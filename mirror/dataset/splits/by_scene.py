@@ -1,4 +1,4 @@
-"""Whole scenes to each role; scenes that share ground or a drive stay together."""
+"""A split by scene: all traversals of a scene get the same role. Scenes that share ground or a drive stay together."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from mirror.schema.documents import ByScene, Role
 
 
 def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByScene, seed: int) -> Assignment:
-    """Share out the scenes by seed.
+    """Assign scenes to roles by seed.
 
-    Scenes that are tied by anything (a drive that passes both, overlapping circles) are a unit. The largest units come
-    first, equal ones in the order of a keyed hash; each goes to the role that is farthest below its share.
+    Tied scenes form a unit: a drive passes through both, or their circles overlap. Units are assigned by decreasing
+    size, and units of equal size in the order of a keyed hash. Each goes to the role that is farthest below its share.
 
     Args:
-        traversals: to be divided.
-        ties: what must not be torn apart, scenes included.
-        parameters: the shares.
-        seed: of the order.
+        traversals: the traversals to assign.
+        ties: ties between traversals, including those of scenes.
+        parameters: the shares of the roles.
+        seed: seed of the order.
 
     Raises:
         UsageError: there are fewer scenes than roles.
-        DatasetError: ties leave a role without a scene; two traversals that are tied are named.
+        DatasetError: a role gets no scene because of ties; the error names two tied traversals.
     """
     scene_of = {item.traversal_id: item.scene_id for item in traversals}
     scenes = sorted(set(scene_of.values()))
@@ -43,14 +43,14 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByS
         connected_components(scenes, ([scene_of[key] for key in tie.members if key in scene_of] for tie in ties))
     )
     if len(units) < len(shares):
-        raise _impossible(units, scene_of, ties, shares)
+        raise _no_assignment_error(units, scene_of, ties, shares)
     target = {role: share * len(scenes) for role, share in shares.items()}
     filled: dict[Role, int] = dict.fromkeys(shares, 0)
     role_of: dict[str, Role] = {}
     waiting = sorted(units, key=lambda unit: (-len(units[unit]), seeded_rank(seed, unit)))
     for number, unit in enumerate(waiting):
         empty = [role for role in shares if not filled[role]]
-        # The last units go to the roles that would have none.
+        # The last units go to the roles that are still empty.
         open_roles = empty if len(waiting) - number <= len(empty) else list(shares)
         role = max(open_roles, key=lambda role: target[role] - filled[role])
         filled[role] += len(units[unit])
@@ -58,7 +58,7 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByS
     return Assignment({key: role_of[scene_id] for key, scene_id in scene_of.items()}, {})
 
 
-def _impossible(
+def _no_assignment_error(
     units: Mapping[str, Sequence[str]], scene_of: Mapping[str, str], ties: Sequence[Tie], shares: Mapping[Role, float]
 ) -> DatasetError:
     by_scene = defaultdict(set)

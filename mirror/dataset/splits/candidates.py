@@ -1,4 +1,4 @@
-"""The traversals that a split divides, with all that decides whether two of them may stand in different roles."""
+"""The traversals that a split assigns, with the data that decides whether two of them may have different roles."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ SHA256_BYTES = 32
 
 @dataclass(frozen=True)
 class Candidate:
-    """One traversal.
+    """One traversal that a split may assign.
 
     Attributes:
         traversal_id: the traversal.
         scene_id: its scene.
         drive_id: its drive.
         vehicle_id: the drive's vehicle.
-        entry_ns: entry.
-        exit_ns: exit.
+        entry_ns: time of the entry, Unix.
+        exit_ns: time of the exit, Unix.
         light: light at the entry.
         weather: weather at the entry.
-        content: SHA-256 over the files that were recorded.
-        has_images: False for one of a poses-only drive.
+        content: SHA-256 over the recorded files.
+        has_images: False for a drive without cameras.
     """
 
     traversal_id: str
@@ -58,8 +58,8 @@ class Candidates:
     Attributes:
         layout: the dataset.
         scenes: its regions of interest by id.
-        traversals: by id, in order.
-        read: reads some columns of a table, or gives None where that cannot be done.
+        traversals: its traversals by id, sorted.
+        read: reads some columns of a table; it returns None for an unreadable table.
     """
 
     layout: Layout
@@ -69,18 +69,18 @@ class Candidates:
 
     @cached_property
     def image_hashes(self) -> Mapping[str, UInt8]:
-        """SHA-256 of each image as recorded, (N, 32) by traversal; unhashed images are left out."""
+        """SHA-256 (N, 32) of the recorded images, by traversal, without images that have no hash."""
         files = {key: self.layout.recorded(key) / f"{IMAGES.name}.parquet" for key in self.traversals}
         tables = {key: self.read(file, IMAGES, ["sha256"]) for key, file in files.items()}
         return {key: hash_bytes(data.column(0)) for key, data in tables.items() if data is not None}
 
 
 def read_candidates(layout: Layout) -> Candidates:
-    """Read the traversals from what is recorded; the index is not needed.
+    """Read the traversals from the recorded files; the index is not needed.
 
     Raises:
-        DatasetError: no dataset, or a traversal or ledger is missing.
-        SchemaError: a file is broken, or of another schema version.
+        DatasetError: the folder holds no dataset, or a traversal or ledger is missing.
+        SchemaError: a file is broken or has another schema version.
     """
     inputs = read_inputs(Store(layout.root))
     ledger = accepted_passes(read_passes(layout, inputs))
@@ -103,7 +103,7 @@ def read_candidates(layout: Layout) -> Candidates:
 
 
 def hash_bytes(column: pa.ChunkedArray) -> UInt8:
-    """The non-null hashes of a column as (N, 32) bytes."""
+    """The non-null hashes of a column as bytes (N, 32)."""
     values = column.drop_null().combine_chunks()
     if not len(values):
         return np.empty((0, SHA256_BYTES), np.uint8)

@@ -1,4 +1,4 @@
-"""What ties traversals together, so that two roles with one of them each would leak."""
+"""Ties between traversals. If tied traversals have different roles, the split leaks."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ TieKind = Literal["drive", "bytes", "time", "scene", "area"]
 
 @dataclass(frozen=True)
 class Tie:
-    """Traversals that belong in one role.
+    """Traversals that must have the same role.
 
     Attributes:
         kind: ``drive``, ``bytes`` (the same image), ``time`` (one vehicle at the same time), ``scene`` or ``area``
-            (scenes that overlap).
+            (overlapping scenes).
         members: ids of the traversals, sorted.
-        reason: what they share, in words.
+        reason: a clause that says what they share.
     """
 
     kind: TieKind
@@ -36,7 +36,15 @@ class Tie:
 
 @dataclass(frozen=True)
 class Leak:
-    """Two traversals in different roles that share something."""
+    """Two tied traversals with different roles.
+
+    Attributes:
+        tie: what ties them.
+        first: id of the first traversal.
+        first_role: its role.
+        second: id of the second traversal.
+        second_role: its role.
+    """
 
     tie: Tie
     first: str
@@ -49,11 +57,11 @@ class Leak:
 
 
 def find_ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
-    """Everything that ties traversals together.
+    """Find all ties between traversals.
 
     Args:
         candidates: the traversals.
-        by_scene: scenes are tied too: the traversals of one, and those of scenes whose circles overlap.
+        by_scene: also tie the traversals of one scene, and those of scenes with overlapping circles.
     """
     traversals = list(candidates.traversals.values())
     found = [*_same_drive(traversals), *_same_bytes(candidates), *_same_time(traversals)]
@@ -62,15 +70,17 @@ def find_ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
     return found
 
 
-def find_leaks(found: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
-    """The ties that run across roles, each pair of roles once; ``unused`` and unassigned traversals are in no role.
+def find_leaks(ties: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
+    """Find the ties between different roles: for each tie, one leak for each pair of roles.
+
+    Traversals that are ``unused`` or unassigned have no role.
 
     Args:
-        found: ties.
+        ties: the ties.
         roles: the role of each traversal by id.
     """
     result = []
-    for tie in found:
+    for tie in ties:
         example: dict[str, str] = {}
         for member in tie.members:
             role = roles.get(member, "unused")
@@ -82,7 +92,7 @@ def find_leaks(found: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
 
 
 def overlapping_scenes(scenes: Iterable[Roi]) -> Iterator[tuple[Roi, Roi, float]]:
-    """Pairs of scenes whose circles overlap, and the distance of their centres in metres."""
+    """Yield pairs of scenes with overlapping circles, and the distance of their centres in metres."""
     by_frame = defaultdict(list)
     for roi in scenes:
         by_frame[roi.frame].append(roi)
@@ -124,7 +134,7 @@ def _same_area(traversals: Sequence[Candidate], scenes: Mapping[str, Roi]) -> It
 
 
 def _same_time(traversals: Sequence[Candidate]) -> Iterator[Tie]:
-    """Drives of one vehicle at the same time: it cannot be in two places, so they are two recordings of one."""
+    """Tie traversals of different drives of one vehicle at the same time: they recorded the same drive twice."""
     by_vehicle = defaultdict(list)
     for item in traversals:
         by_vehicle[item.vehicle_id].append(item)
@@ -158,8 +168,8 @@ def _same_bytes(candidates: Candidates) -> Iterator[Tie]:
 
 
 def _repeated(hashes: UInt8, owner: Int64) -> Iterator[tuple[bytes, tuple[int, ...]]]:
-    """Hashes that more than one owner has, each with its owners."""
-    # Eight bytes tell nearly all hashes apart; only the few that agree in them are compared whole.
+    """Yield the hashes with more than one owner, and their owners."""
+    # Nearly all hashes differ in their first eight bytes; only those that agree there are compared completely.
     keys = np.ascontiguousarray(hashes[:, :8]).view(np.uint64)[:, 0]
     order = np.argsort(keys, kind="stable")
     same = keys[order][1:] == keys[order][:-1]
@@ -169,9 +179,9 @@ def _repeated(hashes: UInt8, owner: Int64) -> Iterator[tuple[bytes, tuple[int, .
     owners: dict[bytes, set[int]] = defaultdict(set)
     for row in order[suspects].tolist():
         owners[hashes[row].tobytes()].add(int(owner[row]))
-    for digest, own in owners.items():
-        if len(own) > 1:
-            yield digest, tuple(sorted(own))
+    for digest, numbers in owners.items():
+        if len(numbers) > 1:
+            yield digest, tuple(sorted(numbers))
 
 
 def _grouped(traversals: Sequence[Candidate], key: Callable[[Candidate], str]) -> Iterator[tuple[str, tuple[str, ...]]]:

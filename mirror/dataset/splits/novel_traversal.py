@@ -1,4 +1,4 @@
-"""Per scene, some traversals to train on and one or more to hold out, with every drive on one side throughout."""
+"""A split by traversal: each scene has training and held-out traversals, and all passes of a drive share a role."""
 
 from __future__ import annotations
 
@@ -19,42 +19,42 @@ _Passes: TypeAlias = dict[str, list[str]]
 
 
 def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: NovelTraversal, seed: int) -> Assignment:
-    """Choose by seed.
+    """Choose the held-out traversals by seed.
 
-    What is tied (above all the passes of one drive) is a unit. Units are held out in the order of a keyed hash, until
-    every scene has its held-out traversals and enough others are left to train on; where that order leads into a dead
-    end, the next unit is tried, so that it fails only if no choice exists.
+    Tied traversals form a unit, above all the passes of one drive. Units are held out in the order of a keyed hash, until
+    every scene has its held-out traversals and enough others to train on. If that order leads to a dead end, the search
+    goes back and tries the next unit, so it fails only if no choice exists.
 
     Args:
-        traversals: to be divided.
-        ties: what must not be torn apart.
-        parameters: how many traversals a scene.
-        seed: of the order.
+        traversals: the traversals to assign.
+        ties: ties between traversals.
+        parameters: number of traversals for each role in a scene.
+        seed: seed of the order.
 
     Raises:
-        DatasetError: no choice exists; the scene and two traversals that stand in the way are named.
+        DatasetError: no choice exists; the error names the scene and two traversals that prevent it.
     """
     unit_of = connected_components((item.traversal_id for item in traversals), (tie.members for tie in ties))
     order = {unit: seeded_rank(seed, unit) for unit in unit_of.values()}
     scenes: dict[str, _Passes] = defaultdict(lambda: defaultdict(list))
-    imaged = {item.scene_id for item in traversals if item.has_images}
+    with_images = {item.scene_id for item in traversals if item.has_images}
     for item in sorted(traversals, key=lambda item: (item.scene_id, item.traversal_id)):
-        # Nothing can be trained or scored on poses alone; a dataset that has nothing else is divided all the same.
-        if item.scene_id in imaged and not item.has_images:
+        # Traversals without images cannot be trained on or scored. They are used only in scenes without any images.
+        if item.scene_id in with_images and not item.has_images:
             continue
         scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
-    wanted = parameters.train + parameters.held_out
+    needed = parameters.train + parameters.held_out
     left_out = {
         scene_id: f"{count} traversals, but {parameters.train} to train on and {parameters.held_out} to hold out needed"
         for scene_id, passes in scenes.items()
-        if (count := sum(map(len, passes.values()))) < wanted
+        if (count := sum(map(len, passes.values()))) < needed
     }
     enough = {scene_id: passes for scene_id, passes in scenes.items() if scene_id not in left_out}
-    # The scenes with the least choice first.
+    # The scenes with the fewest units come first.
     enough = dict(sorted(enough.items(), key=lambda item: (len(item[1]), item[0])))
     held = _hold_out(enough, order, parameters)
     if held is None:
-        raise _impossible(enough, order, parameters, ties)
+        raise _no_assignment_error(enough, order, parameters, ties)
     roles: dict[str, Role] = {item.traversal_id: "unused" for item in traversals}
     for passes in enough.values():
         out = {unit: own for unit, own in passes.items() if unit in held}
@@ -67,17 +67,17 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
 def _hold_out(
     scenes: Mapping[str, _Passes], order: Mapping[str, bytes], parameters: NovelTraversal
 ) -> frozenset[str] | None:
-    """The units to hold out, by backtracking; None if there is no choice."""
+    """Choose the units to hold out, by backtracking; None: no choice exists."""
     totals = {scene_id: sum(map(len, passes.values())) for scene_id, passes in scenes.items()}
     count = dict.fromkeys(scenes, 0)
     passes_of: dict[str, dict[str, int]] = defaultdict(dict)
     for scene_id, passes in scenes.items():
         for unit, own in passes.items():
             passes_of[unit][scene_id] = len(own)
-    # Decided units, in order: True is held out, False is barred from it as long as what came before stands.
+    # Units in the order of decision: True is held out; False may not be held out while the earlier decisions stand.
     decided: dict[str, bool] = {}
 
-    def move(unit: str, sign: int) -> None:
+    def add_counts(unit: str, sign: int) -> None:
         for scene_id, number in passes_of[unit].items():
             count[scene_id] += sign * number
 
@@ -91,17 +91,17 @@ def _hold_out(
         missing = parameters.held_out - count[short]
         open_units = [unit for unit in scenes[short] if unit not in decided and leaves_enough(unit)]
         if open_units:
-            # A unit with more passes than are missing would leave some of them unused.
+            # Of a unit with more passes than are missing, some would remain unused.
             unit = min(open_units, key=lambda unit: (passes_of[unit][short] > missing, order[unit]))
             decided[unit] = True
-            move(unit, 1)
+            add_counts(unit, 1)
             continue
         while decided and not decided[next(reversed(decided))]:
             decided.popitem()
         if not decided:
             return None
         unit, _out = decided.popitem()
-        move(unit, -1)
+        add_counts(unit, -1)
         decided[unit] = False
     raise DatasetError(
         f"no division without a leak was found in {_TRIALS} trials",
@@ -111,23 +111,23 @@ def _hold_out(
 
 
 def _fill(passes: _Passes, quota: int, order: Mapping[str, bytes]) -> list[str]:
-    """Traversals of whole units that make up the quota; only if there are none such, of one unit but a part."""
+    """Choose complete units with ``quota`` traversals together; if impossible, part of one unit is left out."""
     units = sorted(passes, key=lambda unit: order[unit])
-    # The first subset in that order for each sum that can be reached.
+    # For each possible sum, the first subset of units in that order.
     reached: dict[int, tuple[str, ...]] = {0: ()}
     for unit in units:
         for total, chosen in sorted(reached.items(), reverse=True):
             reached.setdefault(total + len(passes[unit]), (*chosen, unit))
         if quota in reached:
             break
-    whole = reached.get(quota, tuple(units))
-    return [traversal_id for unit in whole for traversal_id in passes[unit]][:quota]
+    chosen_units = reached.get(quota, tuple(units))
+    return [traversal_id for unit in chosen_units for traversal_id in passes[unit]][:quota]
 
 
-def _impossible(
+def _no_assignment_error(
     scenes: Mapping[str, _Passes], order: Mapping[str, bytes], parameters: NovelTraversal, ties: Sequence[Tie]
 ) -> DatasetError:
-    """The error for scenes that cannot be divided: the first that cannot beside those before it."""
+    """The error for scenes that cannot be divided. It names the first scene that conflicts with the earlier ones."""
     before: dict[str, _Passes] = {}
     for scene_id, passes in scenes.items():
         if _hold_out({**before, scene_id: passes}, order, parameters) is None:

@@ -1,4 +1,4 @@
-"""Making, keeping and extending splits: ``splits/<name>.json``, frozen once it is written."""
+"""Making and extending splits. A file ``splits/<name>.json`` is frozen once it is written."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from mirror.schema.files import read_json, write_json
 
 @dataclass(frozen=True)
 class SplitReport:
-    """What a call did.
+    """The result of `make_split` or `extend_split`.
 
     Attributes:
-        document: the split as it is now.
-        action: ``made``, ``kept`` (it was there already) or ``extended``.
+        document: the split after the call.
+        action: ``made``, ``kept`` (it existed already) or ``extended``.
         outside: traversals of the split's scenes that are in the dataset but not in the split.
-        changed: traversals of the split that were recorded anew since, or are gone.
+        changed: traversals of the split that have been recorded again since, or are missing.
     """
 
     document: SplitDocument
@@ -46,7 +46,7 @@ class SplitReport:
     changed: tuple[str, ...]
 
     def roles(self) -> dict[str, int]:
-        """How many traversals each role has."""
+        """Number of traversals in each role."""
         return dict(Counter(self.document.assignments.values()))
 
 
@@ -61,25 +61,25 @@ def make_split(
     replace: bool = False,
     wait: bool = False,
 ) -> SplitReport:
-    """Divide a dataset's traversals and freeze the result; a split that is there already stays as it is.
+    """Assign a dataset's traversals to roles and freeze the result. An existing split is not changed.
 
     Args:
         root: the dataset's folder.
-        name: the split.
-        parameters: the method; None: `NovelTraversal`, the paper's 4 + 1.
-        seed: the same one gives the same division, whatever the order of ingest.
-        scenes: only these; None: all.
-        require: a scene with too few traversals is an error, and not left out.
-        replace: make it anew even if it is there.
-        wait: wait for another writer, or refuse at once.
+        name: name of the split.
+        parameters: method and its parameters; None: `NovelTraversal`, the paper's 4 + 1.
+        seed: random seed; the result does not depend on the order of ingest.
+        scenes: the scenes to use; None: all.
+        require: raise an error for a scene with too few traversals; False: leave it out.
+        replace: replace an existing split.
+        wait: True: wait for another writer; False: raise an error at once.
 
     Raises:
-        UsageError: a name, a scene or a seed that cannot be.
-        DatasetError: the split would leak (two traversals are named), another split has that name, a role or a scene
-            gets too little, or another run is writing.
-        SchemaError: a file is broken, or of another schema version.
+        UsageError: the name, a scene or the seed is invalid.
+        DatasetError: the split would leak (the error names two traversals), a split of that name has other parameters,
+            a role or scene gets too few traversals, or another run is writing.
+        SchemaError: a file is broken or has another schema version.
     """
-    layout = _existing(root)
+    layout = _dataset_layout(root)
     path = _path(layout, name)
     if seed < 0:
         raise UsageError(f"seed {seed}", expected="a whole number from 0")
@@ -88,9 +88,9 @@ def make_split(
     with writer_lock(layout, wait=wait):
         candidates = read_candidates(layout)
         if path.is_file() and not replace:
-            return _kept(read_json(path, SplitDocument), candidates, path, parameters, seed, chosen)
+            return _keep(read_json(path, SplitDocument), candidates, path, parameters, seed, chosen)
         _require_scenes(candidates, chosen)
-        own = _restricted(candidates, chosen)
+        own = _of_scenes(candidates, chosen)
         found = find_ties(own, by_scene=isinstance(parameters, ByScene))
         assignment = _assign(own, found, parameters, seed)
         if require and assignment.left_out:
@@ -109,29 +109,29 @@ def make_split(
                 file=layout.root,
                 remedy="record more, or ask for fewer traversals",
             )
-        _require_tight(found, assignment.roles, layout)
+        _require_no_leak(found, assignment.roles, layout)
         document = _document(name, parameters, seed, chosen, own, assignment)
         write_json(path, document)
         return SplitReport(document, "made", (), ())
 
 
 def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitReport:
-    """Put the traversals that came after a split into its train role; all others stay where they are.
+    """Add the traversals that are newer than a split to its train role. All other roles stay.
 
-    A new traversal that is tied to one in another role (the same drive, image, vehicle and time, or ground) would
-    leak, and one that does not fit a split by condition is not what to train on: both are left out, and the document
-    says why.
+    Some new traversals are left out, and the document gives the reason. One that is tied to a traversal in another role
+    (the same drive, image, vehicle and time, or ground) would leak. In a split by condition, one that matches no train
+    condition is not added.
 
     Args:
         root: the dataset's folder.
-        name: the split.
-        wait: wait for another writer, or refuse at once.
+        name: name of the split.
+        wait: True: wait for another writer; False: raise an error at once.
 
     Raises:
-        DatasetError: there is no such split, or a traversal of it was recorded anew or is gone.
-        SchemaError: a file is broken, or of another schema version.
+        DatasetError: the split does not exist, or one of its traversals has been recorded again or is missing.
+        SchemaError: a file is broken or has another schema version.
     """
-    layout = _existing(root)
+    layout = _dataset_layout(root)
     path = _path(layout, name)
     with writer_lock(layout, wait=wait):
         candidates = read_candidates(layout)
@@ -141,22 +141,24 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
         outside, changed = compare(document, candidates)
         if changed:
             raise DatasetError(
-                f"{len(changed)} traversals of the split are not what they were, such as {changed[0]}",
+                f"{len(changed)} traversals of the split have changed, such as {changed[0]}",
                 file=path,
                 expected="recorded traversals that never change",
-                remedy=f"make the split anew: mirror split {root} {name} --replace",
+                remedy=f"make the split again: mirror split {root} {name} --replace",
             )
         if not outside:
             return SplitReport(document, "kept", (), ())
-        found = find_ties(_restricted(candidates, document.scenes), by_scene=isinstance(document.parameters, ByScene))
+        found = find_ties(_of_scenes(candidates, document.scenes), by_scene=isinstance(document.parameters, ByScene))
         left_out = _tied_elsewhere(outside, document.assignments, found)
         if isinstance(document.parameters, ByCondition):
             conditions = document.parameters
-            unfit = [key for key in outside if by_condition.role_of(candidates.traversals[key], conditions) != "train"]
+            unmatched = [
+                key for key in outside if by_condition.role_of(candidates.traversals[key], conditions) != "train"
+            ]
             left_out |= {key: f"{key} does not fit a train condition of the split" for key in unfit}
         added: dict[str, Role] = {key: "unused" if key in left_out else "train" for key in outside}
         roles = {**document.assignments, **added}
-        _require_tight(found, roles, layout)
+        _require_no_leak(found, roles, layout)
         manifests = {**document.manifests, **{key: candidates.traversals[key].content for key in outside}}
         document = document.model_copy(
             update={
@@ -172,14 +174,14 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
 
 
 def compare(document: SplitDocument, candidates: Candidates) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Traversals that came after a split, and those of it that are not what they were; both sorted."""
-    own = _restricted(candidates, document.scenes).traversals
+    """Compare a split with the dataset: traversals that are newer than the split, and its changed ones; both sorted."""
+    own = _of_scenes(candidates, document.scenes).traversals
     outside = tuple(key for key in own if key not in document.manifests)
     changed = tuple(key for key, value in document.manifests.items() if key not in own or own[key].content != value)
     return outside, changed
 
 
-def _existing(root: str | Path) -> Layout:
+def _dataset_layout(root: str | Path) -> Layout:
     layout = Layout(Path(root))
     require_dataset(layout)
     return layout
@@ -187,7 +189,7 @@ def _existing(root: str | Path) -> Layout:
 
 def _path(layout: Layout, name: str) -> Path:
     if not is_identifier(name):
-        raise UsageError(f"the name {name!r} cannot be", expected="letters, digits, `_` and `-`")
+        raise UsageError(f"{name!r} is not a valid name of a split", expected="letters, digits, `_` and `-`")
     return layout.split(name)
 
 
@@ -199,7 +201,7 @@ def _require_scenes(candidates: Candidates, scenes: Sequence[str] | None) -> Non
         )
 
 
-def _restricted(candidates: Candidates, scenes: Sequence[str] | None) -> Candidates:
+def _of_scenes(candidates: Candidates, scenes: Sequence[str] | None) -> Candidates:
     if scenes is None:
         return candidates
     own = {key: item for key, item in candidates.traversals.items() if item.scene_id in scenes}
@@ -240,7 +242,7 @@ def _hash(manifests: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps(sorted(manifests.items())).encode()).hexdigest()
 
 
-def _kept(
+def _keep(
     document: SplitDocument,
     candidates: Candidates,
     path: Path,
@@ -248,12 +250,12 @@ def _kept(
     seed: int,
     scenes: tuple[str, ...] | None,
 ) -> SplitReport:
-    asked = {"parameters": parameters, "seed": seed, "scenes": scenes}
-    for key, value in asked.items():
-        there = getattr(document, key)
-        if there != value:
+    requested = {"parameters": parameters, "seed": seed, "scenes": scenes}
+    for key, value in requested.items():
+        existing = getattr(document, key)
+        if existing != value:
             raise DatasetError(
-                f"a split of this name was made with other {key}: {_text(there)}",
+                f"a split of this name was made with other {key}: {_text(existing)}",
                 file=path,
                 place=key,
                 expected=_text(value),
@@ -268,7 +270,7 @@ def _text(value: object) -> str:
 
 
 def _tied_elsewhere(outside: Sequence[str], roles: Mapping[str, Role], found: Sequence[Tie]) -> dict[str, str]:
-    """Why new traversals cannot be trained on: they are tied to one in another role."""
+    """Reasons why new traversals cannot be trained on, by id: ties to traversals with another role."""
     reasons: dict[str, str] = {}
     new = set(outside)
     for tie in found:
@@ -280,13 +282,13 @@ def _tied_elsewhere(outside: Sequence[str], roles: Mapping[str, Role], found: Se
     return dict(sorted(reasons.items()))
 
 
-def _require_tight(found: Sequence[Tie], roles: Mapping[str, Role], layout: Layout) -> None:
-    """A second look at what a method decided; an old split may also have been edited by hand."""
+def _require_no_leak(found: Sequence[Tie], roles: Mapping[str, Role], layout: Layout) -> None:
+    """Raise an error if a split leaks. Every result is checked: an existing split may have been edited by hand."""
     across = find_leaks(found, roles)
     if across:
         raise DatasetError(
             f"the split leaks: {across[0]}" + (f" (and {len(across) - 1} more leaks)" if len(across) > 1 else ""),
             file=layout.root / "splits",
             expected="no drive, image, ground, or time of one vehicle in two roles",
-            remedy="make the split anew with --replace, or leave a scene out by naming the others with --scene",
+            remedy="make the split again with --replace, or leave a scene out by naming the others with --scene",
         )

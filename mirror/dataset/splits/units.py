@@ -1,4 +1,4 @@
-"""Units: what must stay together in one role, and the order in which a seed takes them."""
+"""Units: groups that must stay together in one role, and their order for a seed."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Iterable, Mapping, Sequence
 
 
 def seeded_rank(seed: int, name: str) -> bytes:
-    """Where a seed puts a name among others: the same whatever the others are."""
+    """A sort key of a name for a seed. It does not depend on the other names."""
     return hashlib.blake2b(name.encode(), key=str(seed).encode(), digest_size=16).digest()
 
 
 def connected_components(members: Iterable[str], ties: Iterable[Sequence[str]]) -> dict[str, str]:
-    """Connected components.
+    """Find the connected components of a graph.
 
     Args:
-        members: all of them.
-        ties: members that belong together; those that are not in ``members`` are passed over.
+        members: the nodes.
+        ties: groups of nodes that belong together; nodes outside ``members`` are ignored.
 
     Returns:
-        The name of each member's component: its smallest member.
+        The name of each member's component, which is its smallest member.
     """
     parent = {member: member for member in members}
 
@@ -39,8 +39,12 @@ def connected_components(members: Iterable[str], ties: Iterable[Sequence[str]]) 
 
 
 def members_by_component(names: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """The members of each component, sorted, by its name."""
+    """The sorted members of each component, by the component's name.
+
+    Args:
+        names: name of each member's component, by member.
+    """
     groups = defaultdict(list)
     for member, name in names.items():
         groups[name].append(member)
-    return {name: tuple(sorted(own)) for name, own in sorted(groups.items())}
+    return {name: tuple(sorted(members)) for name, members in sorted(groups.items())}

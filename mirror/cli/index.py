@@ -38,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
     layout = Layout(arguments.dataset)
     require_dataset(layout)
     with writer_lock(layout, wait=arguments.wait):
-        report = build_index(layout.root, force=arguments.force, whole=True)
+        report = build_index(layout.root, force=arguments.force, check_sizes=True)
     if arguments.json:
         print(json.dumps(asdict(report)))
         return ExitCode.DONE

@@ -36,9 +36,9 @@ def main(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror stats")
 
     from mirror.dataset import open as open_dataset
-    from mirror.dataset.statistics import statistics
+    from mirror.dataset.statistics import compute_statistics
 
-    found = statistics(open_dataset(arguments.dataset))
+    found = compute_statistics(open_dataset(arguments.dataset))
     files: list[Path] = []
     if arguments.plots is not None:
         from mirror.view.plots import write_plots

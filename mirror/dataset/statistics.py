@@ -1,4 +1,4 @@
-"""What a dataset amounts to: the row of the paper's dataset table, and distributions."""
+"""Statistics of a dataset: its row in the paper's dataset table, and distributions."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class TableRow:
 
     Attributes:
         multi_traversal: whether a scene has more than one traversal.
-        area_km2: ground within the circles of the scenes, overlaps counted once.
-        scenes: scenes with at least one traversal.
+        area_km2: area of the union of the scenes' circles.
+        scenes: number of scenes with a traversal.
         area_per_scene_km2: area_km2 / scenes.
-        cities: names, sorted; a scene whose ROI names none counts as where its drives were recorded, if they say.
+        cities: names, sorted. If the ROI of a scene has no city, the cities of its drives count, if known.
         hours: sum of the traversals' durations.
-        cameras: the most cameras that a traversal has.
-        light: what there is of day, dusk, night, unknown.
-        weather: what there is of clear, clouds, rain, snow, fog, unknown.
+        cameras: largest number of cameras of a traversal.
+        light: those of day, dusk, night, unknown that occur.
+        weather: those of clear, clouds, rain, snow, fog, unknown that occur.
     """
 
     multi_traversal: bool
@@ -53,24 +53,24 @@ class TableRow:
 
     @property
     def conditions(self) -> str:
-        """The table's column "Light": ``Day/Night/Rain``."""
+        """Text of the table's column "Light", such as ``Day/Night/Rain``."""
         adverse = [name for name in self.weather if name in ("rain", "snow", "fog")]
         return "/".join(name.capitalize() for name in (*(n for n in self.light if n != "unknown"), *adverse)) or "--"
 
 
 @dataclass(frozen=True)
 class SceneRow:
-    """One scene.
+    """Statistics of one scene.
 
     Attributes:
         scene_id: the scene.
-        city: its city, if known.
-        scene_type: urban, highway, rural or campus, if known.
-        traversals: accepted passes.
-        drives: drives among them.
-        hours: of the traversals.
-        images: images.
-        light: traversals by light.
+        city: its city; None: unknown.
+        scene_type: urban, highway, rural or campus; None: unknown.
+        traversals: number of accepted passes.
+        drives: number of their drives.
+        hours: sum of the traversals' durations.
+        images: number of images.
+        light: number of traversals by light.
     """
 
     scene_id: str
@@ -85,7 +85,7 @@ class SceneRow:
 
 @dataclass(frozen=True)
 class Condition:
-    """Traversals of one light and weather."""
+    """Number and hours of the traversals of one light and weather."""
 
     light: str
     weather: str
@@ -95,12 +95,12 @@ class Condition:
 
 @dataclass(frozen=True)
 class Speed:
-    """How fast was driven, weighted by time: horizontal speed over half seconds.
+    """Distribution of the horizontal speed over half seconds, weighted by time.
 
     Attributes:
-        edges_mps: (B + 1,) of the bins; what is faster counts in the last.
-        hours: (B,) in each bin.
-        mean_mps: over the time.
+        edges_mps: (B + 1,) edges of the bins; higher speeds count in the last bin.
+        hours: (B,) hours in each bin.
+        mean_mps: mean over time.
         quantiles_mps: the speeds below which 5, 25, 50, 75 and 95 % of the time were driven, by percent.
         standing: share of the time below 0.5 m/s.
     """
@@ -114,22 +114,22 @@ class Speed:
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a dataset, or a view of one, amounts to.
+    """Statistics of a dataset or a view of one.
 
     Attributes:
-        row: the paper's dataset table.
-        scenes: by scene, those without a traversal included.
-        conditions: by light and weather.
-        speed: None if there is no traversal.
-        vehicle_types: traversals by vehicle type.
+        row: the row in the paper's dataset table.
+        scenes: statistics of each scene, including those without a traversal.
+        conditions: traversals by light and weather.
+        speed: distribution of the speed; None: there are no traversals.
+        vehicle_types: number of traversals by vehicle type.
         vehicles: number of vehicles.
-        drives: drives with a traversal.
-        traversals: accepted passes.
-        refused: refused passes by rule.
-        camera_hours: hours times cameras, over the traversals.
-        frames: instants of a rig.
-        images: images.
-        image_bytes: their size.
+        drives: number of drives with a traversal.
+        traversals: number of accepted passes.
+        refused: number of refused passes by rule.
+        camera_hours: sum over traversals of hours times cameras.
+        frames: number of frames.
+        images: number of images.
+        image_bytes: their total size.
     """
 
     row: TableRow
@@ -147,17 +147,17 @@ class Statistics:
     image_bytes: int
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, for ``--json``."""
+        """All fields as JSON values, for ``--json``."""
         return asdict(self)
 
 
-def statistics(dataset: Dataset) -> Statistics:
-    """Statistics of a dataset, or of a view of one.
+def compute_statistics(dataset: Dataset) -> Statistics:
+    """Compute the statistics of a dataset or a view of one.
 
     Args:
-        dataset: what to look at; tables of images and poses are read a scene at a time.
+        dataset: the dataset or view; tables of images and poses are read one scene at a time.
     """
-    rois, own, traversals = _contents(dataset)
+    rois, own, traversals = _scenes_and_traversals(dataset)
     scenes = [_scene(roi, own[scene_id]) for scene_id, roi in rois.items()]
     refused = dataset.table("passes", ["rule"]).column("rule").drop_null()
     return Statistics(
@@ -177,15 +177,15 @@ def statistics(dataset: Dataset) -> Statistics:
     )
 
 
-def table_row(dataset: Dataset) -> TableRow:
-    """The paper's dataset table, for a dataset or a view of one; no image or pose is looked at."""
-    return _row(dataset, *_contents(dataset))
+def compute_table_row(dataset: Dataset) -> TableRow:
+    """Compute the row in the paper's dataset table, without reading images or poses."""
+    return _row(dataset, *_scenes_and_traversals(dataset))
 
 
-def _contents(
+def _scenes_and_traversals(
     dataset: Dataset,
 ) -> tuple[dict[str, Roi], dict[str, list[dict[str, Any]]], list[dict[str, Any]]]:
-    """Scenes by id, their traversals, and all traversals."""
+    """Scenes by id, the traversals of each scene, and all traversals."""
     traversals = dataset.table(
         "traversals",
         ["scene_id", "traversal_id", "drive_id", "vehicle_id", "vehicle_type", "entry_ns", "exit_ns", "duration_s",
@@ -223,8 +223,8 @@ def _row(
 ) -> TableRow:
     visited = [roi for scene_id, roi in rois.items() if own[scene_id]]
     area_km2 = covered_area_m2(visited) * 1e-6
-    silent = {item["drive_id"] for roi in visited if roi.city is None for item in own[roi.scene_id]}
-    cities = {roi.city for roi in visited} | {_drive_city(dataset, drive_id) for drive_id in sorted(silent)}
+    drives_to_ask = {item["drive_id"] for roi in visited if roi.city is None for item in own[roi.scene_id]}
+    cities = {roi.city for roi in visited} | {_drive_city(dataset, drive_id) for drive_id in sorted(drives_to_ask)}
     return TableRow(
         multi_traversal=any(len(items) > 1 for items in own.values()),
         area_km2=area_km2,
@@ -243,13 +243,13 @@ def _drive_city(dataset: Dataset, drive_id: str) -> str | None:
 
 
 def _conditions(traversals: Sequence[Mapping[str, Any]]) -> list[Condition]:
-    found = []
+    conditions = []
     for light in _LIGHT:
         for weather in _WEATHER:
-            own = [item for item in traversals if (item["light"], item["weather"]) == (light, weather)]
-            if own:
-                found.append(Condition(light, weather, len(own), _hours(own)))
-    return found
+            matching = [item for item in traversals if (item["light"], item["weather"]) == (light, weather)]
+            if matching:
+                conditions.append(Condition(light, weather, len(matching), _hours(matching)))
+    return conditions
 
 
 def _hours(traversals: Sequence[Mapping[str, Any]]) -> float:
@@ -257,7 +257,7 @@ def _hours(traversals: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
-    """How often each value occurs: those of an order first, then the most frequent."""
+    """Number of occurrences of each value: first the values of ``order``, then the others by frequency."""
     counts = Counter(values)
     known = [value for value in order if value in counts]
     return {value: counts[value] for value in (*known, *(v for v, _ in counts.most_common() if v not in known))}
@@ -265,9 +265,9 @@ def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]
 
 def _bytes(scene: Dataset) -> int:
     images = scene.table("images", ["codec", "byte_length", "uri"])
-    still = pc.not_equal(images.column("codec").cast(pa.string()), "video")
-    videos = images.filter(pc.invert(still)).group_by("uri").aggregate([("byte_length", "max")])
-    parts = (images.filter(still).column("byte_length"), videos.column("byte_length_max"))
+    is_still = pc.not_equal(images.column("codec").cast(pa.string()), "video")
+    videos = images.filter(pc.invert(is_still)).group_by("uri").aggregate([("byte_length", "max")])
+    parts = (images.filter(is_still).column("byte_length"), videos.column("byte_length_max"))
     return sum(pc.sum(part).as_py() or 0 for part in parts)
 
 
@@ -278,13 +278,13 @@ def _speed(dataset: Dataset, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> 
         ids = poses.column("traversal_id").combine_chunks().dictionary_encode()
         stamps, x, y = (poses.column(name).to_numpy() for name in ("timestamp_ns", "tx_m", "ty_m"))
         codes, names = ids.indices.to_numpy(), ids.dictionary.to_pylist()
-        # A traversal is one row group: its poses lie together.
+        # A traversal is one row group, so its poses are contiguous.
         bounds = np.flatnonzero(np.diff(codes, prepend=-1, append=-1))
         rows = {names[codes[start]]: slice(start, stop) for start, stop in pairwise(bounds.tolist())}
         for item in items:
             if item["traversal_id"] in rows:
                 track = rows[item["traversal_id"]]
-                speed, time = _driven(stamps[track], x[track], y[track], item["entry_ns"], item["exit_ns"])
+                speed, time = _segment_speeds(stamps[track], x[track], y[track], item["entry_ns"], item["exit_ns"])
                 speeds.append(speed)
                 seconds.append(time)
     speed, time = np.concatenate(speeds), np.concatenate(seconds)
@@ -293,21 +293,21 @@ def _speed(dataset: Dataset, own: Mapping[str, Sequence[Mapping[str, Any]]]) -> 
     return _distribution(speed, time)
 
 
-def _driven(stamps: Int64, x: Float64, y: Float64, entry_ns: int, exit_ns: int) -> tuple[Float64, Float64]:
-    """Speeds over half seconds from entry to exit, and how long each lasted.
+def _segment_speeds(stamps: Int64, x: Float64, y: Float64, entry_ns: int, exit_ns: int) -> tuple[Float64, Float64]:
+    """Speeds over half seconds from entry to exit, and the duration of each in seconds.
 
-    Over shorter times the noise of fixes at 100 Hz and more would count as speed.
+    Over shorter times, the noise of fixes at 100 Hz and more would count as speed.
     """
     end = (min(exit_ns, int(stamps[-1])) - entry_ns) * 1e-9
     start = max((int(stamps[0]) - entry_ns) * 1e-9, 0.0)
     if end <= start:
         return np.empty(0), np.empty(0)
-    at = np.append(np.arange(start, end, _SPAN_S), end)
+    times = np.append(np.arange(start, end, _SPAN_S), end)
     seconds = (stamps - entry_ns) * 1e-9
-    time = np.diff(at)
-    way = np.hypot(np.diff(np.interp(at, seconds, x)), np.diff(np.interp(at, seconds, y)))
-    some = time > 1e-9
-    return way[some] / time[some], time[some]
+    duration = np.diff(times)
+    distance = np.hypot(np.diff(np.interp(times, seconds, x)), np.diff(np.interp(times, seconds, y)))
+    positive = duration > 1e-9
+    return distance[positive] / duration[positive], duration[positive]
 
 
 def _distribution(speed: Float64, time: Float64) -> Speed:

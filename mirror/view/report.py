@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.statistics import TableRow, table_row
+from mirror.dataset.statistics import TableRow, compute_table_row
 from mirror.html import style_sheet
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
@@ -56,7 +56,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
-    tiles = _tiles(table_row(dataset), traversals, passes, dataset.count("boxes"))
+    tiles = _tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
     parts = [
         f"<header><h1>{escape(title)}</h1>{tiles}</header>",
         *_instant(dataset, traversals),

@@ -40,7 +40,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(root: Path) -> Statistics:
-    return statistics(mirror.open(root))
+    return compute_statistics(mirror.open(root))
 
 
 def test_the_row_of_the_table(found: Statistics) -> None:
@@ -88,7 +88,7 @@ def test_speeds_are_weighted_by_time(found: Statistics) -> None:
 
 
 def test_a_view_has_its_own_statistics(root: Path) -> None:
-    found = statistics(mirror.open(root).where(light="night"))
+    found = compute_statistics(mirror.open(root).where(light="night"))
     assert found.row.multi_traversal is False
     assert (found.traversals, found.images) == (1, 300)
     assert found.speed is not None
@@ -99,7 +99,7 @@ def test_an_empty_dataset(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     Builder(root).scene("a")
     build_index(root)
-    found = statistics(mirror.open(root))
+    found = compute_statistics(mirror.open(root))
     assert found.row.scenes == found.traversals == found.images == 0
     assert found.row.area_per_scene_km2 == 0.0
     assert found.row.conditions == "--"
@@ -114,10 +114,10 @@ def test_a_vehicle_that_stands(tmp_path: Path) -> None:
     builder.scene("a")
     builder.drive("d", [Pass("a", frames=100, frame_ns=SECOND, speed_mps=0.0)])
     build_index(root)
-    speed = statistics(mirror.open(root)).speed
+    speed = compute_statistics(mirror.open(root)).speed
     assert speed is not None
     assert (speed.standing, speed.mean_mps) == (1.0, pytest.approx(0.0, abs=1e-9))
-    assert write_plots(statistics(mirror.open(root)), tmp_path / "plots")
+    assert write_plots(compute_statistics(mirror.open(root)), tmp_path / "plots")
 
 
 def test_plots_are_images_of_the_figures(found: Statistics, tmp_path: Path) -> None:

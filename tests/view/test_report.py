@@ -15,7 +15,7 @@ import mirror
 import mirror.synth
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.splits import make_split
-from mirror.dataset.statistics import statistics
+from mirror.dataset.statistics import compute_statistics
 from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.ingest.request import IngestOptions
@@ -186,7 +186,7 @@ def test_tiles_say_what_stats_says(dataset: Dataset, recordings: list[Path], tmp
         write_report(one, tmp_path / "page.html")
         html = (tmp_path / "page.html").read_text()
         tiles = {name: value for value, name in re.findall(r'class="tile"><b>(.*?)</b><span>(.*?)</span>', html)}
-        row = statistics(one).row
+        row = compute_statistics(one).row
         assert (tiles["scenes"], tiles["cities"]) == (str(row.scenes), str(len(row.cities)))
         assert tiles["km² of scenes"] == f"{row.area_km2:.3f}"
 

@@ -1,4 +1,4 @@
-"""The index: derived tables, a pure function of the rest of the dataset."""
+"""The index: tables that are derived from the rest of the dataset by a pure function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Building the index: only the scenes whose inputs changed, files first, the manifest last."""
+"""Building the index. Only scenes with changed inputs are derived; the manifest is written last."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class IndexReport:
-    """What building the index did.
+    """The result of building the index.
 
     Attributes:
-        scenes_written: scenes whose tables were derived anew.
-        scenes_kept: scenes whose inputs had not changed.
+        scenes_written: scenes with newly derived tables.
+        scenes_kept: scenes without changed inputs.
         rows: number of rows in the index, by table.
-        seconds: how long it took.
+        seconds: duration of the build.
     """
 
     scenes_written: tuple[str, ...]
@@ -50,30 +50,30 @@ class IndexReport:
 
 
 def build_index(
-    root: str | Path, *, force: bool = False, whole: bool = False, progress: Progress | None = None
+    root: str | Path, *, force: bool = False, check_sizes: bool = False, progress: Progress | None = None
 ) -> IndexReport:
-    """Derive the index tables; what is up to date is kept.
+    """Derive the index tables, and keep those that are current.
 
-    The bytes are a pure function of the rest of the dataset, whatever the order of ingest. The caller holds the
-    dataset's writer lock.
+    The bytes are a pure function of the rest of the dataset and do not depend on the order of ingest. The caller holds
+    the dataset's writer lock.
 
     Args:
         root: the dataset's folder.
-        force: derive every scene, whatever is there.
-        whole: also hold the sizes of all recorded tables against their manifests, of scenes that are kept too.
-        progress: called with the traversals done and to do.
+        force: derive every scene again.
+        check_sizes: compare the sizes of all recorded tables with their manifests, also in scenes that are kept.
+        progress: called with the number of traversals that are done and the total.
 
     Raises:
-        DatasetError: no dataset, or a file of it is missing or not the one that was named.
-        SchemaError: a file is broken, or of another schema version.
+        DatasetError: the folder holds no dataset, or a file is missing or differs from the one in a manifest.
+        SchemaError: a file is broken or has another schema version.
     """
     start = time.perf_counter()
     layout = Layout(Path(root))
     recover(layout)
     read_json(layout.document, DatasetDocument)
     inputs = read_inputs(Store(layout.root))
-    if whole:
-        _require_whole(layout, inputs)
+    if check_sizes:
+        _require_recorded_sizes(layout, inputs)
     previous = None if force else _intact_manifest(layout)
     kept = _unchanged(previous, inputs)
     if previous is not None and previous.derived_from == inputs.fingerprints:
@@ -86,7 +86,7 @@ def build_index(
     to_do = sum(traversal.scene_id not in kept for traversal in inputs.traversals.values())
     count = 0
 
-    def take(row: Mapping[str, Any]) -> None:
+    def add_traversal(row: Mapping[str, Any]) -> None:
         nonlocal count
         traversals.add(row)
         count += 1
@@ -103,7 +103,7 @@ def build_index(
                     traversals.add(row)
                 continue
             own = [(item, ledger[key]) for key, item in inputs.traversals.items() if item.scene_id == scene_id]
-            derived = write_scene_tables(layout, scene_id, own, take)
+            derived = write_scene_tables(layout, scene_id, own, add_traversal)
             for name, file in derived.files.items():
                 _publish(layout, f"{name}/{scene_id}.parquet", file, entries)
             groups.append(rows_to_table(derived.row_groups, ROW_GROUPS))
@@ -124,15 +124,15 @@ def build_index(
     return IndexReport(changed, tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
 
 
-def _require_whole(layout: Layout, inputs: Inputs) -> None:
-    """Every table that was recorded has the size that its manifest says; nothing is read."""
+def _require_recorded_sizes(layout: Layout, inputs: Inputs) -> None:
+    """Raise an error if the size of a recorded table differs from its manifest. No table is read."""
     for key, item in inputs.traversals.items():
         for name, entry in item.recorded.files.items():
             path = layout.recorded(key) / name
-            there = path.stat().st_size if path.is_file() else None
-            if there != entry.bytes:
+            size = path.stat().st_size if path.is_file() else None
+            if size != entry.bytes:
                 raise DatasetError(
-                    "missing" if there is None else f"has {there:,} bytes: it is cut off, or was changed",
+                    "missing" if size is None else f"has {size:,} bytes: it is cut off, or was changed",
                     file=path,
                     expected=f"{entry.bytes:,} bytes, as its manifest says",
                     remedy=f"run the same `mirror ingest` again for drive {item.drive.drive_id}; "
@@ -141,11 +141,11 @@ def _require_whole(layout: Layout, inputs: Inputs) -> None:
 
 
 def _intact_manifest(layout: Layout) -> Manifest | None:
-    """The manifest of the index that is there, if all its files are, byte for byte."""
+    """The manifest of the existing index, if all its files have their hashes; else None."""
     try:
         manifest = read_manifest(layout.index)
     except SchemaError:
-        # The index is derived: what cannot be read is made again.
+        # The index is derived: an unreadable one is built again.
         return None
     if manifest is None:
         return None
@@ -181,7 +181,7 @@ def _write(layout: Layout, name: str, data: bytes, entries: dict[str, FileEntry]
 
 
 def _publish(layout: Layout, name: str, file: Path, entries: dict[str, FileEntry]) -> None:
-    """Put a complete file in the place of the one that readers of this generation go on reading."""
+    """Move a complete file to its place; the superseded one stays available to readers of its generation."""
     with file.open("rb") as opened:
         entries[name] = FileEntry(bytes=file.stat().st_size, sha256=hashlib.file_digest(opened, "sha256").hexdigest())
     supersede(layout, layout.index / name)
@@ -198,7 +198,7 @@ def _scene_of(name: str) -> str | None:
 
 
 def _remove_strays(layout: Layout, manifest: Manifest) -> None:
-    """Remove the tables of scenes that are gone, and what an interrupted run left."""
+    """Remove tables of scenes that no longer exist, and files of an interrupted run."""
     expected = {layout.index / name for name in (*manifest.files, MANIFEST)}
     for path in sorted(layout.index.rglob("*")):
         if path.is_file() and path not in expected:

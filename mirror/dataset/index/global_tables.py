@@ -1,4 +1,4 @@
-"""The derived tables of the whole dataset: scenes, traversals, passes, row groups."""
+"""The derived tables of the complete dataset: scenes, passes and row groups."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _VERTICES_A_CIRCLE = 256
 
 
 def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
-    """The ledgers of all drives as one table.
+    """Read the ledgers of all drives as one table.
 
     Raises:
-        DatasetError: a ledger is missing, or accepts other traversals than its drive's manifest names.
+        DatasetError: a ledger is missing, or its accepted traversals differ from those in its drive's manifest.
         SchemaError: a ledger is broken.
     """
     ledgers = []
@@ -36,7 +36,7 @@ def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
             raise DatasetError(
                 f"accepted passes and the traversals in the manifest differ by {sorted(accepted ^ named)[0]}",
                 file=file,
-                expected="a `traversal:<id>` in the drive's manifest for every accepted pass, and no other",
+                expected="one `traversal:<id>` in the drive's manifest for each accepted pass",
                 remedy=f"ingest drive {drive_id} again",
             )
         ledgers.append(_plain(ledger, PASSES))
@@ -46,16 +46,16 @@ def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
 
 
 def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
-    """The accepted rows of the ledger by traversal id."""
+    """The accepted rows of the ledger, by traversal id."""
     accepted = passes.filter(pc.is_valid(passes.column("traversal_id")))
     return {row["traversal_id"]: row for row in accepted.to_pylist()}
 
 
 def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table) -> dict[str, bytes]:
-    """The files of the global tables but that of the traversals, by name.
+    """Encode the global tables except that of the traversals; the result maps table names to file bytes.
 
     Args:
-        inputs: what the index is derived from.
+        inputs: the inputs of the index.
         passes: the ledgers of all drives.
         traversals: rows of the table of traversals, without their geometries.
         row_groups: rows of the table of row groups.
@@ -69,7 +69,7 @@ def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_gr
 
 
 def rows_to_table(rows: Sequence[Mapping[str, Any]], table: Table) -> pa.Table:
-    """Rows as a table whose dictionary columns are still plain strings."""
+    """Convert rows to a table with plain strings in place of dictionaries."""
     return pa.Table.from_pylist(list(rows), schema=plain_schema(table))
 
 

@@ -1,4 +1,4 @@
-"""What the index is derived from, and its fingerprints: an index is stale if and only if one of them differs."""
+"""The inputs of the index, and their fingerprints. An index is stale if and only if a fingerprint differs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
 from mirror.schema.strict_json import JsonError, decode_json
 
-# Raised when the index is computed differently from the same inputs, so that every index is rebuilt.
+# Increase this number when the same inputs give another index, so that every index is rebuilt.
 DERIVATION: Final = 1
 DATASET_KEY: Final = "dataset"
 _TRAVERSAL: Final = "traversal:"
@@ -25,16 +25,16 @@ _TRAVERSAL: Final = "traversal:"
 
 @dataclass(frozen=True)
 class TraversalInput:
-    """What one traversal's rows come from.
+    """The inputs of one traversal's rows.
 
     Attributes:
         traversal_id: the traversal.
         scene_id: its scene.
         drive: its drive.
-        rig: the rig of the drive; None for a poses-only drive.
+        rig: the rig of the drive; None: the drive has no cameras.
         layers: kind, source and version of its complete layers.
-        recorded: manifest of the recorded part.
-        hashes: SHA-256 of the rig's file and of the manifests of the drive, the recorded part and every layer.
+        recorded: manifest of the recorded folder.
+        hashes: SHA-256 of the rig's file and of the manifests of the drive, the recorded folder and every layer.
     """
 
     traversal_id: str
@@ -48,13 +48,13 @@ class TraversalInput:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything that the index is a function of.
+    """All inputs of the index.
 
     Attributes:
-        scenes: the regions of interest by scene id, in order of id.
-        drives: complete drives: the ids of their traversals, by drive id, in order.
-        traversals: by id, in order.
-        fingerprints: a hash for each scene (key ``scene:<id>``) and one over everything (key ``dataset``).
+        scenes: the regions of interest by scene id, sorted.
+        drives: ids of the traversals of each complete drive, by drive id, sorted.
+        traversals: inputs of each traversal by id, sorted.
+        fingerprints: a hash for each scene (key ``scene:<id>``) and one of all inputs (key ``dataset``).
     """
 
     scenes: Mapping[str, Roi]
@@ -64,11 +64,11 @@ class Inputs:
 
 
 def read_inputs(store: Store) -> Inputs:
-    """Read the small files that name everything else: manifests, drive documents, rigs, regions of interest.
+    """Read the small files that list all others: manifests, drive documents, rigs and regions of interest.
 
     Raises:
-        DatasetError: a traversal that a drive names is missing, is not the one named, or belongs to no known scene.
-        SchemaError: a file is broken, or of another schema version.
+        DatasetError: a traversal in a drive's manifest is missing, has another hash, or has an unknown scene.
+        SchemaError: a file is broken or has another schema version.
     """
     scenes = read_rois(store)
     manifests = _manifests(
@@ -119,7 +119,7 @@ def read_inputs(store: Store) -> Inputs:
             scene_id = traversal_id.partition(".")[0]
             if scene_id not in scenes:
                 raise DatasetError(
-                    f"traversal {traversal_id} is of a scene that is not there",
+                    f"the scene of traversal {traversal_id} is missing",
                     file=store.full_path("rois.geojson"),
                     expected=f"a feature with scene_id {scene_id!r}",
                     remedy="restore the file",
@@ -135,11 +135,11 @@ def read_inputs(store: Store) -> Inputs:
 
 
 def read_rois(store: Store) -> dict[str, Roi]:
-    """The dataset's regions of interest by scene id, in order of id.
+    """Read the dataset's regions of interest, by scene id, sorted.
 
     Raises:
         DatasetError: ``rois.geojson`` is missing.
-        SchemaError: it is not a collection of regions of interest, or an id repeats.
+        SchemaError: the file is no collection of regions of interest, or an id repeats.
     """
     name = store.full_path("rois.geojson")
     try:
@@ -166,7 +166,7 @@ def read_rois(store: Store) -> dict[str, Roi]:
 
 
 def _manifests(store: Store, folders: list[str]) -> dict[str, tuple[Manifest, str]]:
-    """Manifests and their hashes by folder; a folder without one does not exist."""
+    """Manifests and their hashes, by folder; folders without a manifest are ignored."""
     found = store.read_many([f"{folder}/{MANIFEST}" for folder in folders])
     return {
         path.removesuffix(f"/{MANIFEST}"): (parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data))
@@ -175,7 +175,7 @@ def _manifests(store: Store, folders: list[str]) -> dict[str, tuple[Manifest, st
 
 
 def _layers(store: Store, traversals: list[str]) -> dict[str, dict[tuple[str, str, str], str]]:
-    """Hashes of the complete layers of each traversal's folder, by kind, source and version, sorted."""
+    """Hashes of the complete layers, by traversal folder, then by kind, source and version, sorted."""
     kinds = store.list_folders_of([f"{traversal}/layers" for traversal in traversals])
     names = store.list_folders_of([f"{layers}/{kind}" for layers, own in kinds.items() for kind in own])
     folders = {f"{kind}/{name}" for kind, own in names.items() for name in own if not name.startswith(".")}

@@ -190,7 +190,7 @@ def _in_frame(catalog: Catalog, circle: Circle | LocalCircle) -> Bool:
 
 
 def _lines_touch(catalog: Catalog, circle: Circle | LocalCircle, among: Bool) -> Bool:
-    """Mask of those among some traversals with a point of the driven line, or a pose in a local frame, in the circle."""
+    """Mask of those among some traversals with a point of their driven line (local frame: a pose) in the circle."""
     passing = among & _in_frame(catalog, circle)
     if isinstance(circle, LocalCircle):
         ids = frozenset(catalog.traversal_ids.filter(to_arrow_mask(passing)).to_pylist())

@@ -155,7 +155,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
             unmatched = [
                 key for key in outside if by_condition.role_of(candidates.traversals[key], conditions) != "train"
             ]
-            left_out |= {key: f"{key} does not fit a train condition of the split" for key in unfit}
+            left_out |= {key: f"{key} does not fit a train condition of the split" for key in unmatched}
         added: dict[str, Role] = {key: "unused" if key in left_out else "train" for key in outside}
         roles = {**document.assignments, **added}
         _require_no_leak(found, roles, layout)

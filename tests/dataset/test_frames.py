@@ -295,15 +295,15 @@ class TestBrokenImages:
             assert "cannot be decoded" in self.faults(dataset)
 
     def test_another_image_of_the_same_length(self, dataset: Dataset) -> None:
-        data = bytearray(IMAGES["front_left"])
+        data = bytearray(ENCODED["front_left"])
         data[-30] ^= 1
         self.path(dataset).write_bytes(data)
         dataset.frames()[0].decode()
-        assert "not those that were recorded" in self.faults(dataset, verify=True)
+        assert "differ from the recorded ones" in self.faults(dataset, verify=True)
 
     def test_another_size(self, dataset: Dataset) -> None:
         other = image(1, (16, 12))
-        room = len(IMAGES["front_left"]) - len(other)
+        room = len(ENCODED["front_left"]) - len(other)
         assert room >= 0
         self.path(dataset).write_bytes(other + bytes(room))
         assert "the image is 16 x 12 px; expected 48 x 32 px" in self.faults(dataset)

@@ -334,7 +334,7 @@ def test_faults_of_the_inputs_are_named(tmp_path: Path) -> None:
         with pytest.raises(SchemaError, match=message):
             build_index(tmp_path)
     builder.layout.rois.write_bytes(rois.replace(b'"scene_id": "a"', b'"scene_id": "c"'))
-    with pytest.raises(DatasetError, match="the scene of traversal .* is missing"):
+    with pytest.raises(DatasetError, match=r"the scene of traversal .* is missing"):
         build_index(tmp_path)
     builder.layout.rois.unlink()
     with pytest.raises(DatasetError, match="missing"):

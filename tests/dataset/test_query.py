@@ -495,11 +495,11 @@ def test_splits_filter_by_role(tmp_path: Path) -> None:
 
 class TestOpening:
     def test_what_is_no_dataset(self, tmp_path: Path) -> None:
-        with pytest.raises(DatasetError, match=r"no dataset\.json"):
+        with pytest.raises(DatasetError, match=r"dataset\.json is missing"):
             mirror.open(tmp_path)
         with pytest.raises(DatasetError, match="the folder does not exist"):
             mirror.open(tmp_path / "nowhere")
-        with pytest.raises(DatasetError, match=r"no dataset\.json"):
+        with pytest.raises(DatasetError, match=r"dataset\.json is missing"):
             mirror.open("memory://nowhere")
 
     def test_what_has_no_index(self, tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_layer_is_never_overwritten_and_names_what_it_came_from(tmp_path: Path
     recorded = read_manifest(builder.layout.recorded(first))
     assert manifest is not None and recorded is not None
     assert manifest.derived_from == {"estimator": "sweep", "recorded": recorded.content}
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         write_reconstruction(builder, first, "front_wide", stamp)
 
 

@@ -193,7 +193,7 @@ def test_recorded_anew_is_seen(builder: Builder) -> None:
     make_split(builder.root, "s")
     builder.drive("d2", [Pass("a", entry_ns=EPOCH + 200 * SECOND, frames=3)], vehicle_id="car_d2")
     assert [key.split(".")[1] for key in make_split(builder.root, "s").changed] == ["d2"]
-    with pytest.raises(DatasetError, match="not what they were"):
+    with pytest.raises(DatasetError, match="of the split have changed"):
         extend_split(builder.root, "s")
 
 

@@ -13,7 +13,7 @@ import pytest
 import mirror
 from mirror.cli.main import main
 from mirror.dataset.index import build_index
-from mirror.dataset.statistics import SceneRow, Statistics, statistics
+from mirror.dataset.statistics import SceneRow, Statistics, compute_statistics
 from mirror.view.plots import write_plots
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 

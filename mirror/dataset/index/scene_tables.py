@@ -1,4 +1,4 @@
-"""The derived tables of one scene: its traversals' recorded tables and layers under common keys, positions added."""
+"""The derived tables of one scene: recorded tables and layers of its traversals, with common keys and positions."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ _REDACTED: Final = ("uri", "byte_offset", "byte_length", "codec", "video_pts", "
 
 @dataclass(frozen=True)
 class SceneTables:
-    """One scene's part of the index.
+    """The part of the index of one scene.
 
     Attributes:
-        files: complete files under temporary names, by table; a table without rows has none.
+        files: complete files with temporary names, by table; a table without rows has no file.
         row_groups: rows of the table ROW_GROUPS.
     """
 
@@ -58,18 +58,18 @@ def write_scene_tables(
     layout: Layout,
     scene_id: str,
     traversals: Iterable[tuple[TraversalInput, Mapping[str, Any]]],
-    take: Callable[[Mapping[str, Any]], None],
+    add_traversal: Callable[[Mapping[str, Any]], None],
 ) -> SceneTables:
-    """Derive the tables of one scene, traversal by traversal: memory holds the tables of one at a time.
+    """Derive the tables of one scene, traversal by traversal. Memory holds the tables of one traversal at a time.
 
     Args:
         layout: the dataset.
         scene_id: the scene.
-        traversals: the scene's traversals in order of id, each with its accepted row of the ledger.
-        take: called with each traversal's row of the table TRAVERSALS.
+        traversals: the scene's traversals, sorted by id, each with its accepted row of the ledger.
+        add_traversal: called with each traversal's row of the table TRAVERSALS.
 
     Raises:
-        DatasetError: a table is missing, or poses do not cover an image.
+        DatasetError: a table is missing, or the poses do not cover an image.
         SchemaError: a table is broken.
     """
     writers: dict[str, TableWriter] = {}
@@ -88,7 +88,7 @@ def write_scene_tables(
                 writers[table.name].write(canonical_dictionaries(data, table))
                 row_groups.append(_row_group(table, traversal, groups[table.name], data))
                 groups[table.name] += 1
-            take(_traversal_row(traversal, ledger, own))
+            add_traversal(_traversal_row(traversal, ledger, own))
         files = {name: writer.finish() for name, writer in writers.items()}
     except BaseException:
         for writer in writers.values():
@@ -98,7 +98,7 @@ def write_scene_tables(
 
 
 def canonical_dictionaries(data: pa.Table, table: Table) -> pa.Table:
-    """The table with dictionaries in order of first appearance, so that equal rows give equal bytes."""
+    """Order the dictionaries of a table by first appearance, so that equal rows give equal bytes."""
     columns = [
         data.column(field.name).cast(pa.string()).combine_chunks().dictionary_encode().cast(KEY)
         if field.type == KEY
@@ -109,7 +109,7 @@ def canonical_dictionaries(data: pa.Table, table: Table) -> pa.Table:
 
 
 def plain_schema(table: Table) -> pa.Schema:
-    """A table's schema with strings in the place of dictionaries."""
+    """A table's schema with strings in place of dictionaries."""
     return pa.schema(
         [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
     )
@@ -144,13 +144,13 @@ def _sorted(data: pa.Table, table: Table) -> pa.Table:
     for name in table.sorted_by:
         column = data.column(name)
         plain = column.cast(pa.string()) if column.type == KEY else column
-        # An open interval begins before all others.
+        # An interval without a start sorts first.
         keys[name] = pc.fill_null(plain, _BEFORE_ALL) if plain.null_count else plain
     return data.take(pc.sort_indices(pa.table(keys), sort_keys=[(name, "ascending") for name in keys]))
 
 
 def _layer_tables(layout: Layout, traversal: TraversalInput, kind: str, table: Table) -> pa.Table:
-    """All layers of one kind; rows of equal key stay in the order of source and version."""
+    """All layers of one kind; rows with equal keys are ordered by source and version."""
     found = [
         read_table(layout.layer(traversal.traversal_id, kind, source, version) / f"{table.name}.parquet", table)
         for layer_kind, source, version in traversal.layers
@@ -160,7 +160,7 @@ def _layer_tables(layout: Layout, traversal: TraversalInput, kind: str, table: T
 
 
 def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa.Table:
-    """The images table with the bytes of the newest redaction layer in the place of the recorded ones."""
+    """Replace the recorded bytes in the images table with those of the newest redaction layer."""
     layers = [(source, version) for kind, source, version in traversal.layers if kind == "redaction"]
     if not layers:
         return images.append_column("source_sha256", pa.nulls(images.num_rows, SHA256))
@@ -181,7 +181,7 @@ def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa
         target.append(position[key])
     replaced = np.zeros(images.num_rows, np.bool_)
     replaced[target] = True
-    # Row r of the images takes row take[r] of the two tables one behind the other.
+    # Row r of the result is row take[r] of the two tables concatenated.
     take = np.arange(images.num_rows)
     take[target] = images.num_rows + np.arange(redaction.num_rows)
     result = images
@@ -201,12 +201,12 @@ def _image_keys(images: pa.Table) -> list[tuple[str, int]]:
 
 
 def _natural(version: str) -> tuple[tuple[int, int, str], ...]:
-    """A key that puts version 10 behind version 9."""
+    """A sort key of versions that puts version 10 after version 9."""
     return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.findall(r"\d+|\D+", version))
 
 
 def _with_positions(traversal: TraversalInput, images: pa.Table, poses: pa.Table, folder: Path) -> pa.Table:
-    """The images with the ego's place at mid-exposure, linear between the poses round it."""
+    """Add the ego position at mid-exposure to the images, interpolated linearly between the poses."""
     query = images.column("timestamp_ns").to_numpy()
     stamps = poses.column("timestamp_ns").to_numpy()
     if len(query):
@@ -233,7 +233,7 @@ def _with_positions(traversal: TraversalInput, images: pa.Table, poses: pa.Table
 def _interpolate(query_ns: Int64, stamps_ns: Int64, values: Float64, *, longitude: bool) -> Float64:
     if not len(query_ns):
         return np.empty(0)
-    # Stamps relative to the first are exact in float64; Unix nanoseconds are not.
+    # Timestamps relative to the first are exact in float64; Unix nanoseconds are not.
     times = (stamps_ns - stamps_ns[0]).astype(np.float64)
     at = (query_ns - stamps_ns[0]).astype(np.float64)
     found = np.interp(at, times, continuous(values) if longitude else values)
@@ -241,7 +241,7 @@ def _interpolate(query_ns: Int64, stamps_ns: Int64, values: Float64, *, longitud
 
 
 def _frames(traversal: TraversalInput, images: pa.Table) -> pa.Table:
-    """The exposures of the rig's reference camera, each with the number of cameras that belong to it."""
+    """The exposures of the rig's reference camera, each with the number of images in its frame."""
     if traversal.rig is None or not images.num_rows:
         return FRAMES.schema.empty_table().drop_columns(["scene_id", "traversal_id"])
     framed = images.filter(pc.is_valid(images.column("frame_index")))
@@ -298,7 +298,7 @@ def _traversal_row(
 
 
 def _driven_line(poses: pa.Table, entry_ns: int, exit_ns: int) -> Float64 | None:
-    """Longitude and latitude from entry to exit, both interpolated; None in a local frame."""
+    """Longitude and latitude (N, 2) from entry to exit, with interpolated ends; None in a local frame."""
     if not poses.num_rows or poses.column("longitude_deg").null_count:
         return None
     stamps = poses.column("timestamp_ns").to_numpy()

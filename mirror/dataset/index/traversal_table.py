@@ -1,4 +1,4 @@
-"""The table of traversals, written in parts: the driven lines of a large fleet need not fit into memory."""
+"""The table of traversals, written in parts, because the driven lines of a large fleet may not fit into memory."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from mirror.dataset.layout import Layout
 from mirror.schema.files import TableWriter
 from mirror.schema.tables import TRAVERSALS
 
-_MOST_BYTES: Final = 4 * 1024 * 1024
-_MOST_ROWS: Final = 128
-_ROWS: Final = plain_schema(TRAVERSALS)
+_MAX_BYTES: Final = 4 * 1024 * 1024
+_MAX_ROWS: Final = 128
+_PLAIN_SCHEMA: Final = plain_schema(TRAVERSALS)
 
 
 class TraversalTable:
-    """Collects the rows of the table in its order; where row groups end depends on the rows alone.
+    """Writes the table of traversals row by row; the bounds of row groups depend only on the rows.
 
-    The metadata of GeoParquet holds the bounding box of all rows, and stands before them: so the rows are written to a
-    temporary file first.
+    The GeoParquet metadata holds the bounding box of all rows and comes before the rows, so the rows
+    are first written to a temporary file.
 
     Args:
         layout: the dataset.
@@ -39,23 +39,25 @@ class TraversalTable:
         self._unordered = TableWriter(self._path.with_suffix(".rows"), TRAVERSALS)
         self._group: list[Mapping[str, Any]] = []
         self._bytes = 0
-        self._small: list[pa.Table] = []
+        self._without_geometry: list[pa.Table] = []
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Append a row."""
+        """Append a row; rows come in the table's order."""
         self._group.append(row)
         self._bytes += len(row["geometry"] or b"")
-        if self._bytes >= _MOST_BYTES or len(self._group) == _MOST_ROWS:
+        if self._bytes >= _MAX_BYTES or len(self._group) == _MAX_ROWS:
             self._flush()
 
     @property
     def rows(self) -> pa.Table:
         """All rows, without their geometries."""
-        return pa.concat_tables([_ROWS.remove(_ROWS.get_field_index("geometry")).empty_table(), *self._small])
+        return pa.concat_tables(
+            [_PLAIN_SCHEMA.remove(_PLAIN_SCHEMA.get_field_index("geometry")).empty_table(), *self._without_geometry]
+        )
 
     def finish(self) -> Path:
-        """Write the table, and give the temporary name under which it lies."""
-        if self._group or not self._small:
+        """Write the table to a file with a temporary name, and return its path."""
+        if self._group or not self._without_geometry:
             self._flush()
         unordered = self._unordered.finish()
         metadata = with_geo_metadata(self.rows, "LineString").schema.metadata
@@ -72,18 +74,18 @@ class TraversalTable:
             unordered.unlink()
 
     def abandon(self) -> None:
-        """Remove what was written."""
+        """Remove the temporary file."""
         self._unordered.abandon()
 
     def _flush(self) -> None:
-        rows = pa.Table.from_pylist(self._group, schema=_ROWS)
+        rows = pa.Table.from_pylist(self._group, schema=_PLAIN_SCHEMA)
         self._unordered.write(canonical_dictionaries(rows, TRAVERSALS))
-        self._small.append(rows.drop_columns(["geometry"]))
+        self._without_geometry.append(rows.drop_columns(["geometry"]))
         self._group, self._bytes = [], 0
 
 
 class PreviousTraversals:
-    """The table of the index that is there, of which the rows of scenes that did not change are taken over.
+    """Reads the table of traversals of the existing index, for the rows of unchanged scenes.
 
     Args:
         layout: the dataset.
@@ -93,10 +95,10 @@ class PreviousTraversals:
         self._path = layout.index / f"{TRAVERSALS.name}.parquet"
 
     def rows_of(self, scene_id: str) -> Iterator[Mapping[str, Any]]:
-        """The rows of a scene in order."""
+        """Yield the rows of a scene, in order."""
         with pq.ParquetFile(self._path) as file:
             for group in range(file.num_row_groups):
                 ids = file.read_row_group(group, columns=["scene_id"], use_threads=False).column(0)
-                own = pc.equal(ids, scene_id)
-                if pc.any(own).as_py():
-                    yield from file.read_row_group(group, use_threads=False).filter(own).to_pylist()
+                in_scene = pc.equal(ids, scene_id)
+                if pc.any(in_scene).as_py():
+                    yield from file.read_row_group(group, use_threads=False).filter(in_scene).to_pylist()

@@ -22,8 +22,8 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
     """Choose the held-out traversals by seed.
 
     Tied traversals form a unit, above all the passes of one drive. Units are held out in the order of a keyed hash,
-    until every scene has its held-out traversals and enough others to train on. If that order leads to a dead end, the search
-    goes back and tries the next unit, so it fails only if no choice exists.
+    until every scene has its held-out traversals and enough others to train on. If that order leads to a dead end,
+    the search goes back and tries the next unit, so it fails only if no choice exists.
 
     Args:
         traversals: the traversals to assign.

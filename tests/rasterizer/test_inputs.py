@@ -196,7 +196,7 @@ def test_arguments_of_gsplat_that_change_no_result_change_none():
 
 
 def test_colours_are_needed_unless_depth_alone_is_asked_for():
-    _refused("colors", "colours are asked for", colors=None)
+    _refused("colors", "render_mode needs colours", colors=None)
 
 
 def test_a_camera_that_is_no_camera_is_refused():
@@ -211,7 +211,7 @@ def test_planes_the_wrong_way_round_and_flags_that_are_none_are_named():
     _refused("near_plane", "at least 0", near_plane=-1.0)
     _refused("far_plane", "nan", far_plane=float("nan"))
     for name in ("packed", "absgrad", "with_ut"):
-        _refused(name, "no truth value", **{name: "x"})
+        _refused(name, "no bool", **{name: "x"})
     rasterization(**scene(), packed=np.True_, backend="reference")
 
 

@@ -1,1 +1,1 @@
-"""What compiled kernels share: compilation, SIMD vectors, aligned memory and threads."""
+"""Tools of compiled kernels: compilation, SIMD vectors, aligned memory and threads."""

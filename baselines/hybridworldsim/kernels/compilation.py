@@ -52,9 +52,9 @@ def _source_stamp(folder: Path) -> str:
 
 
 def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
-    """Load the index of a kernel's cache; an index that names a class that is no longer there counts as empty.
+    """Load the index of a kernel's cache; an index that cannot be loaded after a class was renamed counts as empty.
 
-    The index holds the types of arguments as pickles, so that it cannot be read after a class was renamed.
+    The index holds the types of arguments as pickles, which name their classes.
     """
     try:
         return load()
@@ -63,13 +63,13 @@ def _load_index(load: Callable[[], dict[Any, Any]]) -> dict[Any, Any]:
 
 
 class _CompilationNotice(event.Listener):
-    """Logs once a process that kernels are being compiled, because this takes a while."""
+    """Logs once per process that kernels are being compiled, because compilation is slow."""
 
     logged = False
 
     def on_start(self, compilation: Any) -> None:
         """Log when numba starts to compile one of the kernels, which is then not in the cache."""
-        if not self.logged and any(compilation.data["dispatcher"] is one for one in _dispatchers):
+        if not self.logged and any(compilation.data["dispatcher"] is dispatcher for dispatcher in _dispatchers):
             self.logged = True
             _log.warning("compiling the rasterizer's kernels and caching them: this takes up to half a minute")
 

@@ -1,7 +1,7 @@
 """Eight Gaussians at once in numba kernels, in float64.
 
-Projection needs float64 (a needle's covariance cancels) and has no rows of pixels to run along, so each lane is one
-Gaussian. What a lane gives does not depend on the lanes beside it.
+Projection needs float64, because a needle's covariance cancels, and it has no rows of pixels, so each lane is one
+Gaussian. The result of a lane does not depend on the other lanes.
 """
 
 from __future__ import annotations
@@ -24,61 +24,62 @@ _DOUBLES, _LONGS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_LONG, LANES)
 
 
 def _elementwise(result: Any, emit: Callable[..., Any], *kinds: Any) -> Any:
+    """Return the typing of an elementwise intrinsic of `Float64x8` vectors."""
     return elementwise((Float64x8,) * len(kinds), result, emit)(*kinds)
 
 
 @intrinsic
 def broadcast(context: Any, number: Any) -> Any:
-    """A vector of one number."""
+    """Broadcast a number to all lanes."""
     return _elementwise(Float64x8, lambda builder, vector: vector, number)
 
 
 @intrinsic
 def sqrt(context: Any, a: Any) -> Any:
-    """Square root."""
+    """Compute square roots."""
     return _elementwise(Float64x8, simd.call_llvm("sqrt", Float64x8), a)
 
 
 @intrinsic
 def abs_(context: Any, a: Any) -> Any:
-    """Without sign."""
+    """Compute absolute values."""
     return _elementwise(Float64x8, simd.call_llvm("fabs", Float64x8), a)
 
 
 @intrinsic
 def ceil(context: Any, a: Any) -> Any:
-    """The least whole number that is not less."""
+    """Round up to integers."""
     return _elementwise(Float64x8, simd.call_llvm("ceil", Float64x8), a)
 
 
 @intrinsic
 def min_or_b(context: Any, a: Any, b: Any) -> Any:
-    """The lesser of each two; ``b`` where one is no number."""
+    """Compute the minimum of ``a`` and ``b``; ``b`` where one is NaN."""
     return _elementwise(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b), a, b)
 
 
 @intrinsic
 def max_or_b(context: Any, a: Any, b: Any) -> Any:
-    """The greater of each two; ``b`` where one is no number."""
+    """Compute the maximum of ``a`` and ``b``; ``b`` where one is NaN."""
     return _elementwise(Float64x8, lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), a, b)
 
 
 @intrinsic
 def select(context: Any, mask: Any, a: Any, b: Any) -> Any:
-    """``a`` where the mask is set, else ``b``."""
+    """Select ``a`` where the mask is set, else ``b``."""
     return _elementwise(Float64x8, lambda builder, *args: builder.select(*args), mask, a, b)
 
 
 @intrinsic
 def round_to_float32(context: Any, a: Any) -> Any:
-    """To the nearest float32."""
+    """Round to the nearest float32."""
     singles = ir.VectorType(ir.FloatType(), LANES)
     return _elementwise(Float64x8, lambda builder, a: builder.fpext(builder.fptrunc(a, singles), _DOUBLES), a)
 
 
 @intrinsic
 def mantissa(context: Any, a: Any) -> Any:
-    """Of a positive ordinary number, in [1, 2)."""
+    """Extract the mantissa, in [1, 2), of positive normal numbers."""
 
     def emit(builder: Any, a: Any) -> Any:
         low = builder.and_(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [(1 << 52) - 1] * LANES))
@@ -89,7 +90,7 @@ def mantissa(context: Any, a: Any) -> Any:
 
 @intrinsic
 def exponent(context: Any, a: Any) -> Any:
-    """Of a positive ordinary number, which is its mantissa times two to this power."""
+    """Extract the exponent of positive normal numbers: a number is its mantissa times 2 to this power."""
 
     def emit(builder: Any, a: Any) -> Any:
         high = builder.lshr(builder.bitcast(a, _LONGS), ir.Constant(_LONGS, [52] * LANES))
@@ -100,13 +101,13 @@ def exponent(context: Any, a: Any) -> Any:
 
 @intrinsic
 def to_bits(context: Any, mask: Any) -> Any:
-    """The mask as a number, whose lowest bit is the first lane's."""
+    """Convert a mask to an integer; the lowest bit is the first lane."""
     return _elementwise(types.int64, lambda b, mask: b.zext(b.bitcast(mask, ir.IntType(LANES)), _LONG), mask)
 
 
 @intrinsic
 def from_bits(context: Any, number: Any) -> Any:
-    """The mask that has a number's lowest bits."""
+    """Convert the lowest bits of an integer to a mask."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.bitcast(builder.trunc(args[0], ir.IntType(LANES)), Mask8.llvm)
@@ -116,20 +117,20 @@ def from_bits(context: Any, number: Any) -> Any:
 
 @intrinsic
 def count_set(context: Any, mask: Any) -> Any:
-    """How many lanes are set."""
+    """Count the lanes that are set."""
     return _elementwise(types.int64, lambda b, mask: b.zext(b.ctpop(b.bitcast(mask, ir.IntType(LANES))), _LONG), mask)
 
 
 @intrinsic
 def first_lanes(context: Any, count: Any) -> Any:
-    """The mask of that many lanes; all of them from LANES on."""
+    """Make a mask of the first ``count`` lanes; all lanes if ``count`` is LANES or more."""
     emit = lambda b, count: b.fcmp_ordered("<", ir.Constant(_DOUBLES, list(range(LANES))), count)  # noqa: E731
     return _elementwise(Mask8, emit, count)
 
 
 @intrinsic
 def sum_lanes(context: Any, a: Any) -> Any:
-    """Sum of the lanes, by halves."""
+    """Sum the lanes pairwise, by halves."""
 
     def emit(builder: Any, value: Any) -> Any:
         half = LANES // 2
@@ -144,7 +145,7 @@ def sum_lanes(context: Any, a: Any) -> Any:
 
 @intrinsic
 def load(context: Any, array: Any, start: Any) -> Any:
-    """The lanes from an index of a flat array on; nothing checks that they are there."""
+    """Load the lanes from an index of a flat array on; there is no bounds check."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vector = _load_vector(builder, simd.data_pointer(context, builder, sig.args[0], args[0]), args[1], LANES)
@@ -155,7 +156,7 @@ def load(context: Any, array: Any, start: Any) -> Any:
 
 @intrinsic
 def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column: Any) -> Any:
-    """Lane j: ``array[rows[start + j] * stride + column]`` of a flat array; nothing checks that it is there."""
+    """Load ``array[rows[start + j] * stride + column]`` of a flat array into lane j; there is no bounds check."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, rows = (simd.data_pointer(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
@@ -171,7 +172,7 @@ def gather(context: Any, array: Any, rows: Any, start: Any, stride: Any, column:
 
 
 def _concatenate(builder: Any, parts: list[Any]) -> Any:
-    """Vectors of one size, whose number is a power of two, as one."""
+    """Concatenate vectors of one size; their number is a power of two."""
     while len(parts) > 1:
         order = list(range(2 * parts[0].type.count))
         parts = [shuffle(builder, a, b, order) for a, b in zip(parts[::2], parts[1::2])]
@@ -179,13 +180,14 @@ def _concatenate(builder: Any, parts: list[Any]) -> Any:
 
 
 def _load_vector(builder: Any, data: Any, index: Any, count: int) -> Any:
+    """Load a vector of ``count`` elements from an index on."""
     element = data.type.pointee
     place = builder.bitcast(builder.gep(data, [index]), ir.PointerType(ir.VectorType(element, count)))
     return builder.load(place, align=8 if element == _DOUBLE else 4)
 
 
 def _load_columns(columns: int) -> Callable[..., Any]:
-    """What `load_triples` and `load_quadruples` emit; rows that follow each other are loaded at once."""
+    """Make the code of `load_triples` and `load_quadruples`; consecutive rows are loaded at once."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, rows = (simd.data_pointer(context, builder, kind, arg) for kind, arg in zip(sig.args[:2], args[:2]))
@@ -193,15 +195,15 @@ def _load_columns(columns: int) -> Callable[..., Any]:
         numbers = [
             builder.load(builder.gep(rows, [builder.add(args[2], ir.Constant(_LONG, lane))])) for lane in range(LANES)
         ]
-        run = builder.icmp_signed("==", builder.sub(numbers[-1], numbers[0]), ir.Constant(_LONG, LANES - 1))
-        found: list[list[Any]] = []
-        with builder.if_else(run) as (then, otherwise):
+        is_consecutive = builder.icmp_signed("==", builder.sub(numbers[-1], numbers[0]), ir.Constant(_LONG, LANES - 1))
+        branches: list[list[Any]] = []
+        with builder.if_else(is_consecutive) as (then, otherwise):
             with then:
-                whole = _load_vector(builder, data, builder.mul(numbers[0], width), LANES * columns)
-                nothing = ir.Constant(whole.type, ir.Undefined)
-                found.append(
+                joined_rows = _load_vector(builder, data, builder.mul(numbers[0], width), LANES * columns)
+                undefined = ir.Constant(joined_rows.type, ir.Undefined)
+                branches.append(
                     [
-                        shuffle(builder, whole, nothing, [columns * lane + column for lane in range(LANES)])
+                        shuffle(builder, joined_rows, undefined, [columns * lane + column for lane in range(LANES)])
                         for column in range(columns)
                     ]
                 )
@@ -212,25 +214,25 @@ def _load_columns(columns: int) -> Callable[..., Any]:
                     at = builder.mul(number, width)
                     if columns == 4:
                         parts.append(_load_vector(builder, data, at, 4))
-                    else:  # elements 0 1 1 2: four of them would reach beyond the array
+                    else:  # elements 0 1 1 2: a load of four would read past the end of the array
                         second = builder.add(at, ir.Constant(_LONG, 1))
                         parts.append(
                             _concatenate(builder, [_load_vector(builder, data, place, 2) for place in (at, second)])
                         )
-                whole = _concatenate(builder, parts)
-                nothing = ir.Constant(whole.type, ir.Undefined)
-                found.append(
+                joined_rows = _concatenate(builder, parts)
+                undefined = ir.Constant(joined_rows.type, ir.Undefined)
+                branches.append(
                     [
-                        shuffle(builder, whole, nothing, [4 * lane + column for lane in range(LANES)])
+                        shuffle(builder, joined_rows, undefined, [4 * lane + column for lane in range(LANES)])
                         for column in ((0, 1, 2, 3) if columns == 4 else (0, 1, 3))
                     ]
                 )
                 blocks.append(builder.block)
         vectors = []
-        for ways in zip(*found):
+        for values in zip(*branches):
             vector = builder.phi(kind)
-            for way, block in zip(ways, blocks):
-                vector.add_incoming(way, block)
+            for value, block in zip(values, blocks):
+                vector.add_incoming(value, block)
             vectors.append(vector)
         if kind != _DOUBLES:
             vectors = [builder.fpext(vector, _DOUBLES) for vector in vectors]
@@ -241,21 +243,22 @@ def _load_columns(columns: int) -> Callable[..., Any]:
 
 @intrinsic
 def load_triples(context: Any, array: Any, rows: Any, start: Any) -> Any:
-    """The three columns of the rows ``rows[start : start + LANES]`` of a (N, 3) array, given flat.
+    """Load the three columns of the rows ``rows[start : start + LANES]`` of a (N, 3) array, passed flat.
 
-    Rows ascend, so that the last tells a run; spare ones at the end repeat the first.
+    Rows ascend, so that the first and the last row show whether the rows are consecutive. Spare lanes at the end repeat
+    the first row.
     """
     return types.UniTuple(Float64x8, 3)(array, rows, types.intp), _load_columns(3)
 
 
 @intrinsic
 def load_quadruples(context: Any, array: Any, rows: Any, start: Any) -> Any:
-    """The four columns of rows of a (N, 4) array, as `load_triples`."""
+    """Load the four columns of rows of a (N, 4) array, like `load_triples`."""
     return types.UniTuple(Float64x8, 4)(array, rows, types.intp), _load_columns(4)
 
 
 def _store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    """Write vectors as the columns of an array's rows."""
+    """Store vectors as the columns of an array's rows."""
     vectors = args[2:]
     data = simd.data_pointer(context, builder, sig.args[0], args[0])
     place = builder.gep(data, [builder.mul(args[1], ir.Constant(_LONG, len(vectors)))])
@@ -267,26 +270,26 @@ def _store(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         vectors = [builder.fptosi(vector, kind) for vector in vectors]
     order = [column * LANES + lane for lane in range(LANES) for column in range(len(vectors))]
     vectors = [*vectors, ir.Constant(kind, ir.Undefined)] if len(vectors) == 3 else vectors
-    whole = shuffle(
+    joined_rows = shuffle(
         builder, joined := _concatenate(builder, list(vectors)), ir.Constant(joined.type, ir.Undefined), order
     )
-    builder.store(whole, builder.bitcast(place, ir.PointerType(whole.type)), align=4)
+    builder.store(joined_rows, builder.bitcast(place, ir.PointerType(joined_rows.type)), align=4)
     return context.get_dummy_value()
 
 
 @intrinsic
 def store(context: Any, array: Any, row: Any, a: Any) -> Any:
-    """Write the lanes from a row of a (N,) array on, in its type; nothing checks that they fit."""
+    """Store the lanes from a row of a (N,) array on, in its type; there is no bounds check."""
     return types.void(array, types.intp, a), _store
 
 
 @intrinsic
 def store_pairs(context: Any, array: Any, row: Any, a: Any, b: Any) -> Any:
-    """Write the lanes as columns, from a row of a contiguous (N, 2) array on, as `store` does."""
+    """Store lanes as columns from a row of a contiguous (N, 2) array on, like `store`."""
     return types.void(array, types.intp, a, b), _store
 
 
 @intrinsic
 def store_triples(context: Any, array: Any, row: Any, a: Any, b: Any, c: Any) -> Any:
-    """Write the lanes as columns, from a row of a contiguous (N, 3) array on, as `store` does."""
+    """Store lanes as columns from a row of a contiguous (N, 3) array on, like `store`."""
     return types.void(array, types.intp, a, b, c), _store

@@ -1,7 +1,7 @@
-"""Room for arrays: aligned to cache lines, and used again.
+"""Memory for arrays that is aligned to cache lines and reused.
 
-A vector that lies across two cache lines costs twice, and a page that the system hands out anew costs more than what is
-computed in it. Large pieces are therefore kept, and given out again once nothing refers to them.
+A vector across two cache lines costs twice, and a fresh page of the operating system costs more than the computation in
+it. Large blocks are therefore kept, and reused when no array refers to them.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ _lock: Final = Lock()
 
 
 def empty_aligned(count: int, dtype: Any = np.float32) -> AnyArray:
-    """Uninitialised room for numbers (count,)."""
+    """Make an uninitialised array (count,), aligned to a cache line."""
     size = np.dtype(dtype).itemsize * count
-    whole = np.empty(size + _LINE_BYTES, np.uint8) if size < _LARGE_BYTES else _take_block(size + _LINE_BYTES)
-    skip = -whole.ctypes.data % _LINE_BYTES
-    return whole[skip : skip + size].view(dtype)
+    block = np.empty(size + _LINE_BYTES, np.uint8) if size < _LARGE_BYTES else _take_block(size + _LINE_BYTES)
+    skip = -block.ctypes.data % _LINE_BYTES
+    return block[skip : skip + size].view(dtype)
 
 
 def full_aligned(count: int, value: float, dtype: Any = np.float32) -> AnyArray:
-    """Room (count,) with a value in all places."""
+    """Make an array (count,) filled with a value, aligned to a cache line."""
     numbers = empty_aligned(count, dtype)
     numbers[:] = value
     return numbers
 
 
 def _take_block(size: int) -> AnyArray:
-    """A piece of at least a size that nothing refers to: one that is kept, or a new one."""
+    """Take an unused block of at least ``size`` bytes: a kept block, or a new one."""
     with _lock:
         unused = [
             block for block, references in zip(_blocks, _reference_counts(_blocks)) if references <= _UNUSED_REFERENCES
@@ -57,9 +57,9 @@ def _take_block(size: int) -> AnyArray:
 
 
 def _reference_counts(blocks: list[AnyArray]) -> list[int]:
-    """How many references each piece has."""
+    """Count the references to each block."""
     return [sys.getrefcount(block) for block in blocks]
 
 
 _UNUSED_REFERENCES: Final = _reference_counts([np.empty(1, np.uint8)])[0]
-"""As many as one that only the list refers to."""
+"""Number of references to a block that only the list refers to."""

@@ -1,8 +1,8 @@
-"""Vectors in numba kernels: a vector is a value like any other, and lives in registers.
+"""A numba type for SIMD vectors.
 
-Values of the numba type `Vector` are LLVM vectors. They are added, multiplied and compared like scalars, among each
-other and with scalars, and need no particular processor: LLVM splits them where registers are narrower. What leaves a
-kernel is stored in arrays.
+Values of the numba type `Vector` are LLVM vectors in registers. Vectors and scalars can be added, multiplied and
+compared with each other. Any processor can run them, because LLVM splits vectors that are wider than its registers.
+Kernels take and return arrays, and store vectors in them.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _ELEMENTS: Final = {
 
 
 class Vector(types.Type):
-    """The numba type of some elements.
+    """The numba type of a vector.
 
     Args:
-        element: their type.
-        width: how many.
+        element: type of the elements.
+        width: number of elements.
     """
 
     def __init__(self, element: Any, width: int) -> None:
@@ -44,7 +44,7 @@ class Vector(types.Type):
 
     @property
     def llvm(self) -> Any:
-        """What its values are."""
+        """The LLVM type of the vector."""
         return ir.VectorType(_ELEMENTS[self.element], self.width)
 
 
@@ -55,31 +55,37 @@ class _VectorModel(PrimitiveModel):
 
 
 def broadcast(context: Any, builder: Any, value: Any, kind: Any, vector: Vector) -> Any:
-    """The value as a vector, whether it is one or a scalar."""
+    """Broadcast a scalar to a vector; a vector is returned unchanged."""
     if isinstance(kind, Vector):
         return value
-    nothing = ir.Constant(vector.llvm, ir.Undefined)
-    first = builder.insert_element(nothing, context.cast(builder, value, kind, vector.element), ir.Constant(I32, 0))
+    undefined = ir.Constant(vector.llvm, ir.Undefined)
+    first = builder.insert_element(undefined, context.cast(builder, value, kind, vector.element), ir.Constant(I32, 0))
     return shuffle(builder, first, first, [0] * vector.width)
 
 
 def shuffle(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
-    """Elements of two vectors, counted through both."""
+    """Make a vector of elements of two vectors; ``order`` counts through both."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(I32, len(order)), order))
 
 
 def elementwise(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -> Callable[..., Any]:
-    """What an intrinsic of vectors returns for given types; scalars may stand for vectors.
+    """Make the typing function of an intrinsic on vectors; scalar arguments are broadcast.
 
     Args:
-        kinds: the vectors.
-        result: the type of what it gives.
-        emit: makes its instructions from a builder and vectors.
+        kinds: vector types of the arguments.
+        result: type of the result.
+        emit: emits the instructions from a builder and vectors.
     """
 
     def typed(*given: Any) -> Any:
         def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return emit(builder, *(broadcast(context, builder, *one) for one in zip(args, sig.args, kinds)))
+            return emit(
+                builder,
+                *(
+                    broadcast(context, builder, arg, given_kind, kind)
+                    for arg, given_kind, kind in zip(args, sig.args, kinds)
+                ),
+            )
 
         return result(*given), lower
 
@@ -87,7 +93,7 @@ def elementwise(kinds: tuple[Vector, ...], result: Any, emit: Callable[..., Any]
 
 
 def call_llvm(name: str, vector: Vector) -> Callable[..., Any]:
-    """Makes a call of an LLVM intrinsic from vectors to a vector."""
+    """Make a function that emits a call of an LLVM intrinsic from vectors to a vector."""
     letter = {types.float32: "f32", types.float64: "f64"}[vector.element]
 
     def emit(builder: Any, *args: Any) -> Any:
@@ -98,24 +104,24 @@ def call_llvm(name: str, vector: Vector) -> Callable[..., Any]:
 
 
 def data_pointer(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    """Where an array's elements are."""
+    """Get the pointer to an array's elements."""
     return context.make_array(kind)(context, builder, array).data
 
 
 def vector_pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: Vector) -> Any:
-    """Where a vector of an array's elements is that begins at an index."""
+    """Get the pointer to a vector that begins at an index of an array."""
     start = builder.gep(data_pointer(context, builder, kind, array), [index])
     return builder.bitcast(start, ir.PointerType(vector.llvm))
 
 
 def _operator(symbol: Callable[..., object], elements: tuple[Any, ...], masks: bool, emit: Callable[..., Any]) -> None:
-    """Teach numba an operator of two vectors, or of a vector and a scalar.
+    """Register an operator of two vectors, or of a vector and a scalar, with numba.
 
     Args:
         symbol: the operator.
-        elements: of which vectors it is one.
-        masks: whether it gives a mask; if not, what it is given.
-        emit: makes its instruction from a builder and two vectors.
+        elements: element types of the vectors that it supports.
+        masks: whether the result is a mask; otherwise it has the type of the vector.
+        emit: emits the instruction from a builder and two vectors.
     """
 
     @infer_global(symbol)
@@ -136,7 +142,7 @@ def _operator(symbol: Callable[..., object], elements: tuple[Any, ...], masks: b
 
 
 def _arithmetic(name: str) -> Callable[..., Any]:
-    """Float64 may be contracted to fused operations: there only what they are exact to counts."""
+    """Emit an arithmetic instruction; float64 may be contracted to fused operations, which are at least as exact."""
     return lambda builder, a, b: getattr(builder, name)(
         a, b, flags=("contract",) if a.type.element == ir.DoubleType() else ()
     )

@@ -1,4 +1,4 @@
-"""Work in fixed parts on some threads: what comes out does not depend on how many there are."""
+"""Runs fixed parts of work on threads; the results do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from mirror.arrays import Int64
 
 _NAME: Final = "rasterizer"
 _SPANS: Final = 4
-_LEAST_SPAN: Final = 512
+_MIN_SPAN: Final = 512
 
 
 def in_parallel(call: Callable[[int], object], parts: int) -> None:
-    """Call ``call(0)`` to ``call(parts - 1)``, on as many threads as torch has.
+    """Call ``call(0)`` to ``call(parts - 1)`` on torch's number of threads.
 
-    The calls run compiled kernels that let go of Python's lock. Numba's own threading layers are not used: one of them
-    fails where two threads render, another in a forked worker.
+    The calls run compiled kernels that release Python's lock. Numba's threading layers are not used: one of them fails
+    if two threads render, another in a forked worker.
 
-    Once a call fails, no other begins, and its exception is raised when those that had begun are done. From within such
-    a call the parts run one after the other.
+    After a call has failed no further call starts; its exception is raised when the running calls have ended. Inside
+    such a call the parts run one after the other.
 
     Args:
-        call: writes where no other call does.
-        parts: how many calls; the earliest begin first.
+        call: the function; different parts write to different memory.
+        parts: number of calls; they start in order.
     """
     helpers = min(torch.get_num_threads(), parts) - 1
     if helpers <= 0 or current_thread().name.startswith(_NAME):
@@ -49,30 +49,30 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
                 raise
 
     pool = _pool(helpers, os.getpid())
-    waiting = [pool.submit(work) for _ in range(helpers)]
+    futures = [pool.submit(work) for _ in range(helpers)]
     try:
         work()
     finally:
-        wait(waiting)
-    for one in waiting:
-        one.result()
+        wait(futures)
+    for future in futures:
+        future.result()
 
 
 def spans(count: int) -> Int64:
-    """Edges of spans of rows for `in_parallel`, where what comes out does not depend on how the rows are cut.
+    """Split rows into spans for `in_parallel`; use it only where the result does not depend on the spans.
 
     Args:
-        count: of rows.
+        count: number of rows.
 
     Returns:
         (P + 1,) ascending from 0 to `count`.
     """
     threads = torch.get_num_threads()
-    parts = 1 if threads == 1 else max(min(_SPANS * threads, count // _LEAST_SPAN), 1)
+    parts = 1 if threads == 1 else max(min(_SPANS * threads, count // _MIN_SPAN), 1)
     return count * np.arange(parts + 1) // parts
 
 
 @lru_cache(maxsize=4)
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """One a process: threads do not survive a fork."""
+    """Make a pool of threads, one per process, because threads do not survive a fork."""
     return ThreadPoolExecutor(threads, f"{_NAME}-{process}")

@@ -1,4 +1,4 @@
-"""Sixteen float32 at once in numba kernels: a block of pixels."""
+"""Vectors of sixteen float32 in numba kernels: a block of 4 x 4 pixels."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Mask16: Final = Vector(types.boolean, WIDTH)
 
 @intrinsic
 def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """``a * b + c``, rounded once."""
+    """Compute ``a * b + c``, rounded once."""
     return elementwise((Float32x16,) * 3, Float32x16, simd.call_llvm("fma", Float32x16))(a, b, c)
 
 
 @intrinsic
 def fnma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """``c - a * b``, rounded once."""
+    """Compute ``c - a * b``, rounded once."""
 
     def emit(builder: Any, a: Any, b: Any, c: Any) -> Any:
         return simd.call_llvm("fma", Float32x16)(builder, builder.fneg(a), b, c)
@@ -34,7 +34,7 @@ def fnma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 @intrinsic
 def min_or_b(typing_context: Any, a: Any, b: Any) -> Any:
-    """The lesser of each two; ``b`` where one is not a number."""
+    """Compute the minimum of ``a`` and ``b``; ``b`` where one is NaN."""
 
     def emit(builder: Any, a: Any, b: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", a, b), a, b)
@@ -44,46 +44,46 @@ def min_or_b(typing_context: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def abs_(typing_context: Any, a: Any) -> Any:
-    """Without signs."""
+    """Compute absolute values."""
     return elementwise((Float32x16,), Float32x16, simd.call_llvm("fabs", Float32x16))(a)
 
 
 @intrinsic
 def scale_by_power(typing_context: Any, number: Any, shifted: Any) -> Any:
-    """``number * 2 ** whole``, where ``shifted`` is the small whole number plus 1.5 * 2 ** 23: exponents are added."""
+    """Compute ``number * 2 ** power`` by adding exponents; ``shifted`` is the small power plus 1.5 * 2 ** 23."""
 
     def emit(builder: Any, number: Any, shifted: Any) -> Any:
-        whole = ir.VectorType(I32, WIDTH)
-        moved = builder.shl(builder.bitcast(shifted, whole), ir.Constant(whole, [23] * WIDTH))
-        return builder.bitcast(builder.add(builder.bitcast(number, whole), moved), number.type)
+        integers = ir.VectorType(I32, WIDTH)
+        moved = builder.shl(builder.bitcast(shifted, integers), ir.Constant(integers, [23] * WIDTH))
+        return builder.bitcast(builder.add(builder.bitcast(number, integers), moved), number.type)
 
     return elementwise((Float32x16,) * 2, Float32x16, emit)(number, shifted)
 
 
 @intrinsic
 def select(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
-    """``a`` where the mask is set, else ``b``; floats."""
+    """Select ``a`` where the mask is set, else ``b``; floats."""
     kinds = (Mask16, Float32x16, Float32x16)
     return elementwise(kinds, Float32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
 
 
 @intrinsic
 def select_int(typing_context: Any, mask: Any, a: Any, b: Any) -> Any:
-    """``a`` where the mask is set, else ``b``; whole numbers."""
+    """Select ``a`` where the mask is set, else ``b``; integers."""
     kinds = (Mask16, Int32x16, Int32x16)
     return elementwise(kinds, Int32x16, lambda builder, *args: builder.select(*args))(mask, a, b)
 
 
 @intrinsic
 def greater_int(typing_context: Any, a: Any, b: Any) -> Any:
-    """Where whole ``a`` is above whole ``b``."""
+    """Compare integers: mask of ``a > b``."""
     kinds = (Int32x16, Int32x16)
     return elementwise(kinds, Mask16, lambda builder, a, b: builder.icmp_signed(">", a, b))(a, b)
 
 
 @intrinsic
 def has_bits(typing_context: Any, a: Any, b: Any) -> Any:
-    """Where whole ``a`` has one of the bits of whole ``b``."""
+    """Test integers: mask of ``a & b != 0``."""
 
     def emit(builder: Any, a: Any, b: Any) -> Any:
         return builder.icmp_unsigned("!=", builder.and_(a, b), ir.Constant(a.type, [0] * WIDTH))
@@ -93,7 +93,7 @@ def has_bits(typing_context: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def trailing_zeros(typing_context: Any, number: Any) -> Any:
-    """The place of the lowest bit that is set in an unsigned number of 64 bits, which is not 0."""
+    """Find the index of the lowest set bit of an unsigned 64-bit integer other than 0."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -103,7 +103,7 @@ def trailing_zeros(typing_context: Any, number: Any) -> Any:
 
 @intrinsic
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Bring an element of a contiguous array near that is read soon."""
+    """Prefetch an element of a contiguous array into the cache."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = simd.data_pointer(context, builder, sig.args[0], args[0])
@@ -118,31 +118,31 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def to_bits(typing_context: Any, mask: Any) -> Any:
-    """The mask as a number, whose lowest bit is the first element's."""
+    """Convert a mask to an integer; the lowest bit is the first element."""
     emit = lambda builder, mask: builder.zext(builder.bitcast(mask, ir.IntType(WIDTH)), I32)  # noqa: E731
     return elementwise((Mask16,), types.int32, emit)(mask)
 
 
 @intrinsic
 def from_bits(typing_context: Any, number: Any) -> Any:
-    """The mask that has a number's lowest bits."""
+    """Convert the lowest bits of an integer to a mask."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        whole = context.cast(builder, args[0], sig.args[0], types.int32)
-        return builder.bitcast(builder.trunc(whole, ir.IntType(WIDTH)), Mask16.llvm)
+        integers = context.cast(builder, args[0], sig.args[0], types.int32)
+        return builder.bitcast(builder.trunc(integers, ir.IntType(WIDTH)), Mask16.llvm)
 
     return Mask16(number), lower
 
 
 @intrinsic
 def broadcast(typing_context: Any, number: Any) -> Any:
-    """A vector of one number."""
+    """Broadcast a number to a vector."""
     return elementwise((Float32x16,), Float32x16, lambda builder, vector: vector)(number)
 
 
 @intrinsic
 def sum_elements(typing_context: Any, vector: Any) -> Any:
-    """The sum of a vector's elements, added by halves."""
+    """Sum the elements of a vector pairwise, by halves."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.extract_element(_sum_rows(builder, [args[0]]), ir.Constant(I32, 0))
@@ -152,7 +152,7 @@ def sum_elements(typing_context: Any, vector: Any) -> Any:
 
 @intrinsic
 def sum_each(typing_context: Any, vectors: Any) -> Any:
-    """The sums of each of up to 16 vectors' elements, as a vector; they are added by halves, 0 beyond the last."""
+    """Sum the elements of each of up to 16 vectors by halves; element i of the result is sum i, the rest is 0."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _sum_rows(builder, [builder.extract_value(args[0], place) for place in range(sig.args[0].count)])
@@ -161,6 +161,7 @@ def sum_each(typing_context: Any, vectors: Any) -> Any:
 
 
 def _sum_rows(builder: Any, rows: list[Any]) -> Any:
+    """Sum the elements of each vector by halves; the sums are the elements of the result."""
     half = WIDTH // 2
     while half:
         rows += [ir.Constant(Float32x16.llvm, None)] * (len(rows) % 2)
@@ -175,7 +176,7 @@ def _sum_rows(builder: Any, rows: list[Any]) -> Any:
 
 @intrinsic
 def transpose_channels(typing_context: Any, channels: Any) -> Any:
-    """Four vectors of 16 pixels, a channel each, as four vectors of 4 pixels, all channels of a pixel side by side."""
+    """Transpose four vectors of 16 pixels, one channel each, to four vectors of 4 pixels with their channels."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         a, b, c, d = (builder.extract_value(args[0], place) for place in range(4))
@@ -193,17 +194,17 @@ def transpose_channels(typing_context: Any, channels: Any) -> Any:
 
 @intrinsic
 def store_rgb(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Write the first three of each four elements from an index on, into a contiguous array of one dimension."""
+    """Store the first three of each four elements from an index on, into a contiguous one-dimensional array."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         lanes = [lane for lane in range(WIDTH) if lane % 4 < 3]
         packed = shuffle(builder, args[2], args[2], lanes + [0] * (WIDTH - len(lanes)))
-        there = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        pointer = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
         mask = ir.Constant(Mask16.llvm, [1] * len(lanes) + [0] * (WIDTH - len(lanes)))
-        kinds = [packed.type, there.type, I32, mask.type]
+        kinds = [packed.type, pointer.type, I32, mask.type]
         name = f"llvm.masked.store.v{WIDTH}f32.p0"
         function = builder.module.declare_intrinsic(name, fnty=ir.FunctionType(ir.VoidType(), kinds))
-        builder.call(function, [packed, there, ir.Constant(I32, 4), mask])
+        builder.call(function, [packed, pointer, ir.Constant(I32, 4), mask])
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), lower
@@ -211,7 +212,7 @@ def store_rgb(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
 @intrinsic
 def load(typing_context: Any, array: Any, index: Any) -> Any:
-    """The elements from an index on, of a contiguous array of one dimension; nothing checks that they are there."""
+    """Load the elements from an index of a contiguous one-dimensional array on; there is no bounds check."""
     vector = Vector(array.dtype, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -222,7 +223,7 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def load_one(typing_context: Any, array: Any, index: Any) -> Any:
-    """A vector of the one element at an index of a contiguous array of one dimension; nothing checks the index."""
+    """Load the element at an index of a contiguous one-dimensional array and broadcast it; there is no bounds check."""
     vector = Vector(array.dtype, WIDTH)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -235,7 +236,7 @@ def load_one(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Write the elements from an index on, into a contiguous array of one dimension; nothing checks that it fits."""
+    """Store the elements from an index of a contiguous one-dimensional array on; there is no bounds check."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2]), align=4)
@@ -246,14 +247,14 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
 @intrinsic
 def store_nontemporal(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
-    """Write a whole cache line past the caches, into an aligned array of one dimension: it is not read soon.
+    """Store a full cache line past the caches into an aligned one-dimensional array, because it is not read soon.
 
-    `fence` has to follow before another thread reads it.
+    Call `fence` before another thread reads the line.
     """
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        there = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
-        written = builder.store(args[2], there, align=64)
+        pointer = vector_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[2])
+        written = builder.store(args[2], pointer, align=64)
         written.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(I32, 1)]))
         return context.get_dummy_value()
 
@@ -262,7 +263,7 @@ def store_nontemporal(typing_context: Any, array: Any, index: Any, vector: Any) 
 
 @intrinsic
 def fence(typing_context: Any) -> Any:
-    """Wait until all that was written can be read."""
+    """Wait until all stores are visible to other threads."""
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.fence("seq_cst")

@@ -1,4 +1,4 @@
-"""3D Gaussians to pictures, with gradients: gsplat's interface, on the CPU as on CUDA."""
+"""Renders 3D Gaussians with gradients, through gsplat's interface, on the CPU and on CUDA."""
 
 from hybridworldsim.rasterizer.rasterization import rasterization
 

@@ -1,4 +1,4 @@
-"""What blending gives: a picture, and what it took."""
+"""The result of blending: an image and its counts."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from torch import Tensor
 
 
 class BlendedImage(NamedTuple):
-    """One camera's picture before a background is added.
+    """The image of one camera before a background is added.
 
-    Float32 of the CPU backend, float64 of the reference. `image` and `alpha` carry gradients.
+    Float32 from the CPU backend, float64 from the reference. `image` and `alpha` have gradients.
 
     Attributes:
         image: (H, W, D) sum of weight times feature.
-        alpha: (H, W) sum of weights: one minus the light that passes all.
-        counts: what was done: `pairs` of tile and Gaussian, `processed_pairs` of them, `stopped_tiles`.
+        alpha: (H, W) sum of weights: one minus the remaining transmittance.
+        counts: numbers of `pairs` of tile and Gaussian, of `processed_pairs`, and of `stopped_tiles`.
     """
 
     image: Tensor

@@ -1,4 +1,4 @@
-"""Rasterization on CUDA: by gsplat itself."""
+"""Rasterization on CUDA, by gsplat."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def rasterization(preset: Preset, nonfinite: NonFinite, **arguments: Any) -> tup
     """Call gsplat.
 
     Args:
-        preset: what gsplat is expected to do.
-        nonfinite: what to do about Gaussians that are not finite: only "raise".
-        arguments: of `gsplat.rasterization`, by name.
+        preset: the generation whose rules gsplat must follow.
+        nonfinite: treatment of Gaussians that are not finite: only "raise".
+        arguments: arguments of `gsplat.rasterization`, by name.
 
     Returns:
-        What gsplat returns.
+        The result of `gsplat.rasterization`.
 
     Raises:
-        UsageError: gsplat is not installed, or its release renders by another preset, or it cannot do what is asked.
+        UsageError: gsplat is not installed, follows another preset, or does not support an argument.
     """
-    gsplat = _installed()
+    gsplat = _import_gsplat()
     release = ".".join(gsplat.__version__.split(".")[:2])
     if release not in preset.releases:
         same = next((other.name for other in PRESETS.values() if release in other.releases), None)
@@ -46,14 +46,15 @@ def rasterization(preset: Preset, nonfinite: NonFinite, **arguments: Any) -> tup
     if arguments["colors"] is not None:
         refuse_nonfinite("colors", arguments["colors"].flatten(0, -2), "row")
     else:
-        # gsplat wants some even where depth alone is rendered
+        # gsplat needs colours even if only depth is rendered
         arguments["colors"] = arguments["opacities"].detach()[..., None]
-    # releases before 1.5 lack some arguments
-    told = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
-    return gsplat.rasterization(**told)
+    # releases before 1.5 lack some arguments, which are passed only if they differ from their defaults
+    given = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
+    return gsplat.rasterization(**given)
 
 
-def _installed() -> ModuleType:
+def _import_gsplat() -> ModuleType:
+    """Import gsplat, or raise `UsageError`."""
     try:
         import gsplat
     except ImportError as error:

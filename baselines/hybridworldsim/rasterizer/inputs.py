@@ -1,4 +1,4 @@
-"""What `rasterization` is given, checked once: what cannot mean anything is refused by its name."""
+"""Checks the arguments of `rasterization` once; an error names the argument."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ CameraModel = Literal["pinhole", "fisheye"]
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
 NonFinite = Literal["raise", "cull"]
-_SHOWN = 5
+_MAX_LISTED = 5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Inputs:
-    """B scenes of N Gaussians, each seen by C cameras; B is the product of the leading dimensions that the caller has.
+    """B scenes of N Gaussians and C cameras each; B is the product of the leading dimensions of the arguments.
 
     Attributes:
-        batch: those leading dimensions, often none.
+        batch: the leading dimensions, often none.
         means: (N, 3) of each scene.
         quats: (N, 4) of each scene, scalar first, of any length from 1e-30 to 1e150.
         scales: (N, 3) of each scene.
         opacities: (N,) of each scene.
-        colors: (N, D) of each scene, or of each camera of each scene, with `sh_degree` (N, K, 3); None where only depth
-            is asked for.
+        colors: (N, D) of each scene, or of each camera of each scene; with `sh_degree` (N, K, 3). None if only depth is
+            rendered.
         viewmats: (B, C, 4, 4) camera from world.
-        Ks: (B, C, 3, 3).
-        width: pixels.
-        height: pixels.
-        sh_degree: of the spherical harmonics that colours are; None where they are plain numbers.
+        Ks: (B, C, 3, 3) intrinsics, pixels.
+        width: width of the images, pixels.
+        height: height of the images, pixels.
+        sh_degree: degree of the spherical harmonics in `colors`; None if `colors` are plain numbers.
         backgrounds: (B, C, D) or None.
-        nonfinite: what to do about a Gaussian that holds a number that is not finite.
+        nonfinite: treatment of Gaussians that are not finite.
     """
 
     batch: tuple[int, ...]
@@ -60,30 +60,30 @@ class Inputs:
 
     @property
     def cameras(self) -> int:
-        """C."""
+        """The number of cameras, C."""
         return self.viewmats.shape[1]
 
     @property
     def gaussians(self) -> int:
-        """N."""
+        """The number of Gaussians, N."""
         return len(self.means[0])
 
-    def colors_of(self, scene: int, camera: int) -> Tensor | None:
-        """(N, D) or (N, K, 3)."""
+    def get_colors(self, scene: int, camera: int) -> Tensor | None:
+        """Get the colours (N, D) or (N, K, 3) for a camera; None if only depth is rendered."""
         if self.colors is None:
             return None
         return self.colors[scene if len(self.colors) == len(self.means) else scene * self.cameras + camera]
 
-    def finite(self, scene: int, camera: int) -> Tensor | None:
-        """Which Gaussians of a scene a camera may draw, where those that are not finite are culled.
+    def find_finite(self, scene: int, camera: int) -> Tensor | None:
+        """Find the Gaussians of a scene that are finite, if the others shall be culled.
 
         Returns:
-            (N',) int64, ascending; None for all.
+            Indices (N',) int64, ascending; None if all Gaussians are kept.
         """
         if self.nonfinite == "raise":
             return None
         tables = [self.means[scene], self.quats[scene], self.scales[scene], self.opacities[scene]]
-        if (colors := self.colors_of(scene, camera)) is not None:
+        if (colors := self.get_colors(scene, camera)) is not None:
             tables.append(colors if self.sh_degree is None else colors[:, : (self.sh_degree + 1) ** 2])
         if all(_has_finite_sum(table) for table in tables):
             return None
@@ -108,10 +108,10 @@ def check_inputs(
     render_mode: RenderMode,
     nonfinite: NonFinite,
 ) -> Inputs:
-    """Check shapes, kinds and numbers, and give every tensor its scene and camera dimension.
+    """Check shapes, types and values, and reshape each tensor to scene and camera dimensions.
 
     Raises:
-        UsageError: something does not fit; it is named.
+        UsageError: an argument is invalid; the error names it.
     """
     require_choice("nonfinite", nonfinite, get_args(NonFinite))
     width, height = check_image_size(width, height)
@@ -120,16 +120,16 @@ def check_inputs(
         name: tensor for name, tensor in (("colors", colors), ("backgrounds", backgrounds)) if tensor is not None
     }
     for name, tensor in tensors.items():
-        _tensor(name, tensor, means)
+        _check_tensor(name, tensor, means)
     if means.ndim < 2:
-        raise _shape("means", means, "(..., N, 3)")
+        raise _shape_error("means", means, "(..., N, 3)")
     *batch, count, _ = means.shape
     refuse_too_many(count)
     if viewmats.ndim < 3:
-        raise _shape("viewmats", viewmats, "(..., C, 4, 4)")
+        raise _shape_error("viewmats", viewmats, "(..., C, 4, 4)")
     cameras = viewmats.shape[-3]
     if viewmats.shape[:-2].numel() == 0:
-        raise _shape("viewmats", viewmats, "at least one camera")
+        raise _shape_error("viewmats", viewmats, "at least one camera")
     for name, shape in {
         "means": (count, 3),
         "quats": (count, 4),
@@ -139,24 +139,28 @@ def check_inputs(
         "Ks": (cameras, 3, 3),
     }.items():
         if tensors[name].shape != (*batch, *shape):
-            raise _shape(name, tensors[name], str((*batch, *shape)))
+            raise _shape_error(name, tensors[name], str((*batch, *shape)))
     scenes = means.shape[:-2].numel()
     if colors is not None:
         _check_colors(colors, batch, cameras, count, sh_degree)
     if colors is None and "RGB" in render_mode:
-        raise UsageError("colours are asked for and none are given", place="colors", remedy='render_mode="D" or "ED"')
+        raise UsageError(
+            "render_mode needs colours, and none are given", place="colors", remedy='render_mode="D" or "ED"'
+        )
     if backgrounds is not None:
         channels = 3 if sh_degree is not None or colors is None else colors.shape[-1]
         if "RGB" in render_mode and backgrounds.shape != (*batch, cameras, channels):
-            raise _shape("backgrounds", backgrounds, str((*batch, cameras, channels)))
+            raise _shape_error("backgrounds", backgrounds, str((*batch, cameras, channels)))
         backgrounds = backgrounds.reshape(scenes, cameras, backgrounds.shape[-1])
     inputs = Inputs(
         batch=tuple(batch),
-        means=_tables(means, 2),
-        quats=_tables(quats, 2),
-        scales=_tables(scales, 2),
-        opacities=_tables(opacities, 1),
-        colors=_tables(colors, 2 if sh_degree is None else 3) if colors is not None and "RGB" in render_mode else None,
+        means=_split_tables(means, 2),
+        quats=_split_tables(quats, 2),
+        scales=_split_tables(scales, 2),
+        opacities=_split_tables(opacities, 1),
+        colors=_split_tables(colors, 2 if sh_degree is None else 3)
+        if colors is not None and "RGB" in render_mode
+        else None,
         viewmats=viewmats.reshape(scenes, cameras, 4, 4),
         Ks=Ks.reshape(scenes, cameras, 3, 3),
         width=width,
@@ -187,17 +191,17 @@ def make_lenses(
     antialiased: bool,
     coefficients: dict[str, Tensor | None],
 ) -> Sequence[Lens | None]:
-    """The lens of every picture; None where it is a pinhole, projected by EWA.
+    """Make the lens of each image; None for a pinhole, which EWA splatting projects.
 
     Args:
-        inputs: checked.
-        camera_model: of all cameras.
-        with_ut: whether the unscented transform is asked for, which all but a pinhole needs.
-        antialiased: whether opacities shall be compensated, which the unscented transform has no way to.
+        inputs: the checked inputs.
+        camera_model: camera model of all cameras.
+        with_ut: whether to use the unscented transform; distortion and fisheyes need it.
+        antialiased: whether to compensate opacities; the unscented transform does not support it.
         coefficients: (..., C, number) each, by gsplat's names.
 
     Raises:
-        UsageError: what does not go with what.
+        UsageError: two arguments exclude each other.
     """
     given = {name: tensor for name, tensor in coefficients.items() if tensor is not None}
     if not with_ut:
@@ -209,31 +213,31 @@ def make_lenses(
             )
         return [None] * len(inputs.means) * inputs.cameras
     if antialiased:
-        raise UsageError("antialiasing after an unscented transform", place="rasterize_mode", expected="'classic'")
+        raise UsageError("antialiasing with the unscented transform", place="rasterize_mode", expected="'classic'")
     leading = (*inputs.batch, inputs.cameras)
     tables: dict[str, list[list[float]]] = {}
     for name, tensor in given.items():
-        _tensor(name, tensor, inputs.means[0])
+        _check_tensor(name, tensor, inputs.means[0])
         if tensor.shape[:-1] != leading:
-            raise _shape(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
+            raise _shape_error(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
         tables[name] = tensor.detach().reshape(-1, tensor.shape[-1]).tolist()
     return [
-        Lens(model=camera_model, **{name: tuple(table[picture]) for name, table in tables.items()})
-        for picture in range(len(inputs.means) * inputs.cameras)
+        Lens(model=camera_model, **{name: tuple(table[image]) for name, table in tables.items()})
+        for image in range(len(inputs.means) * inputs.cameras)
     ]
 
 
 def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = None) -> None:
-    """Refuse numbers that are not finite; what is finite costs one sum.
+    """Refuse numbers that are not finite; a finite table costs one sum.
 
     Args:
-        name: of the argument.
+        name: name of the argument.
         table: (N, ...).
-        row: what a row is.
-        ids: (N,) index of each row in the argument; None if the row's own.
+        row: word for a row, for the message.
+        ids: (N,) index of each row in the argument; None if the rows are the argument's rows.
 
     Raises:
-        UsageError: a row is not finite; the first are named.
+        UsageError: a row is not finite; the message lists the first such rows.
     """
     if _has_finite_sum(table):
         return
@@ -241,10 +245,10 @@ def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = No
     if len(bad) == 0:
         return
     rows = "rows" if ids is None else "visible rows"
-    first = (bad[:_SHOWN] if ids is None else ids[bad[:_SHOWN]]).tolist()
+    first = (bad[:_MAX_LISTED] if ids is None else ids[bad[:_MAX_LISTED]]).tolist()
     raise UsageError(
         f"{len(bad)} of {len(table)} {rows} hold NaN or infinity: {row} {', '.join(map(str, first))}"
-        + (" ..." if len(bad) > _SHOWN else ""),
+        + (" ..." if len(bad) > _MAX_LISTED else ""),
         place=name,
         remedy='find what wrote them, or pass nonfinite="cull" to leave them out, counted'
         if row == "Gaussian"
@@ -253,38 +257,39 @@ def refuse_nonfinite(name: str, table: Tensor, row: str, ids: Tensor | None = No
 
 
 def require_choice(place: str, value: object, expected: tuple[str, ...]) -> None:
-    """Refuse what is not one of some words.
+    """Check that a value is one of the expected words.
 
     Raises:
-        UsageError: naming them.
+        UsageError: it is not; the error lists the words.
     """
     if value not in expected:
         raise UsageError(f"no such choice: {value!r}", place=place, expected=" or ".join(map(repr, expected)))
 
 
 def require_flag(place: str, value: bool) -> bool:
-    """A truth value, and nothing that Python would take for one.
+    """Check that a value is a bool; other values are refused although Python can convert them.
 
     Raises:
-        UsageError: it is something else.
+        UsageError: it is no bool.
     """
     if not isinstance(value, bool | np.bool_):
-        raise UsageError(f"{value!r} is no truth value", place=place, expected="True or False")
+        raise UsageError(f"{value!r} is no bool", place=place, expected="True or False")
     return bool(value)
 
 
 def require_at_least(place: str, value: float, least: float) -> float:
-    """A number of at least something.
+    """Check that a number is at least a minimum.
 
     Raises:
-        UsageError: it is less, or NaN.
+        UsageError: it is smaller, or NaN.
     """
     if not value >= least:
-        raise UsageError(f"{value!r} is no such number", place=place, expected=f"at least {least:g}")
+        raise UsageError(f"{value!r} is too small or no number", place=place, expected=f"at least {least:g}")
     return float(value)
 
 
 def _check_colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh_degree: int | None) -> None:
+    """Check the shape of colours."""
     last = 1 if sh_degree is None else 2
     per_gaussian = (*batch, count)
     per_camera = (*batch, cameras, count)
@@ -292,24 +297,25 @@ def _check_colors(colors: Tensor, batch: list[int], cameras: int, count: int, sh
     if leading not in (per_gaussian, per_camera):
         tail = "D" if sh_degree is None else "K, 3"
         expected = " or ".join(f"({', '.join(map(str, shape))}, {tail})" for shape in (per_gaussian, per_camera))
-        raise _shape("colors", colors, expected)
+        raise _shape_error("colors", colors, expected)
     if sh_degree is not None:
         needed = (sh_degree + 1) ** 2
         if not 0 <= sh_degree <= 4:
             raise UsageError(f"no spherical harmonics of degree {sh_degree}", place="sh_degree", expected="0 to 4")
         if colors.shape[-1] != 3 or colors.shape[-2] < needed:
-            raise _shape("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
+            raise _shape_error("colors", colors, f"(..., K, 3) with K of at least {needed} for degree {sh_degree}")
     elif colors.shape[-1] == 0:
-        raise _shape("colors", colors, "at least one channel")
+        raise _shape_error("colors", colors, "at least one channel")
 
 
-def _tables(tensor: Tensor, dimensions: int) -> tuple[Tensor, ...]:
-    """The parts of a tensor along all but its last dimensions; one part is the tensor, whose gradient is not copied."""
+def _split_tables(tensor: Tensor, dimensions: int) -> tuple[Tensor, ...]:
+    """Split a tensor along its leading dimensions; a single part is the tensor itself, without a copy of gradients."""
     count, table = tensor.shape[:-dimensions].numel(), tensor.shape[-dimensions:]
     return (tensor.reshape(table),) if count == 1 else tensor.reshape(count, *table).unbind()
 
 
-def _tensor(name: str, tensor: Tensor, means: Tensor) -> None:
+def _check_tensor(name: str, tensor: Tensor, means: Tensor) -> None:
+    """Check type, dtype and device of a tensor."""
     if not isinstance(tensor, Tensor):
         raise UsageError(f"a {type(tensor).__name__}", place=name, expected="a torch tensor")
     if tensor.dtype not in (torch.float32, torch.float64):
@@ -318,11 +324,12 @@ def _tensor(name: str, tensor: Tensor, means: Tensor) -> None:
         raise UsageError(f"on {tensor.device}", place=name, expected=f"on {means.device}, where the means are")
 
 
-def _shape(name: str, tensor: Tensor, expected: str) -> UsageError:
+def _shape_error(name: str, tensor: Tensor, expected: str) -> UsageError:
     return UsageError(f"shape {tuple(tensor.shape)}", place=name, expected=expected)
 
 
 def _has_finite_sum(table: Tensor) -> bool:
+    """Whether the sum of a table is finite: a cheap test that all its numbers are finite."""
     if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 

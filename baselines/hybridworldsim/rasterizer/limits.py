@@ -1,4 +1,4 @@
-"""How large images and scenes may be: what would overflow an index, or no memory holds, is refused by its name."""
+"""The limits of images and scenes: sizes that would overflow an index, or fit into no memory, are refused."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from mirror.errors import UsageError
 
 SIDE_MAX: Final = 65535 * 16
-"""Pixels of an image's side: columns and rows of tiles are numbered in 16 bits."""
+"""Greatest side of an image, pixels: columns and rows of tiles are numbered in 16 bits."""
 
 PIXELS_MAX: Final = 2**28
-"""Pixels of one image: it takes 55 bytes a pixel to render, 115 with gradients, which are 29 GiB here."""
+"""Greatest number of pixels of an image: rendering takes 55 bytes per pixel, 115 with gradients (29 GiB)."""
 
 GAUSSIANS_MAX: Final = 2**31 - 1
-"""Gaussians of one scene: their order is int32."""
+"""Greatest number of Gaussians of a scene: their order is int32."""
 
 PAIRS_MAX: Final = 2**31 - 1
-"""Pairs of tile and Gaussian that are listed at once: their places are counted in int32, and take 12 bytes each."""
+"""Greatest number of pairs of tile and Gaussian in one list: their indices are int32; each takes 12 bytes."""
 
 
 def require_positive(place: str, value: int) -> int:
-    """A whole number of at least one.
+    """Check that a value is an integer of at least 1.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not.
     """
     try:
         number = 0 if isinstance(value, bool | np.bool_) else operator.index(value)
@@ -38,10 +38,10 @@ def require_positive(place: str, value: int) -> int:
 
 
 def check_image_size(width: int, height: int) -> tuple[int, int]:
-    """Width and height of an image, pixels.
+    """Check the width and height of an image, pixels.
 
     Raises:
-        UsageError: one is no size, or the image is too large.
+        UsageError: one is no positive integer, or the image is too large.
     """
     width, height = require_positive("width", width), require_positive("height", height)
     remedy = "render the image in parts: for the part whose corner is (x, y), subtract x and y from cx and cy of Ks"
@@ -59,10 +59,10 @@ def check_image_size(width: int, height: int) -> tuple[int, int]:
 
 
 def refuse_too_many(gaussians: int) -> None:
-    """Refuse scenes whose Gaussians cannot be numbered.
+    """Refuse scenes with more Gaussians than an index can number.
 
     Raises:
-        UsageError: there are too many.
+        UsageError: there are more than `GAUSSIANS_MAX`.
     """
     if gaussians > GAUSSIANS_MAX:
         raise UsageError(
@@ -74,10 +74,10 @@ def refuse_too_many(gaussians: int) -> None:
 
 
 def refuse_too_many_pairs(pairs: int) -> None:
-    """Refuse lists of tiles and Gaussians whose places cannot be counted.
+    """Refuse lists of pairs that are longer than an index can number.
 
     Raises:
-        UsageError: there are too many.
+        UsageError: there are more than `PAIRS_MAX`.
     """
     if pairs > PAIRS_MAX:
         raise UsageError(

@@ -1,6 +1,6 @@
-"""In what gsplat's generations differ, and the constants that they share.
+"""The differences between gsplat's generations, and the constants that they share.
 
-Read from gsplat's CUDA sources: releases 1.3.0 (commit 507f26e1), 1.4.0 (4d3a3b69), 1.5.3 (937e2991) and 1.6.0
+Source: gsplat's CUDA sources: releases 1.3.0 (commit 507f26e1), 1.4.0 (4d3a3b69), 1.5.3 (937e2991) and 1.6.0
 (1db12c01).
 """
 
@@ -12,25 +12,25 @@ from typing import Literal
 from mirror.errors import UsageError
 
 Extent = Literal["square", "ellipse"]
-"""`square`: the square of three sigmas of the longer axis, rounded out to tiles, truncates the Gaussian, whatever its
-opacity (to 1.4). `ellipse`: wherever alpha reaches `ALPHA_MIN` (from 1.5 on)."""
+"""Which pixels a Gaussian reaches. `square`: the tiles that touch the square of three sigmas of the longer axis, for
+any opacity (up to 1.4). `ellipse`: all pixels at which alpha reaches `ALPHA_MIN` (from 1.5 on)."""
 
 ALPHA_MIN = 1.0 / 255.0
-"""A Gaussian whose alpha is smaller at a pixel is skipped there."""
+"""A Gaussian with a smaller alpha at a pixel is skipped at that pixel."""
 
 TRANSMITTANCE_STOP = 1e-4
-"""A Gaussian that would leave no more of the light ends its pixel, and is not blended."""
+"""A pixel ends in front of the Gaussian that would reduce its transmittance to this value or less."""
 
 SQUARE_SIGMAS = 3.0
 """Half the `square` extent in standard deviations."""
 
 SQUARE_DISCRIMINANT_MIN = 0.01
-"""Floor under (trace / 2)^2 - det, pixel^4, in the longer axis of the `square` extent."""
+"""Lower bound of (trace / 2)^2 - det, pixel^4, in the longer axis of the `square` extent."""
 
 QUATERNION_MIN, QUATERNION_MAX = 1e-30, 1e150
-"""Lengths between which a quaternion is a rotation: below, its gradient would leave float32, above, its square float64.
-Others are degenerate, and culled. (gsplat's kernels square in float32: beyond 1e-19 to 1e19 their rotations are NaN or
-no rotations.)"""
+"""Range of lengths in which a quaternion is a rotation. Below it the gradient would exceed float32, above it the
+squared length would exceed float64. Other quaternions are degenerate and culled. (gsplat's kernels square in float32:
+outside 1e-19 to 1e19 their rotations are NaN or wrong.)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +38,12 @@ class Preset:
     """One generation of gsplat.
 
     Attributes:
-        name: as `rasterization` takes it.
-        releases: the releases of gsplat that render this way, major and minor number.
-        extent: which pixels a Gaussian can reach.
-        alpha_max: cap of alpha; where it holds, no gradient passes to opacity and shape.
-        compensation_min: floor of the factor by which antialiasing shrinks opacities; no gradient passes below it.
+        name: value of the argument `preset`.
+        releases: releases of gsplat that follow this preset, major and minor number.
+        extent: rule for the pixels that a Gaussian reaches.
+        alpha_max: upper bound of alpha; at the bound opacity and shape get no gradient.
+        compensation_min: lower bound of the factor by which antialiasing reduces opacities; at the bound there is no
+            gradient.
     """
 
     name: str
@@ -65,7 +66,7 @@ DEFAULT_PRESET = "gsplat-1.5"
 
 
 def get_preset(name: str) -> Preset:
-    """The preset of a name.
+    """Get the preset of a name.
 
     Args:
         name: a key of `PRESETS`.

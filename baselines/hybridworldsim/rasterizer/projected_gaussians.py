@@ -1,4 +1,4 @@
-"""What one camera sees of a set of Gaussians: the ellipses that are blended."""
+"""The projection of Gaussians into one camera: the ellipses that are blended."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from torch import Tensor
 
 
 class ProjectedGaussians(NamedTuple):
-    """The M Gaussians that reach a picture, by ascending index.
+    """The M Gaussians that reach an image, by ascending index.
 
-    Float32 of the CPU backend but for `conics` and `factors`, float64 of the reference. `means2d`, `depths`, `conics`
-    and `compensations` carry gradients.
+    The CPU backend gives float32, and float64 for `conics` and `factors`; the reference gives float64. `means2d`,
+    `depths`, `conics` and `compensations` have gradients.
 
     Attributes:
-        ids: (M,) int64, index of each among all Gaussians.
+        ids: (M,) int64, indices among all Gaussians.
         means2d: (M, 2) pixels.
-        means2d_low: (M, 2) what rounding took from the means: their sum is exact to 1e-8 pixels.
+        means2d_low: (M, 2) rounding errors of the means; the sum with `means2d` is exact to 1e-8 pixels.
         depths: (M,) camera z, metres.
-        conics: (M, 3) xx, xy, yy of the inverse of the blurred covariance, 1 / pixel^2; float64, because the way back
-            from their gradient to that of a Gaussian of aspect ratio a cancels by a^2.
-        factors: (M, 3) f11, f12, f22 of the conic's quadratic form (f11 dx + f12 dy)^2 + (f22 dy)^2: a needle's form
-            cancels in xx, xy and yy, not in these; float64, because f12 / f11 is the needle's direction.
-        compensations: (M,) by which opacities shrink if antialiased; None if not.
+        conics: (M, 3) xx, xy, yy of the inverse of the blurred covariance, 1 / pixel^2; float64, because the gradient
+            to a Gaussian of aspect ratio a loses a^2 of precision by cancellation.
+        factors: (M, 3) f11, f12, f22 of the conic's quadratic form (f11 dx + f12 dy)^2 + (f22 dy)^2. For a needle the
+            form cancels in xx, xy and yy, and does not in the factors. Float64, because f12 / f11 is the direction.
+        compensations: (M,) factors that reduce opacities if antialiased; None if not.
         radii: (M, 2) int32, half the extent in pixels.
-        counts: how many Gaussians were culled, by cause.
+        counts: numbers of culled Gaussians, by cause.
     """
 
     ids: Tensor

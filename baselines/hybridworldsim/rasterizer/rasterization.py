@@ -1,4 +1,4 @@
-"""`rasterization`: gsplat's function, on the CPU as on CUDA."""
+"""`rasterization`: gsplat's function, on the CPU and on CUDA."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hybridworldsim.rasterizer.inputs import (
 )
 from hybridworldsim.rasterizer.limits import require_positive
 from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, get_preset
-from hybridworldsim.rasterizer.rendering import Options, render
+from hybridworldsim.rasterizer.rendering import RenderOptions, render
 from mirror.errors import UsageError
 
 BackendName = Literal["auto", "cuda", "cpu", "reference"]
@@ -67,69 +67,70 @@ def rasterization(
     backend: BackendName = "auto",
     nonfinite: NonFinite = "raise",
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Render 3D Gaussians as gsplat 1.5.3 does: same arguments, same order, same meaning, and autograd to all of them.
+    """Render 3D Gaussians as gsplat 1.5.3 does, with the same arguments in the same order, and with autograd.
 
-    Leading dimensions "..." are those of `means`, often none. Cameras are OpenCV's (z forward), pixel centres at +0.5.
+    The leading dimensions "..." of all arguments are those of `means`, often none. Cameras follow OpenCV (z forward);
+    pixel centres are at +0.5.
 
     Args:
-        means: (..., N, 3) centres, metres. Float32 or float64: centres and cameras far from the origin, up to 1e7 m,
-            want float64, in which the camera's position is subtracted before anything is float32.
-        quats: (..., N, 4) rotations, scalar first, of any length from 1e-30 to 1e150; others are degenerate.
+        means: (..., N, 3) centres, metres, float32 or float64. Pass float64 means and viewmats far from the origin (up
+            to 1e7 m): the camera position is subtracted in float64 before the conversion to float32.
+        quats: (..., N, 4) rotations, scalar first, of any length from 1e-30 to 1e150; other lengths are degenerate.
         scales: (..., N, 3) standard deviations along the axes, metres.
         opacities: (..., N) in [0, 1].
-        colors: (..., N, D) or (..., C, N, D) of any number of channels; with `sh_degree` spherical harmonics, (..., N,
-            K, 3) or (..., C, N, K, 3). None if only depth is asked for.
+        colors: (..., N, D) or (..., C, N, D) with any number of channels; with `sh_degree` spherical harmonics, (...,
+            N, K, 3) or (..., C, N, K, 3). None if only depth is rendered.
         viewmats: (..., C, 4, 4) camera from world.
         Ks: (..., C, 3, 3) intrinsics, pixels.
-        width: pixels.
-        height: pixels.
-        near_plane: metres; Gaussians whose centre is nearer are culled.
-        far_plane: metres; Gaussians whose centre is farther are culled.
-        radius_clip: pixels; Gaussians that reach no farther in both directions are culled.
-        eps2d: pixels^2 added to the diagonal of projected covariances.
-        sh_degree: up to which bands are used, 0 to 4; None if colours are plain numbers.
-        packed: whether `meta` lists what each camera sees, (nnz, ...), or holds all, (..., C, N, ...).
-        tile_size: pixels.
-        backgrounds: (..., C, D) colour behind everything; that of depth is 0.
-        render_mode: "RGB" colours; "D" depth, sum of weight times camera z; "ED" the same by the sum of weights;
-            or colours with depth as the last channel.
-        sparse_grad: refused: on the CPU gradients are dense.
-        absgrad: whether backward also sets `meta["means2d"].absgrad`, summed over pixels without their signs.
-        rasterize_mode: "antialiased" shrinks opacities by what `eps2d` widened.
-        channel_chunk: how many channels gsplat's CUDA kernels render at once. The CPU renders all in one pass.
+        width: width of the images, pixels.
+        height: height of the images, pixels.
+        near_plane: metres; Gaussians with a nearer centre are culled.
+        far_plane: metres; Gaussians with a farther centre are culled.
+        radius_clip: pixels; Gaussians with smaller or equal radii in both directions are culled.
+        eps2d: pixels^2, added to the diagonal of projected covariances.
+        sh_degree: highest degree of the spherical harmonics, 0 to 4; None if colours are plain numbers.
+        packed: whether tensors in `meta` list the visible Gaussians, (nnz, ...), or hold all, (..., C, N, ...).
+        tile_size: side of a tile, pixels.
+        backgrounds: (..., C, D) colour behind all Gaussians; the background of depth is 0.
+        render_mode: "RGB": colours; "D": depth, the sum of weight times camera z; "ED": the same divided by the sum of
+            weights; "RGB+D", "RGB+ED": colours with depth as the last channel.
+        sparse_grad: refused: gradients on the CPU are dense.
+        absgrad: whether backward also sets `meta["means2d"].absgrad`, the sum of absolute gradients over pixels.
+        rasterize_mode: "antialiased" reduces opacities to compensate `eps2d`.
+        channel_chunk: number of channels that gsplat's CUDA kernels render at once. The CPU renders all in one pass.
         distributed: refused.
         camera_model: "pinhole" or, with `with_ut`, "fisheye".
-        segmented: which of its sorts gsplat's CUDA code takes. The CPU has one.
+        segmented: choice of the sort in gsplat's CUDA code. The CPU has one sort.
         covars: refused: give `quats` and `scales`.
-        with_ut: project by the unscented transform: for `fisheye` and all distortions; "classic" only.
+        with_ut: project by the unscented transform, which `fisheye` and all distortions need; "classic" only.
         with_eval3d: refused.
         radial_coeffs: (..., C, 6), k1 to k6 of OpenCV's rational model; of a fisheye (..., C, 4).
         tangential_coeffs: (..., C, 2).
         thin_prism_coeffs: (..., C, 4).
         ftheta_coeffs: refused.
-        rolling_shutter: refused, but for None and gsplat's own GLOBAL.
+        rolling_shutter: refused, except None and gsplat's GLOBAL.
         viewmats_rs: refused.
-        preset: which generation of gsplat is followed to the constant, see `presets`. On CUDA, gsplat does what it
-            does: a preset that is not of the installed release is refused.
-        backend: "cuda" calls gsplat; "cpu" is compiled; "reference" is plain torch in float64, for small scenes.
-            "auto" is "cuda" for tensors there, else "cpu".
-        nonfinite: "raise" names the tensor and first rows that hold NaN or infinity; "cull" leaves these Gaussians
-            out, without gradients. Colours are looked at where they are drawn.
+        preset: generation of gsplat whose rules and constants apply, see `presets`. On CUDA a preset is refused if the
+            installed release does not follow it.
+        backend: "cuda": gsplat; "cpu": compiled kernels; "reference": plain torch in float64, for small scenes; "auto":
+            "cuda" for CUDA tensors, else "cpu".
+        nonfinite: "raise": an error names the tensor and the first rows with NaN or infinity; "cull": these Gaussians
+            are left out, without gradients. Colours are checked for visible Gaussians only.
 
     Returns:
-        Pictures (..., C, height, width, channels), alphas (..., C, height, width, 1) and `meta`: gsplat's keys
+        Images (..., C, height, width, channels), alphas (..., C, height, width, 1) and `meta`: gsplat's keys
         `batch_ids, camera_ids, gaussian_ids, radii, means2d, depths, conics, opacities, tile_width, tile_height,
-        tile_size, width, height, n_batches, n_cameras`; and, unless on CUDA, the `counts` of work done and left out
-        and `blending`: the Gaussians of each image as they were blended.
+        tile_size, width, height, n_batches, n_cameras`. Except on CUDA it also has `counts` of Gaussians, pairs and
+        tiles, and `blending`: the Gaussians of each image as they were blended.
 
     Raises:
-        UsageError: an argument cannot mean anything, or is one of gsplat's that is not done here; it is named.
+        UsageError: an argument is invalid, or is an argument of gsplat that is not supported; the error names it.
     """
     _refuse(
         sparse_grad=(sparse_grad, "dense gradients; an optimizer that skips rows can read meta['gaussian_ids']"),
-        distributed=(distributed, "one process a device; render cameras in several"),
+        distributed=(distributed, "one process per device: render cameras in several processes"),
         covars=(covars is not None, "quats and scales"),
-        with_eval3d=(with_eval3d, "with_ut=True, which evaluates Gaussians in the picture"),
+        with_eval3d=(with_eval3d, "with_ut=True, which evaluates Gaussians in the image"),
         ftheta_coeffs=(ftheta_coeffs is not None, "a fisheye or pinhole camera with radial_coeffs"),
         rolling_shutter=(getattr(rolling_shutter, "name", rolling_shutter) not in (None, "GLOBAL"), "a global shutter"),
         viewmats_rs=(viewmats_rs is not None, "a global shutter"),
@@ -168,7 +169,7 @@ def rasterization(
     }
     antialiased = rasterize_mode == "antialiased"
     lenses = make_lenses(inputs, camera_model, with_ut, antialiased, coefficients)
-    options = Options(
+    options = RenderOptions(
         near_plane=float(near_plane),
         far_plane=float(far_plane),
         radius_clip=require_at_least("radius_clip", radius_clip, 0.0),
@@ -214,10 +215,10 @@ def rasterization(
 
 
 def choose_backend(name: BackendName, device: torch.device) -> str:
-    """The backend that a name stands for.
+    """Choose the backend of a name.
 
     Raises:
-        UsageError: it does not work where the tensors are.
+        UsageError: the backend does not support the device of the tensors.
     """
     chosen = ("cuda" if device.type == "cuda" else "cpu") if name == "auto" else name
     if (chosen == "cuda") != (device.type == "cuda"):
@@ -227,6 +228,7 @@ def choose_backend(name: BackendName, device: torch.device) -> str:
 
 
 def _refuse(**unsupported: tuple[bool, str]) -> None:
-    for name, (asked, instead) in unsupported.items():
-        if asked:
+    """Refuse unsupported arguments; each has a flag whether it is used, and an alternative."""
+    for name, (is_used, instead) in unsupported.items():
+        if is_used:
             raise UsageError("gsplat has this, hybridworldsim does not", place=name, expected=instead)

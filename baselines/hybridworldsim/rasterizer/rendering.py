@@ -1,4 +1,4 @@
-"""From checked inputs to pictures: project, colour and blend, one camera after the other."""
+"""Renders checked inputs: projects, colours and blends Gaussians, one camera after the other."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from hybridworldsim.rasterizer.blended_image import BlendedImage
 from hybridworldsim.rasterizer.inputs import Inputs, RenderMode, refuse_nonfinite
 from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.meta import Blending, Layout, View, make_meta
+from hybridworldsim.rasterizer.meta import BlendedView, Blending, GaussianLayout, make_meta
 from hybridworldsim.rasterizer.presets import Preset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.rows import copy_rows, take_rows, take_rows_with_column
@@ -22,24 +22,24 @@ _DEPTH_DIVISOR_MIN = 1e-10
 
 
 class Backend(Protocol):
-    """The three steps of a rasterizer, one camera at a time."""
+    """The three steps of a rasterizer for one camera."""
 
     def project(self, *arguments: Any, **options: Any) -> ProjectedGaussians:
-        """Which Gaussians a camera sees, and the ellipses that they are."""
+        """Project Gaussians to the ellipses that reach the image."""
         ...
 
     def spherical_harmonics(self, degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None) -> Tensor:
-        """Colours of Gaussians from where the camera is."""
+        """Compute the colours of Gaussians in the direction of the camera."""
         ...
 
     def blend(self, *arguments: Any, **options: Any) -> BlendedImage:
-        """Ellipses to a picture."""
+        """Blend ellipses to an image."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
-    """How to render, as `rasterization` is told."""
+class RenderOptions:
+    """The options of `rasterization`."""
 
     near_plane: float
     far_plane: float
@@ -54,38 +54,43 @@ class Options:
 
 
 def import_backend(name: str) -> Backend:
-    """The package of a backend, imported when it is needed."""
+    """Import the package of a backend."""
     backend: Backend = import_module(f"hybridworldsim.rasterizer.{name}")
     return backend
 
 
 def render(
-    inputs: Inputs, options: Options, lenses: Sequence[Lens | None], packed: bool
+    inputs: Inputs, options: RenderOptions, lenses: Sequence[Lens | None], packed: bool
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Render every scene through every camera.
+    """Render each scene through each of its cameras.
 
     Args:
-        inputs: B scenes and C cameras of each.
-        options: how.
-        lenses: B * C of them, scene by scene.
-        packed: how `meta` holds Gaussians.
+        inputs: B scenes with C cameras each.
+        options: the options.
+        lenses: B * C lenses, scene by scene.
+        packed: whether tensors in `meta` are packed.
 
     Returns:
-        Pictures (..., C, height, width, channels), alphas (..., C, height, width, 1), meta.
+        Images (..., C, height, width, channels), alphas (..., C, height, width, 1), meta.
     """
     backend = import_backend(options.backend)
-    places = [(scene, camera) for scene in range(len(inputs.means)) for camera in range(inputs.cameras)]
-    projected = [_project(inputs, options, backend, *place, lens) for place, lens in zip(places, lenses, strict=True)]
-    layout = Layout(inputs, projected, packed)
-    means2d, parts = layout.through([projection.means2d for projection in projected], options.absgrad)
+    scene_cameras = [(scene, camera) for scene in range(len(inputs.means)) for camera in range(inputs.cameras)]
+    projected = [
+        _project(inputs, options, backend, *scene_camera, lens)
+        for scene_camera, lens in zip(scene_cameras, lenses, strict=True)
+    ]
+    layout = GaussianLayout(inputs, projected, packed)
+    means2d, parts = layout.link_means2d([projection.means2d for projection in projected], options.absgrad)
     views = tuple(
-        View(place, projection._replace(means2d=part), _opacities(inputs, place[0], projection))
-        for place, projection, part in zip(places, projected, parts, strict=True)
+        BlendedView(
+            scene_camera, projection._replace(means2d=part), _compute_opacities(inputs, scene_camera[0], projection)
+        )
+        for scene_camera, projection, part in zip(scene_cameras, projected, parts, strict=True)
     )
     blended = [
         backend.blend(
             view.projected,
-            _features(inputs, options, backend, view),
+            _gather_features(inputs, options, backend, view),
             view.opacities,
             inputs.width,
             inputs.height,
@@ -95,8 +100,8 @@ def render(
         )
         for view in views
     ]
-    alphas = _stack([projection.alpha for projection in blended])[..., None]
-    images = _composite(inputs, options.render_mode, _stack([projection.image for projection in blended]), alphas)
+    alphas = _stack([image.alpha for image in blended])[..., None]
+    images = _composite(inputs, options.render_mode, _stack([image.image for image in blended]), alphas)
     blending = Blending(
         views=views,
         leading=(*inputs.batch, inputs.cameras),
@@ -106,16 +111,17 @@ def render(
         preset=options.preset,
         backend=options.backend,
     )
-    counts = [*(projection.counts for projection in projected), *(projection.counts for projection in blended)]
+    counts = [*(projection.counts for projection in projected), *(image.counts for image in blended)]
     meta = make_meta(layout, means2d, blending, counts)
-    return blending.shaped(images), blending.shaped(alphas), meta
+    return blending.to_batch_shape(images), blending.to_batch_shape(alphas), meta
 
 
 def _project(
-    inputs: Inputs, options: Options, backend: Backend, scene: int, camera: int, lens: Lens | None
+    inputs: Inputs, options: RenderOptions, backend: Backend, scene: int, camera: int, lens: Lens | None
 ) -> ProjectedGaussians:
+    """Project the Gaussians of a scene, without those that are culled because they are not finite."""
     tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]
-    kept = inputs.finite(scene, camera)
+    kept = inputs.find_finite(scene, camera)
     if kept is not None:
         tables = [take_rows(table, kept) for table in tables]
     projected = backend.project(
@@ -137,19 +143,23 @@ def _project(
     return projected._replace(ids=ids, counts={**projected.counts, "nonfinite": culled})
 
 
-def _opacities(inputs: Inputs, scene: int, projection: ProjectedGaussians) -> Tensor:
+def _compute_opacities(inputs: Inputs, scene: int, projection: ProjectedGaussians) -> Tensor:
+    """Copy the opacities (M,) of visible Gaussians, compensated if antialiased."""
     opacities = copy_rows(inputs.opacities[scene], projection.ids).to(projection.means2d.dtype)
     return opacities if projection.compensations is None else opacities * projection.compensations
 
 
-def _features(inputs: Inputs, options: Options, backend: Backend, view: View) -> Tensor:
+def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, view: BlendedView) -> Tensor:
+    """Gather the channels (M, D) that are blended: colours, depth or both."""
     projection = view.projected
-    table = inputs.colors_of(*view.place)
+    table = inputs.get_colors(*view.scene_camera)
     if table is None:
         return projection.depths[:, None]
-    ids, every = projection.ids, len(projection.ids) == len(table)
+    ids, has_all = projection.ids, len(projection.ids) == len(table)
     if inputs.sh_degree is not None:
-        table = backend.spherical_harmonics(inputs.sh_degree, _directions(inputs, view), table, None if every else ids)
+        table = backend.spherical_harmonics(
+            inputs.sh_degree, _compute_directions(inputs, view), table, None if has_all else ids
+        )
         refuse_nonfinite("colors", table, "Gaussian", ids)
         table, ids = (table + 0.5).clamp_min(0.0), torch.arange(len(ids))
     colored = options.render_mode == "RGB"
@@ -159,22 +169,25 @@ def _features(inputs: Inputs, options: Options, backend: Backend, view: View) ->
     return features.to(projection.means2d.dtype)
 
 
-def _directions(inputs: Inputs, view: View) -> Tensor:
-    """(M, 3) from the camera to each Gaussian; exact far from the origin, as the camera's position is two float32."""
-    scene, camera = view.place
+def _compute_directions(inputs: Inputs, view: BlendedView) -> Tensor:
+    """Compute directions (M, 3) from the camera to each Gaussian; they are exact far from the origin.
+
+    The camera position is a sum of two numbers of the means' dtype.
+    """
+    scene, camera = view.scene_camera
     pose = inputs.viewmats[scene, camera].double()
     position = -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
     means = take_rows(inputs.means[scene], view.projected.ids)
-    near = position.to(means.dtype)
-    return means - near - (position - near).to(means.dtype)
+    rounded = position.to(means.dtype)
+    return means - rounded - (position - rounded).to(means.dtype)
 
 
 def _composite(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:
-    """Depth by the sum of weights, colours over their background.
+    """Divide depth by the sum of weights, and add backgrounds to colours.
 
     Args:
-        inputs: whose backgrounds.
-        mode: which channels there are.
+        inputs: the inputs with the backgrounds.
+        mode: the channels.
         images: (B * C, height, width, channels).
         alphas: (B * C, height, width, 1).
     """

@@ -1,4 +1,4 @@
-"""The rows of some Gaussians out of all, and back, with gradients."""
+"""Takes the rows of some Gaussians from a table, and scatters rows into a table, with gradients."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class _TakeRows(torch.autograd.Function):
-    """Rows that each occur once: their gradients are copied where torch's own `index_select` would add."""
+    """Takes unique rows: their gradients are copied, where torch's `index_select` adds them."""
 
     @staticmethod
     def forward(ctx: Any, table: Tensor, ids: Tensor) -> Tensor:
@@ -25,11 +25,11 @@ class _TakeRows(torch.autograd.Function):
 
 
 def take_rows(table: Tensor, ids: Tensor) -> Tensor:
-    """Rows of a table; the table itself if these are all.
+    """Take rows of a table; return the table itself if all rows are taken.
 
     Args:
         table: (N, ...).
-        ids: (M,) int64, ascending, each once.
+        ids: (M,) int64, ascending, unique.
 
     Returns:
         (M, ...).
@@ -40,15 +40,15 @@ def take_rows(table: Tensor, ids: Tensor) -> Tensor:
         from hybridworldsim.rasterizer.cpu import tables
 
         return tables.take_rows(table, ids)
-    found: Tensor = _TakeRows.apply(table, ids)
-    return found
+    taken: Tensor = _TakeRows.apply(table, ids)
+    return taken
 
 
 def copy_rows(table: Tensor, ids: Tensor) -> Tensor:
-    """Rows of a table as `rows` gives them, but never the table itself: who holds it may write into it."""
-    found = take_rows(table, ids)
-    if found is not table:
-        return found
+    """Take rows of a table as `take_rows`, but always copy them, so that either can be modified independently."""
+    taken = take_rows(table, ids)
+    if taken is not table:
+        return taken
     if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 
@@ -57,11 +57,11 @@ def copy_rows(table: Tensor, ids: Tensor) -> Tensor:
 
 
 def take_rows_with_column(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
-    """Rows of a table, with another column beside them.
+    """Take rows of a table and append a column.
 
     Args:
         table: (N, D).
-        ids: (M,) int64, ascending, each once.
+        ids: (M,) int64, ascending, unique.
         column: (M,).
 
     Returns:
@@ -75,17 +75,17 @@ def take_rows_with_column(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
 
 
 def has_kernels(table: Tensor) -> bool:
-    """Whether compiled kernels take a table."""
+    """Whether compiled kernels support a table: float32 on the CPU."""
     return table.device.type == "cpu" and table.dtype == torch.float32
 
 
 def scatter_rows(part: Tensor, ids: Tensor, count: int) -> Tensor:
-    """A table that holds some rows where they belong, and zero elsewhere; the rows themselves if they are all.
+    """Scatter rows into a table of zeros; return the rows themselves if they are all.
 
     Args:
         part: (M, ...).
-        ids: (M,) int64, ascending, each once.
-        count: N, how many rows the table has.
+        ids: (M,) int64, ascending, unique.
+        count: N, number of rows of the table.
 
     Returns:
         (N, ...).

@@ -1,7 +1,7 @@
 """Real spherical harmonics by compiled kernels, eight Gaussians at a time, with gradients.
 
-A harmonic is a polynomial of z times the real or imaginary part of (x + i y)^m, with the signs and the order that
-Gaussian splatting has (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013).
+A harmonic is a polynomial of z times the real or imaginary part of (x + i y)^m, with the signs and the order of
+Gaussian splatting (Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from mirror.errors import UsageError
 DEGREE_MAX: Final = 4
 
 
-def _polynomials() -> Float64:
-    """(l, m, power of z): the associated Legendre polynomial without (1 - z^2)^(m / 2), normalised."""
+def _compute_polynomials() -> Float64:
+    """Compute (l, m, power of z): normalised associated Legendre polynomials without (1 - z^2)^(m / 2)."""
     table = np.zeros((DEGREE_MAX + 1,) * 3)
-    for l in range(DEGREE_MAX + 1):  # noqa: E741 - as every book has it
+    for l in range(DEGREE_MAX + 1):  # noqa: E741 - the usual symbol
         # Rodrigues' formula
         legendre = polynomial.polypow([-1.0, 0.0, 1.0], l) / (2.0**l * math.factorial(l))
         for m in range(l + 1):
@@ -41,23 +41,24 @@ def _polynomials() -> Float64:
     return table
 
 
-_TABLE: Final = _polynomials()
+_TABLE: Final = _compute_polynomials()
 
 
 def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
     """Sum spherical harmonics; differentiable to directions and coefficients.
 
     Args:
-        degree: highest degree that is summed, 0 to 4.
-        directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
+        degree: highest degree of the sum, 0 to 4.
+        directions: (M, 3) of any length; for a zero direction x, y and z are zero.
         coefficients: (N, K, 3) with K >= (degree + 1)^2, ordered by degree, then by order.
-        ids: (M,) int64 whose coefficients each direction takes, ascending, each once; None: its own, N being M.
+        ids: (M,) int64 row of the coefficients for each direction, ascending, unique; None: row i for direction i, with
+            N = M.
 
     Returns:
-        (M, 3) of the coefficients' type, without the half that colours are shifted by.
+        (M, 3) in the coefficients' dtype, without the offset of 0.5 of colours.
 
     Raises:
-        UsageError: coefficients of another shape, or fewer than the degree has.
+        UsageError: coefficients of another shape, or fewer than the degree needs.
     """
     if not 0 <= degree <= DEGREE_MAX:
         raise UsageError(f"no spherical harmonics of degree {degree}", place="degree", expected=f"0 to {DEGREE_MAX}")
@@ -70,7 +71,7 @@ def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, i
 
 @kernel(inline="always")
 def _unit(directions: Any, rows: Any, start: Any, end: Any) -> Any:
-    """Eight directions of length 1, or 0, and one over their lengths, or 0."""
+    """Load eight directions and normalise them; return x, y, z and 1 / length. All are 0 for a zero direction."""
     for lane in range(8):
         rows[lane] = start + lane if start + lane < end else start
     x, y, z = lanes.load_triples(directions, rows, 0)
@@ -81,7 +82,7 @@ def _unit(directions: Any, rows: Any, start: Any, end: Any) -> Any:
 
 @kernel(inline="always")
 def _basis(degree: Any, x: Any, y: Any, z: Any, basis: Any) -> None:
-    """Write each harmonic of eight unit vectors."""
+    """Store each harmonic of eight unit vectors."""
     real, imaginary = lanes.broadcast(1.0), lanes.broadcast(0.0)
     for m in range(degree + 1):
         for l in range(m, degree + 1):  # noqa: E741
@@ -106,18 +107,18 @@ def spherical_harmonics_part(
     basis: Any,
     summed: Any,
 ) -> None:
-    """Sum harmonics of a range.
+    """Sum the harmonics of a range of directions.
 
     Args:
         degree: highest degree.
         directions: (3 M,) flat.
         coefficients: (N, K, 3).
-        ids: (M,) rows of these, ascending.
-        begin: first Gaussian.
-        end: past the last.
-        rows: (8,) int64, for its own use, as is `basis` (200,), of the coefficients' type.
-        basis: see `rows`.
-        summed: (M, 3) gets the sums.
+        ids: (M,) rows of the coefficients, ascending.
+        begin: first direction.
+        end: one past the last.
+        rows: (8,) int64 scratch.
+        basis: (200,) scratch in the coefficients' dtype.
+        summed: (M, 3) output, the sums.
     """
     count = (degree + 1) * (degree + 1)
     for start in range(begin, end, 8):
@@ -149,22 +150,22 @@ def spherical_harmonics_part_backward(
     to_directions: Any,
     to_coefficients: Any,
 ) -> None:
-    """Gradients of a range.
+    """Compute the gradients of a range of directions.
 
     Args:
         degree: highest degree.
         directions: (3 M,) flat.
         coefficients: (N, K, 3).
-        ids: (M,) rows of these, ascending.
+        ids: (M,) rows of the coefficients, ascending.
         to_summed: (M, 3) gradient to the sums.
-        begin: first Gaussian.
-        end: past the last.
-        rows: (8,) int64, for its own use, as are `basis` and `to_basis` (200,), of the coefficients' type.
-        basis: see `rows`.
-        to_basis: see `rows`.
-        to_directions: (M + 8, 3) gets gradients, as does `to_coefficients` (N, K, 3), with zeros for rows between
-            those that are used; what is past the last of these is left to the caller.
-        to_coefficients: see `to_directions`.
+        begin: first direction.
+        end: one past the last.
+        rows: (8,) int64 scratch.
+        basis: (200,) scratch in the coefficients' dtype.
+        to_basis: (200,) scratch in the coefficients' dtype.
+        to_directions: (M + 8, 3) output, gradients.
+        to_coefficients: (N, K, 3) output, gradients, and zeros for unused rows up to the last used row; the caller
+            fills the rows after it.
     """
     count = (degree + 1) * (degree + 1)
     done = 0 if begin == 0 else ids[begin - 1] + 1
@@ -209,7 +210,7 @@ def spherical_harmonics_part_backward(
             to_y = to_y + m * (to_imaginary * less_real - to_real * less_imaginary)
             less_real, less_imaginary = real, imaginary
             real, imaginary = x * real - y * imaginary, x * imaginary + y * real
-        # a longer direction is the same direction
+        # the length of a direction has no effect: remove the radial part of the gradient
         outward = to_x * x + to_y * y + to_z * z
         lanes.store_triples(
             to_directions,
@@ -224,17 +225,17 @@ class _SphericalHarmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, directions: Tensor, coefficients: Tensor, ids: Tensor | None, degree: int) -> Tensor:
         dtype, number = coefficients.dtype, len(directions)
-        taken = np.arange(number) if ids is None else ids.numpy()
-        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), taken
-        summed = empty_aligned(number * 3, given[0].dtype).reshape(number, 3)
+        rows = np.arange(number) if ids is None else ids.numpy()
+        arrays = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), rows
+        summed = empty_aligned(number * 3, arrays[0].dtype).reshape(number, 3)
 
-        def one(part: int) -> None:
+        def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
-            spherical_harmonics_part(degree, *given, *span, np.empty(8, np.int64), np.empty(200, summed.dtype), summed)
+            spherical_harmonics_part(degree, *arrays, *span, np.empty(8, np.int64), np.empty(200, summed.dtype), summed)
 
-        in_parallel(one, -(-number // PART))
+        in_parallel(run_part, -(-number // PART))
         ctx.save_for_backward(directions, coefficients)
-        ctx.taken, ctx.degree = taken, degree
+        ctx.rows, ctx.degree = rows, degree
         return torch.from_numpy(summed)
 
     @staticmethod
@@ -242,21 +243,21 @@ class _SphericalHarmonics(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, None, None]:
         directions, coefficients = ctx.saved_tensors
         dtype, number = coefficients.dtype, len(directions)
-        given = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.taken
+        arrays = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.rows
         to_summed = flat(gradients[0], dtype).reshape(-1, 3)
-        kind = given[0].dtype
-        to_directions = empty_aligned((number + 8) * 3, kind).reshape(-1, 3)
-        to_coefficients = empty_aligned(coefficients.numel(), kind).reshape(given[1].shape)
+        array_dtype = arrays[0].dtype
+        to_directions = empty_aligned((number + 8) * 3, array_dtype).reshape(-1, 3)
+        to_coefficients = empty_aligned(coefficients.numel(), array_dtype).reshape(arrays[1].shape)
 
-        def one(part: int) -> None:
+        def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
-            own = np.empty(8, np.int64), np.empty(200, kind), np.empty(200, kind)
+            scratch = np.empty(8, np.int64), np.empty(200, array_dtype), np.empty(200, array_dtype)
             spherical_harmonics_part_backward(
-                ctx.degree, *given, to_summed, *span, *own, to_directions, to_coefficients
+                ctx.degree, *arrays, to_summed, *span, *scratch, to_directions, to_coefficients
             )
 
-        in_parallel(one, -(-number // PART))
-        to_coefficients[int(ctx.taken[-1]) + 1 if number else 0 :] = 0.0
+        in_parallel(run_part, -(-number // PART))
+        to_coefficients[int(ctx.rows[-1]) + 1 if number else 0 :] = 0.0
         return (
             torch.from_numpy(to_directions[:number]).to(directions.dtype),
             torch.from_numpy(to_coefficients),

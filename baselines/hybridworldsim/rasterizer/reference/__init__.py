@@ -1,4 +1,4 @@
-"""Rasterization written to be read: plain torch in float64."""
+"""A readable reference of the rasterizer in plain torch and float64."""
 
 from hybridworldsim.rasterizer.reference.blending import blend
 from hybridworldsim.rasterizer.reference.projection import project

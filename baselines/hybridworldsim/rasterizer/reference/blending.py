@@ -1,4 +1,4 @@
-"""Ellipses blended front to back into a picture."""
+"""Blends ellipses front to back to an image."""
 
 from __future__ import annotations
 
@@ -28,19 +28,18 @@ def blend(
 ) -> BlendedImage:
     """Blend in the order of (float32 depth, index), each pixel until it stops.
 
-    Evaluates 256 Gaussians at all pixels of a tile at a time. Their intermediate values are not kept for the backward
-    pass but computed again, so that memory stays that of the pairs.
+    The function evaluates 256 Gaussians at all pixels of a tile at a time. The backward pass computes intermediate
+    values again, so that memory is proportional to the number of pairs.
 
     Args:
         projected: M Gaussians.
-        features: (M, D) what is blended, a row for each of `projected`.
-        opacities: (M,) with compensations already multiplied in.
-        width: pixels.
-        height: pixels.
-        preset: whose cap of alpha.
-        tile_size: pixels; a preset of square extents truncates Gaussians at the tiles that the square touches.
-        absgrad: set `projected.means2d.absgrad` (M, 2) in backward: the sum over pixels of each pixel's absolute
-            gradient.
+        features: (M, D) features of `projected`.
+        opacities: (M,) compensated opacities.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        preset: generation of gsplat, for the upper bound of alpha.
+        tile_size: pixels; a preset with square extents truncates Gaussians at the tiles that the square touches.
+        absgrad: whether backward sets `projected.means2d.absgrad` (M, 2), the sum of absolute gradients over pixels.
 
     Returns:
         In float64, differentiable to projected.means2d, projected.conics, features and opacities.
@@ -52,11 +51,11 @@ def blend(
         opacities.double()[rows],
         features.double()[rows],
     )
-    absolute = torch.zeros(len(rows), 2, dtype=torch.float64)  # one slot a pair
+    absolute = torch.zeros(len(rows), 2, dtype=torch.float64)  # one row per pair
     if absgrad and inputs[0].requires_grad:
         _report_absgrad(inputs[0], projected.means2d, rows, absolute)
 
-    # Taking rows once and splitting makes one gradient for all chunks, not one as large as the scene for each.
+    # One index and one split make a single gradient; an index per chunk would make one of the scene's size per chunk.
     chunks = [chunk for tile in tiles for chunk in tile.chunks()]
     sizes = [chunk.stop - chunk.start for chunk in chunks]
     parts = iter(zip(*(part.split(sizes) for part in inputs))) if sizes else iter(())
@@ -79,7 +78,7 @@ def blend(
         alpha_parts.append(1.0 - transmittance)
         stopped += int(not active.any())
 
-    # an empty picture, too, has a gradient: of zero, to every input
+    # an empty image also has a gradient to each input, of zero
     means, conics, opacity, feature = (part[:0] for part in inputs)
     pixels = torch.cat([torch.empty(0, dtype=torch.int64), *(tile.pixels for tile in tiles)])
     image = torch.zeros(height * width, features.shape[1], dtype=torch.float64)
@@ -108,17 +107,17 @@ def _blend_chunk(
 
     Args:
         centres: (P, 2).
-        active: (P,) whether a pixel has not stopped.
-        alpha_max: cap of alpha.
-        absolute: (L, 2) gathers absolute gradients of the means in backward.
+        active: (P,) pixels that have not stopped.
+        alpha_max: upper bound of alpha.
+        absolute: (L, 2) receives absolute gradients of the means in backward.
         means: (L, 2).
         conics: (L, 3).
         opacities: (L,).
         features: (L, D).
-        transmittance: (P,) transmittance in front of the first.
+        transmittance: (P,) transmittance in front of the first Gaussian.
 
     Returns:
-        What is added (P, D), the light behind (P,), which pixels go on (P,).
+        The added features (P, D), the transmittance behind the last Gaussian (P,), and the pixels that continue (P,).
     """
     x, y = offsets = [means[:, axis, None] - centres[:, axis] for axis in range(2)]  # (L, P) each
     if absolute is not None and x.requires_grad:
@@ -127,18 +126,19 @@ def _blend_chunk(
     alpha = compute_alphas(x, y, conics, opacities, alpha_max)  # (L, P)
     alpha = torch.where((alpha >= ALPHA_MIN) & active, alpha, 0.0)
     after = transmittance * (1.0 - alpha).cumprod(0)  # (L, P)
-    # a Gaussian behind which too little light is left is not blended, nor is any behind it
+    # a Gaussian that would leave too little transmittance is not blended, and neither are those behind it
     kept = after > TRANSMITTANCE_STOP
     weights = torch.where(kept, alpha * torch.cat([transmittance[None], after[:-1]]), 0.0)
     return weights.T @ features, transmittance - weights.sum(0), active & kept[-1]
 
 
-def _add_absolute(slots: Tensor, gradient: Tensor) -> None:
-    slots += gradient.abs().sum(1)
+def _add_absolute(rows: Tensor, gradient: Tensor) -> None:
+    """Add the absolute gradients of all pixels (L, P) to rows (L,)."""
+    rows += gradient.abs().sum(1)
 
 
 def _report_absgrad(taken: Tensor, means2d: Tensor, rows: Tensor, absolute: Tensor) -> None:
-    """When the gradient of the taken means is complete, sum the pairs' slots and empty them for another backward."""
+    """Sum the pairs' rows once the gradient of the taken means is complete, and reset them for the next backward."""
 
     def report(gradient: Tensor) -> None:
         means2d.absgrad = torch.zeros_like(means2d).index_add(0, rows, absolute.to(means2d.dtype))  # type: ignore[attr-defined]
@@ -148,9 +148,9 @@ def _report_absgrad(taken: Tensor, means2d: Tensor, rows: Tensor, absolute: Tens
 
 
 class _Recompute(torch.autograd.Function):
-    """A call that keeps its inputs alone, and calls again for the backward pass.
+    """Keeps only the inputs of a call, and repeats the call in the backward pass.
 
-    What `torch.utils.checkpoint` does, whose import of the compiler takes seconds.
+    `torch.utils.checkpoint` does the same, but its import takes seconds because it imports the compiler.
     """
 
     @staticmethod
@@ -168,11 +168,11 @@ class _Recompute(torch.autograd.Function):
             tensor.detach().requires_grad_(needed)
             for tensor, needed in zip(ctx.saved_tensors, ctx.needs_input_grad[1:])
         ]
-        wanted = [tensor for tensor in tensors if tensor.requires_grad]
+        inputs_with_gradient = [tensor for tensor in tensors if tensor.requires_grad]
         with single_thread():
             with torch.enable_grad():
                 outputs = ctx.call(*tensors)
-            followed = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]
-            ends, starts = zip(*followed)
-            found = iter(torch.autograd.grad(ends, wanted, starts, allow_unused=True))
-        return (None, *(next(found) if tensor.requires_grad else None for tensor in tensors))
+            used = [(output, gradient) for output, gradient in zip(outputs, gradients) if output.requires_grad]
+            ends, starts = zip(*used)
+            input_gradients = iter(torch.autograd.grad(ends, inputs_with_gradient, starts, allow_unused=True))
+        return (None, *(next(input_gradients) if tensor.requires_grad else None for tensor in tensors))

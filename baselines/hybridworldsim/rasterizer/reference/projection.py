@@ -1,4 +1,4 @@
-"""Gaussians as a camera sees them: ellipses, their depths, and which of them reach the picture."""
+"""Projects Gaussians into a camera: ellipses, depths, and which of them reach the image."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.unscented import project_unscented
 
 RADIUS_MAX = 2**30
-"""Half extents saturate here, pixels: they are int32."""
+"""Upper bound of half extents, pixels: they are int32."""
 
-_CLAMP = 0.3
-"""Beside the picture, the slope of the projection is held where this part of half the field of view is passed."""
+_CLAMP_MARGIN = 0.3
+"""Outside the image, the slope of the projection is clamped at this share of half the field of view."""
 
 
 class _Splats(NamedTuple):
-    """Every field of N Gaussians, culled or not."""
+    """All fields of N Gaussians, culled or not."""
 
     means2d: Tensor  # (N, 2)
     depths: Tensor  # (N,)
     covariances: Tensor  # (N, 3): xx, xy, yy, blurred
     determinants: Tensor  # (N,), of the blurred covariances
     compensations: Tensor  # (N,)
-    sound: Tensor  # (N,) bool: whether the quaternion is a rotation, centre and axes are finite in the camera's frame
-    seen: Tensor  # (N,) bool: whether the lens shows them
+    sound: Tensor  # (N,) bool: the quaternion is a rotation, and centre and axes are finite in the camera frame
+    in_view: Tensor  # (N,) bool: the lens shows the Gaussian
 
 
 def project(
@@ -58,82 +58,82 @@ def project(
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera.
 
-    EWA splatting (Zwicker et al. 2001) as gsplat has it; through a lens, the unscented transform. What is culled gets
-    no gradient; a Gaussian counts for the first cause that culls it, in the order near, far, degenerate (a quaternion
-    that is no rotation, a covariance that is no ellipse, anything not finite), opacity, radius, frustum. A scale of
-    zero is a flat Gaussian and is shown; the sign of a scale means nothing.
+    The method is EWA splatting (Zwicker et al. 2001) as in gsplat; with a lens, the unscented transform. Culled
+    Gaussians get no gradient. A Gaussian counts for the first cause that culls it, in the order near, far, degenerate
+    (a quaternion that is no rotation, a covariance that is no ellipse, a value that is not finite), opacity, radius,
+    frustum. A Gaussian with a scale of zero is flat and visible; the sign of a scale has no effect.
 
     Args:
         means: (N, 3) metres, world.
         quats: (N, 4) wxyz, of any length from `QUATERNION_MIN` to `QUATERNION_MAX`.
         scales: (N, 3) metres.
-        opacities: (N,) decide how far a Gaussian reaches; no gradient.
+        opacities: (N,) determine the extent of a Gaussian; no gradient.
         viewmat: (4, 4) camera_SE3_world.
         K: (3, 3) fx, fy, cx, cy in pixels; skew is not used.
-        width: pixels.
-        height: pixels.
-        eps2d: pixel^2 that both diagonal elements of a covariance are blurred by.
-        near_plane: metres of camera z; nothing at or behind the camera is ever shown.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        eps2d: pixel^2, added to both diagonal elements of a covariance.
+        near_plane: metres of camera z; Gaussians at or behind the camera are never visible.
         far_plane: metres of camera z.
-        radius_clip: a Gaussian whose half extents are both at most so many pixels is not shown.
-        preset: whose rules.
-        antialiased: whether opacities shrink by what the blur adds.
+        radius_clip: pixels; a Gaussian with both half extents up to this is not visible.
+        preset: generation of gsplat.
+        antialiased: whether opacities are reduced to compensate the blur.
         lens: None for a pinhole.
 
     Returns:
-        Those that reach the picture, in float64; differentiable to means, quats, scales, viewmat and K.
+        The Gaussians that reach the image, in float64; differentiable to means, quats, scales, viewmat and K.
     """
     opacities = opacities.detach().double()
     viewmat, K = viewmat.double(), K.double()
 
     def splats(rows: Tensor) -> _Splats:
         shape = (means[rows].double(), quats[rows].double(), scales[rows].double())
-        return _splats(*shape, viewmat, K, width, height, eps2d, preset, lens)
+        return _compute_splats(*shape, viewmat, K, width, height, eps2d, preset, lens)
 
     with torch.no_grad():
-        every = splats(torch.arange(len(means)))
-        radii, reach = _radii(every, opacities, preset, antialiased)
-        x, y = every.means2d.unbind(-1)
-        left = torch.ones_like(every.seen)
+        candidates = splats(torch.arange(len(means)))
+        radii, reach = _compute_radii(candidates, opacities, preset, antialiased)
+        x, y = candidates.means2d.unbind(-1)
+        remaining = torch.ones_like(candidates.in_view)
         counts = {}
         for cause, culled in (
-            ("near", (every.depths < near_plane) | (every.depths <= 0.0)),
-            ("far", every.depths > far_plane),
-            ("degenerate", ~_is_ellipse(every)),
+            ("near", (candidates.depths < near_plane) | (candidates.depths <= 0.0)),
+            ("far", candidates.depths > far_plane),
+            ("degenerate", ~_is_ellipse(candidates)),
             ("opacity", ~reach),
             ("radius", (radii <= radius_clip).all(-1)),
             (
                 "frustum",
-                ~every.seen
+                ~candidates.in_view
                 | (x + radii[:, 0] <= 0.0)
                 | (x - radii[:, 0] >= width)
                 | (y + radii[:, 1] <= 0.0)
                 | (y - radii[:, 1] >= height),
             ),
         ):
-            counts[cause] = int((left & culled).sum())
-            left &= ~culled
-        ids = left.nonzero()[:, 0]
+            counts[cause] = int((remaining & culled).sum())
+            remaining &= ~culled
+        ids = remaining.nonzero()[:, 0]
 
-    shown = splats(ids)
-    xx, xy, yy = shown.covariances.unbind(-1)
+    visible = splats(ids)
+    xx, xy, yy = visible.covariances.unbind(-1)
     with torch.no_grad():
-        along = (yy / shown.determinants).sqrt()
-        factors = torch.stack([along, -xy / shown.determinants / along, yy.rsqrt()], dim=-1)
+        along = (yy / visible.determinants).sqrt()
+        factors = torch.stack([along, -xy / visible.determinants / along, yy.rsqrt()], dim=-1)
     return ProjectedGaussians(
         ids=ids,
-        means2d=shown.means2d,
-        means2d_low=torch.zeros_like(shown.means2d, requires_grad=False),
-        depths=shown.depths,
-        conics=torch.stack([yy, -xy, xx], dim=-1) / shown.determinants[:, None],
+        means2d=visible.means2d,
+        means2d_low=torch.zeros_like(visible.means2d, requires_grad=False),
+        depths=visible.depths,
+        conics=torch.stack([yy, -xy, xx], dim=-1) / visible.determinants[:, None],
         factors=factors,
-        compensations=shown.compensations if antialiased else None,
+        compensations=visible.compensations if antialiased else None,
         radii=radii[ids].clamp(max=RADIUS_MAX).to(torch.int32),
         counts=counts,
     )
 
 
-def _splats(
+def _compute_splats(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,
@@ -147,15 +147,15 @@ def _splats(
 ) -> _Splats:
     rotation = viewmat[:3, :3]
     means_c = means @ rotation.T + viewmat[:3, 3]  # (N, 3)
-    axes_c = rotation @ _rotations(quats) * scales[:, None, :]  # (N, 3, 3): one standard deviation a column
+    axes_c = rotation @ _to_matrices(quats) * scales[:, None, :]  # (N, 3, 3): one standard deviation a column
     if lens is None:
-        means2d, roots = _perspective(means_c, axes_c, K, width, height)
-        seen = torch.ones(len(means), dtype=torch.bool)
+        means2d, roots = _project_pinhole(means_c, axes_c, K, width, height)
+        in_view = torch.ones(len(means), dtype=torch.bool)
     else:
-        means2d, roots, seen = project_unscented(means_c, axes_c, K, width, height, lens)
+        means2d, roots, in_view = project_unscented(means_c, axes_c, K, width, height, lens)
 
-    # The covariance is roots @ roots.T; its determinant, the sum of the squared minors of `roots` (Cauchy-Binet),
-    # keeps every digit of a needle's, which xx yy - xy^2 loses.
+    # The covariance is roots @ roots.T. Its determinant is the sum of the squared minors of `roots` (Cauchy-Binet). The
+    # sum is exact for a needle, where xx yy - xy^2 cancels.
     covariances = roots @ roots.mT  # (N, 2, 2)
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     minors = roots[:, 0, :, None] * roots[:, 1, None, :]  # (N, k, k)
@@ -172,19 +172,19 @@ def _splats(
         # the inner `where` keeps the infinite slope of the root at zero out of the gradient
         compensations=torch.where(free, torch.where(free, ratio, 1.0).sqrt(), preset.compensation_min),
         sound=_are_rotations(quats) & torch.cat([means_c[:, None], axes_c], dim=1).isfinite().all((1, 2)),
-        seen=seen,
+        in_view=in_view,
     )
 
 
 def _are_rotations(quats: Tensor) -> Tensor:
-    """Whether quaternions (N, 4) have a length (N,) that counts."""
+    """Whether quaternions (N, 4) have a length of a rotation (N,)."""
     w, x, y, z = quats.detach().unbind(-1)
     squares = w * w + x * x + y * y + z * z
     return (squares >= QUATERNION_MIN**2) & (squares <= QUATERNION_MAX**2)
 
 
-def _rotations(quats: Tensor) -> Tensor:
-    """Quaternions (N, 4) as matrices (N, 3, 3); NaN for those of zero."""
+def _to_matrices(quats: Tensor) -> Tensor:
+    """Convert quaternions (N, 4) to matrices (N, 3, 3); NaN for zero quaternions."""
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -194,32 +194,32 @@ def _rotations(quats: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def _perspective(means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """Means (N, 2) in pixels and roots (N, 2, 3) of the covariances, by the projection's slope at the mean."""
+def _project_pinhole(means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Compute means (N, 2) in pixels and roots (N, 2, 3) of the covariances by the projection's slope at the mean."""
     focal, centre = K.diagonal()[:2], K[:2, 2]
     size = torch.tensor([width, height], dtype=K.dtype)
     slopes = means_c[:, :2] / means_c[:, 2:]  # (N, 2): x / z, y / z
-    beside = _CLAMP * 0.5 * size / focal
-    held = slopes.clamp(-centre / focal - beside, (size - centre) / focal + beside)
+    margin = _CLAMP_MARGIN * 0.5 * size / focal
+    clamped = slopes.clamp(-centre / focal - margin, (size - centre) / focal + margin)
     z = means_c[:, 2, None, None]  # (N, 1, 1)
-    return focal * slopes + centre, focal[:, None] / z * (axes_c[:, :2] - held[:, :, None] * axes_c[:, 2:])
+    return focal * slopes + centre, focal[:, None] / z * (axes_c[:, :2] - clamped[:, :, None] * axes_c[:, 2:])
 
 
 def _is_ellipse(splats: _Splats) -> Tensor:
-    """Whether (N,) a covariance can be inverted and all else is finite."""
+    """Whether (N,) a covariance is invertible and all values are finite."""
     fields = (splats.means2d, splats.covariances, splats.determinants[:, None], splats.compensations[:, None])
     finite = splats.sound & torch.cat(fields, dim=-1).isfinite().all(-1)
     return finite & (splats.determinants > 0.0) & (splats.covariances[:, ::2] > 0.0).all(-1)
 
 
-def _radii(splats: _Splats, opacities: Tensor, preset: Preset, antialiased: bool) -> tuple[Tensor, Tensor]:
-    """Half the extents (N, 2), whole pixels, and whether (N,) a Gaussian is opaque enough to be seen at all."""
+def _compute_radii(splats: _Splats, opacities: Tensor, preset: Preset, antialiased: bool) -> tuple[Tensor, Tensor]:
+    """Compute half extents (N, 2), whole pixels, and whether (N,) a Gaussian is opaque enough to be visible."""
     diagonal = splats.covariances[:, ::2]  # (N, 2)
     if preset.extent == "square":
         half_trace = diagonal.mean(-1)
         root = (half_trace.square() - splats.determinants).clamp(min=SQUARE_DISCRIMINANT_MIN).sqrt()
         radius = (SQUARE_SIGMAS * (half_trace + root).sqrt()).ceil()
-        return torch.stack([radius, radius], dim=-1), torch.ones_like(splats.seen)
-    compute_alphas = opacities * splats.compensations if antialiased else opacities
-    sigmas = (2.0 * (compute_alphas / ALPHA_MIN).clamp(min=1.0).log()).sqrt()
-    return (sigmas[:, None] * diagonal.sqrt()).ceil(), compute_alphas >= ALPHA_MIN
+        return torch.stack([radius, radius], dim=-1), torch.ones_like(splats.in_view)
+    alphas = opacities * splats.compensations if antialiased else opacities
+    sigmas = (2.0 * (alphas / ALPHA_MIN).clamp(min=1.0).log()).sqrt()
+    return (sigmas[:, None] * diagonal.sqrt()).ceil(), alphas >= ALPHA_MIN

@@ -1,4 +1,4 @@
-"""Pixels at which rounding may decide whether a Gaussian is blended, and by how much."""
+"""Finds pixels at which rounding may decide whether a Gaussian is blended, and bounds the effect."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.tiles import compute_alphas, pair_tiles, single_thread
 
 ALPHA_TOLERANCE = 1e-4
-"""Relative distance from `ALPHA_MIN` within which float32 may decide otherwise."""
+"""Relative distance from `ALPHA_MIN` within which float32 and float64 may decide differently."""
 
 STOP_TOLERANCE = 1e-3
-"""Relative distance from `TRANSMITTANCE_STOP` within which float32 may decide otherwise."""
+"""Relative distance from `TRANSMITTANCE_STOP` within which float32 and float64 may decide differently."""
 
 
 class RoundingMarks(NamedTuple):
-    """Where a float32 kernel may differ from the reference by more than rounding.
+    """Pixels at which a float32 kernel may differ from the reference by more than rounding.
 
     Attributes:
         marked: (H, W) bool.
-        jump: (H, W) the largest change that the flips possible there can make to alpha, or to a feature that lies in
-            [0, 1]; 0 where not marked. A feature of the range [low, high] changes by at most max(high, 0) - min(low, 0)
-            times as much.
+        jump: (H, W) upper bound of the change that flipped decisions can make to alpha, or to a feature in [0, 1]; 0
+            where not marked. For a feature in [low, high] the bound is max(high, 0) - min(low, 0) times as large.
     """
 
     marked: Tensor
@@ -37,19 +36,19 @@ class RoundingMarks(NamedTuple):
 def find_rounding_marks(
     projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
 ) -> RoundingMarks:
-    """Follow the path of the light in float64 and find what lies near a threshold.
+    """Blend in float64 and mark the pixels at which a value lies near a threshold.
 
-    A Gaussian whose alpha flips at the cut changes the picture by no more than its weight, and the light behind it by
-    1/255, which widens the neighbourhood of the stop. A Gaussian that flips at the stop, with all behind it, changes it
-    by no more than the light in front of it.
+    If a Gaussian flips at the cut of alpha, the image changes by its weight at most, and the transmittance behind it by
+    1/255, which widens the neighbourhood of the stop. If a Gaussian flips at the stop, the image changes by the
+    transmittance in front of it at most.
 
     Args:
-        projected: M Gaussians, of the reference.
-        opacities: (M,) with compensations already multiplied in.
-        width: pixels.
-        height: pixels.
-        preset: whose cap of alpha.
-        tile_size: pixels.
+        projected: M Gaussians from the reference.
+        opacities: (M,) compensated opacities.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        preset: generation of gsplat, for the upper bound of alpha.
+        tile_size: side of a tile, pixels.
     """
     rows, tiles = pair_tiles(projected, opacities, width, height, preset=preset, tile_size=tile_size)
     means, conics = projected.means2d.double() + projected.means2d_low, projected.conics.double()
@@ -58,7 +57,7 @@ def find_rounding_marks(
     jump = torch.zeros(height * width, dtype=torch.float64)
     for tile in tiles:
         transmittance = torch.ones(len(tile.pixels), dtype=torch.float64)  # in front of the chunk
-        widening = torch.zeros_like(transmittance)  # by how much flips so far may have changed it, relatively
+        widening = torch.zeros_like(transmittance)  # relative change of the transmittance by flips so far
         active = torch.ones(len(tile.pixels), dtype=torch.bool)
         for chunk in tile.chunks():
             if not active.any():
@@ -74,8 +73,8 @@ def find_rounding_marks(
             at_stop = (after / TRANSMITTANCE_STOP - 1.0).abs() <= STOP_TOLERANCE + tolerance
             at_stop &= (alpha > 0.0) | at_cut
 
-            # a path goes on until the first Gaussian that surely stops it or may stop it; in the second case the light
-            # in front of that one bounds all that follows
+            # a pixel continues until the first Gaussian that stops it or may stop it; in the second case the
+            # transmittance in front of that Gaussian bounds the contribution of all Gaussians behind
             continues = (after > TRANSMITTANCE_STOP) & ~at_stop
             continues = active & continues.cummin(0).values
             ends = ~continues & torch.cat([active[None], continues[:-1]])

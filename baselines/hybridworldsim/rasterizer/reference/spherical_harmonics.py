@@ -1,4 +1,4 @@
-"""Real spherical harmonics, with the signs and the order that Gaussian splatting has."""
+"""Real spherical harmonics with the signs and the order of Gaussian splatting."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, i
     """Sum spherical harmonics.
 
     Args:
-        degree: highest degree that is summed.
-        directions: (M, 3) of any length; of a direction of zero all three Cartesian factors are zero.
+        degree: highest degree of the sum.
+        directions: (M, 3) of any length; for a zero direction x, y and z are zero.
         coefficients: (N, K, C) with K >= (degree + 1)^2, ordered by degree, then by order.
-        ids: (M,) int64 whose coefficients each direction takes; None: its own, N being M.
+        ids: (M,) int64 row of the coefficients for each direction; None: row i for direction i, with N = M.
 
     Returns:
-        (M, C), without the half that colours are shifted by.
+        (M, C), without the offset of 0.5 of colours.
     """
     squares = directions.double().square().sum(-1, keepdim=True)
     known = squares > 0.0
@@ -30,9 +30,9 @@ def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, i
 
 
 def _basis(degree: int, x: Tensor, y: Tensor, z: Tensor) -> list[Tensor]:
-    """Each harmonic of a unit vector: norm * P_l^m(z) * Re or Im (x + iy)^m, Condon-Shortley phase included.
+    """Compute each harmonic of a unit vector: norm * P_l^m(z) * Re or Im (x + iy)^m, with the Condon-Shortley phase.
 
-    P_l^m stands without its factor (1 - z^2)^(m/2), which the power of x + iy brings.
+    P_l^m lacks its factor (1 - z^2)^(m/2), because the power of x + iy contains it.
     """
     real, imaginary = [torch.ones_like(x)], [torch.zeros_like(x)]
     for _ in range(degree):
@@ -43,9 +43,9 @@ def _basis(degree: int, x: Tensor, y: Tensor, z: Tensor) -> list[Tensor]:
     legendre: dict[tuple[int, int], Tensor] = {}
     for m in range(degree + 1):
         legendre[m, m] = torch.full_like(z, (-1.0) ** m * math.prod(range(1, 2 * m, 2)))
-        for l in range(m + 1, degree + 1):  # noqa: E741 - as every book has it
-            below = legendre[l - 2, m] if l - 2 >= m else torch.zeros_like(z)
-            legendre[l, m] = ((2 * l - 1) * z * legendre[l - 1, m] - (l + m - 1) * below) / (l - m)
+        for l in range(m + 1, degree + 1):  # noqa: E741 - the usual symbol
+            previous = legendre[l - 2, m] if l - 2 >= m else torch.zeros_like(z)
+            legendre[l, m] = ((2 * l - 1) * z * legendre[l - 1, m] - (l + m - 1) * previous) / (l - m)
     return [
         _norm(l, abs(m)) * legendre[l, abs(m)] * (imaginary[-m] if m < 0 else real[m])
         for l in range(degree + 1)  # noqa: E741

@@ -1,4 +1,4 @@
-"""Which Gaussians each tile of a picture is given, front to back."""
+"""Assigns Gaussians to the tiles of an image, front to back."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hybridworldsim.rasterizer.presets import ALPHA_MIN, Preset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 
 CHUNK = 256
-"""Gaussians that are evaluated at once, over all pixels of a tile."""
+"""Number of Gaussians that are evaluated at once, at all pixels of a tile."""
 
 _SLACK = 1e-3
-"""By how much rounding may misjudge the least form of a needle; a tile that is kept in vain costs time only."""
+"""Bound of the rounding error of a needle's least form; a tile that is kept needlessly only costs time."""
 
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Let torch compute in the calling thread: a chunk is too small to share.
+    """Make torch compute in the calling thread, because a chunk is too small for several threads.
 
-    Measured with two threads on a machine whose two cores were busy: 20 to 50 times slower than with one.
+    On a machine with two busy cores two threads were 20 to 50 times slower than one.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -34,40 +34,40 @@ def single_thread() -> Iterator[None]:
 
 
 class Tile(NamedTuple):
-    """A tile that some Gaussian may reach, with its span [begin, end) in a list of pairs."""
+    """A tile with at least one Gaussian, and its range [begin, end) in a list of pairs."""
 
-    pixels: Tensor  # (P,) int64, row-major in the picture
+    pixels: Tensor  # (P,) int64, row-major in the image
     centres: Tensor  # (P, 2) pixels
     begin: int
     end: int
 
     def chunks(self) -> Iterator[slice]:
-        """The span in pieces, front to back."""
+        """Split the range into chunks, front to back."""
         for begin in range(self.begin, self.end, CHUNK):
             yield slice(begin, min(begin + CHUNK, self.end))
 
 
 def sort_front_to_back(projected: ProjectedGaussians) -> Tensor:
-    """Rows (M,) by float32 depth, then by index: the order that gsplat's sort keys give."""
+    """Sort rows (M,) by float32 depth, then by index: the order of gsplat's sort keys."""
     return torch.argsort(projected.depths.detach().float(), stable=True)
 
 
 def pair_tiles(
     projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
 ) -> tuple[Tensor, list[Tile]]:
-    """Pair every tile with the Gaussians that the preset lets reach it.
+    """Pair each tile with the Gaussians that reach it.
 
     Args:
         projected: M Gaussians.
-        opacities: (M,) with compensations already multiplied in.
-        width: pixels.
-        height: pixels.
-        preset: with square extents, whatever tile the square touches; with elliptic ones, whatever tile has a pixel at
-            which alpha may reach `ALPHA_MIN`.
-        tile_size: pixels.
+        opacities: (M,) compensated opacities.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        preset: with square extents a Gaussian reaches each tile that its square touches; with elliptic extents, each
+            tile with a pixel at which alpha may reach `ALPHA_MIN`.
+        tile_size: side of a tile, pixels.
 
     Returns:
-        Rows (P,) in `projected`, by tile, then front to back; the tiles that have any.
+        Rows (P,) of `projected`, by tile, then front to back; and the tiles with at least one Gaussian.
     """
     tiles_wide, tiles_high = -(-width // tile_size), -(-height // tile_size)
     size = torch.tensor([tiles_wide, tiles_high])
@@ -94,21 +94,21 @@ def pair_tiles(
     tile, by_tile = torch.sort(row * tiles_wide + column, stable=True)
     starts = torch.searchsorted(tile, torch.arange(tiles_wide * tiles_high + 1)).tolist()
 
-    picture = torch.arange(width * height).view(height, width)
-    some = []
+    image_pixels = torch.arange(width * height).view(height, width)
+    paired_tiles = []
     for index in range(tiles_wide * tiles_high):
         if starts[index] < starts[index + 1]:
             top, left = (index // tiles_wide) * tile_size, (index % tiles_wide) * tile_size
-            pixels = picture[top : top + tile_size, left : left + tile_size].flatten()
+            pixels = image_pixels[top : top + tile_size, left : left + tile_size].flatten()
             centres = torch.stack([pixels % width, pixels // width], dim=-1) + 0.5
-            some.append(Tile(pixels, centres.double(), starts[index], starts[index + 1]))
-    return order[owner[by_tile]], some
+            paired_tiles.append(Tile(pixels, centres.double(), starts[index], starts[index + 1]))
+    return order[owner[by_tile]], paired_tiles
 
 
 def _min_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
-    """The least (P,) of the quadratic form of `conics` (P, 3) over rectangles from `low` to `high` (P, 2).
+    """Compute the minimum (P,) of the quadratic form of `conics` (P, 3) over rectangles from `low` to `high` (P, 2).
 
-    It is taken on the side that faces the origin, where the form in the other coordinate is least: one of two sides.
+    The minimum lies on one of the two sides that face the origin; on each side a parabola has its minimum.
     """
     xx, xy, yy = conics.unbind(-1)
     sides = torch.zeros_like(low).clamp(low, high)
@@ -120,19 +120,19 @@ def _min_form(low: Tensor, high: Tensor, conics: Tensor) -> Tensor:
 
 
 def compute_alphas(x: Tensor, y: Tensor, conics: Tensor, opacities: Tensor, alpha_max: float) -> Tensor:
-    """What L Gaussians would take of the light of P pixels.
+    """Compute the alphas of L Gaussians at P pixels.
 
     Args:
-        x: (L, P) mean less pixel centre.
-        y: (L, P).
+        x: (L, P) mean minus pixel centre, pixels.
+        y: (L, P) mean minus pixel centre, pixels.
         conics: (L, 3).
         opacities: (L,).
-        alpha_max: cap; where it holds, no gradient passes.
+        alpha_max: upper bound; at the bound there is no gradient.
 
     Returns:
-        (L, P), not yet cut off at `ALPHA_MIN`.
+        (L, P), before the cut at `ALPHA_MIN`.
     """
     xx, xy, yy = (column[:, None] for column in conics.unbind(-1))
     power = 0.5 * (xx * x * x + yy * y * y) + xy * x * y
-    # gsplat skips a negative power, which only rounding makes
+    # gsplat skips a negative power, which can only come from rounding
     return torch.where(power >= 0.0, (opacities[:, None] * torch.exp(-power)).clamp(max=alpha_max), 0.0)

@@ -1,4 +1,4 @@
-"""Gaussians through a lens: seven points of each pass it, and their mean and covariance are the ellipse."""
+"""Projects Gaussians through a lens: the mean and covariance of seven projected points are the ellipse."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ def project_unscented(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Project by the unscented transform (Wan and van der Merwe 2000), with gsplat's parameters.
 
-    The points are the mean and `UT_SPREAD` standard deviations along each axis, both ways. A point that is behind the
-    camera, or that the lens cannot show, lies at pixel (0, 0), as in gsplat.
+    The points are the mean, and the points at `UT_SPREAD` standard deviations in both directions of each axis. A point
+    behind the camera, or outside the domain of the lens, lies at pixel (0, 0), as in gsplat.
 
     Args:
         means_c: (N, 3) metres, camera.
-        axes_c: (N, 3, 3) the axes as columns, one standard deviation long, metres, camera.
+        axes_c: (N, 3, 3) axes as columns, with the length of one standard deviation, metres, camera.
         K: (3, 3) fx, fy, cx, cy in pixels.
-        width: pixels.
-        height: pixels.
-        lens: what bends the rays.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        lens: the distortion.
 
     Returns:
-        Means (N, 2) in pixels; roots (N, 2, 7) whose product with their transpose is the covariance, pixel^2; whether
-        (N,) the lens shows any of the points.
+        Means (N, 2) in pixels; roots (N, 2, 7) of the covariances, which are roots @ roots.T, pixel^2; and whether (N,)
+        the lens shows at least one of the points.
     """
-    steps = UT_SPREAD * axes_c.mT  # (N, 3, 3): one axis a row
+    steps = UT_SPREAD * axes_c.mT  # (N, 3, 3): one axis per row
     points = torch.cat([means_c[:, None], means_c[:, None] + steps, means_c[:, None] - steps], dim=1)  # (N, 7, 3)
     pixels, valid = PROJECTIONS[lens.model](points, K, width, height, lens)  # (N, 7, 2), (N, 7)
 
@@ -45,7 +45,7 @@ def project_unscented(
 
 
 def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
-    """Pixels (..., 2) of camera points (..., 3) (OpenCV's rational and thin prism model), and which are valid."""
+    """Project camera points (..., 3) to pixels (..., 2) by OpenCV's rational and thin prism model; mark valid ones."""
     k1, k2, k3, k4, k5, k6 = lens.radial_coeffs
     p1, p2 = lens.tangential_coeffs
     s1, s2, s3, s4 = lens.thin_prism_coeffs
@@ -55,7 +55,7 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
     r2 = u * u + v * v
     numerator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    impossible = is_behind | (denominator <= 0.0)  # what is not a number stays so, and is found degenerate
+    impossible = is_behind | (denominator <= 0.0)  # NaN stays NaN, and such a Gaussian is degenerate
     radial = numerator / torch.where(impossible, 1.0, denominator)
     distorted = torch.stack(
         [
@@ -69,23 +69,23 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
 
 
 def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
-    """Pixels (..., 2) of camera points (..., 3) (OpenCV's fisheye model), and which are valid."""
+    """Project camera points (..., 3) to pixels (..., 2) by OpenCV's fisheye model; mark valid points."""
     k1, k2, k3, k4 = lens.radial_coeffs
     fx, fy, cx, cy = (float(K.detach()[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    last = lens.max_angle(fx, fy, cx, cy, width, height)
+    max_angle = lens.max_angle(fx, fy, cx, cy, width, height)
     x, y, z = points.unbind(-1)
     on_axis = (x == 0.0) & (y == 0.0)
     r = torch.hypot(torch.where(on_axis, 1.0, x), y)
-    full = torch.atan2(r, z)
-    angle = full.clamp(max=last)
+    full_angle = torch.atan2(r, z)
+    angle = full_angle.clamp(max=max_angle)
     a2 = angle * angle
     distorted_angle = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
     is_behind = z <= 0.0
-    # on the axis the angle over the radius tends to 1 / z
+    # on the axis, angle / radius tends to 1 / z
     scale = torch.where(on_axis, 1.0 / torch.where(is_behind, 1.0, z), distorted_angle / r)
     impossible = is_behind | (scale <= 0.0)
     pixels = K.diagonal()[:2] * scale[..., None] * points[..., :2] + K[:2, 2]
-    return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full < last) | on_axis)
+    return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full_angle < max_angle) | on_axis)
 
 
 PROJECTIONS = {"pinhole": _brown_conrady, "fisheye": _fisheye}

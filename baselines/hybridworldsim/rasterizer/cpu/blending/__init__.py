@@ -1,1 +1,1 @@
-"""Ellipses to a picture, tile by tile."""
+"""Blends ellipses to an image, tile by tile."""

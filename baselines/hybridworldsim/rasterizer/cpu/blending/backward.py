@@ -1,7 +1,7 @@
 """Gradients of blending, from the last Gaussian of each tile to the first.
 
-What blending did is computed again: nothing but the light that remains and each pixel's hindmost Gaussian is kept. Each
-pair of tile and Gaussian has a line of its own, which `reduce_lines` adds up in the order of the lines.
+The forward pass keeps the final transmittance and the last Gaussian of each pixel; the backward pass computes all other
+values again. Each pair of tile and Gaussian has its own line of sums. `reduce_lines` adds the lines in their order.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from hybridworldsim.rasterizer.cpu.blending.splats import FEATURES, FLOOR, load_
 from mirror.arrays import Float32, Float64, Int32, Int64
 
 SUMS: Final = 8
-"""Numbers at the head of a line: the sums over pixels of s, s u, s v, s u^2, s u v, s v^2, |s u|, |s (f12 u + f22 v)|,
-where s is minus the gradient to half the ellipse's form; the sums of the features' gradients follow."""
+"""Numbers at the start of a line: the sums over pixels of s, s u, s v, s u^2, s u v, s v^2, |s u|, |s (f12 u + f22 v)|,
+where -s is the gradient to half the ellipse's form. The sums of the features' gradients follow."""
 
 _LN4: Final = 2.0 * math.log(2.0)
 
 
 @kernel(inline="always")
 def load_four(vectors: Float32, first: int) -> Any:
-    """Four vectors of many."""
+    """Load four consecutive vectors."""
     at = first * LANES
     return (
         load(vectors, at),
@@ -88,32 +88,32 @@ def blend_tiles_backward(
     line_size: int,
     absolute: bool,
 ) -> None:
-    """Gradients of the Gaussians of some tiles.
+    """Compute the gradients of the Gaussians of some tiles.
 
     Args:
-        tiles: which ones.
-        tile_starts: where the places of each tile begin.
-        ids: the Gaussian at each place.
-        pair_ranks: how many pairs of the same Gaussian come before each place.
-        first_lines: (M + 1,) the first line of each Gaussian.
-        counts_before: (T,) how many Gaussians of each tile came before.
-        processed_end: (T,) the place in front of which the last Gaussian is that was looked at.
-        rows: of the Gaussians.
-        stride: of these rows.
-        channels: of the features.
+        tiles: indices of the tiles.
+        tile_starts: (T + 1,) start of each tile in the list of pairs.
+        ids: Gaussian of each pair.
+        pair_ranks: number of earlier pairs of the same Gaussian, for each pair.
+        first_lines: (M + 1,) first line of each Gaussian.
+        counts_before: (T,) number of Gaussians of each tile in earlier slices.
+        processed_end: (T,) one past the last processed pair of each tile.
+        rows: packed rows of the Gaussians.
+        stride: length of a row.
+        channels: number of feature channels.
         tiles_x: columns of tiles.
-        alpha_max: the greatest alpha.
+        alpha_max: upper bound of alpha.
         transmittance: (T * 256,) on entry behind the last of these Gaussians, on return in front of the first.
         background_sum: (T * 256,) on entry the sum over the Gaussians behind these of weight * feature * gradient,
             minus the final transmittance * gradient of alpha; on return these Gaussians are included.
-        gradient: (T * channels * 256,) of the picture.
-        last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel.
-        scratch: (BATCH * PLACED,).
-        block_bits: (BATCH,).
-        extra_sums: ((line - SUMS) * LANES,), zero.
-        lines: (pairs * line,) written.
-        line_size: its length.
-        absolute: whether the sums without signs are wanted.
+        gradient: (T * channels * 256,) gradient of the image, in blocks.
+        last: (T * 256,) index in its tile of the last Gaussian of a pixel.
+        scratch: (BATCH * PLACEMENT_SIZE,) scratch.
+        block_bits: (BATCH,) scratch.
+        extra_sums: ((line_size - SUMS) * LANES,) scratch, zero on entry.
+        lines: (pairs * line_size,) output.
+        line_size: length of a line.
+        absolute: whether to compute the sums of absolute values.
     """
     block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap, zero, one = np.float32(alpha_max), broadcast(np.float32(0.0)), broadcast(np.float32(1.0))
@@ -230,28 +230,28 @@ def reduce_lines(
     absolute: Float32,
     sums: Float32,
 ) -> None:
-    """Add up the lines of Gaussians, and turn them into gradients.
+    """Add the lines of each Gaussian, and convert the sums to gradients.
 
     Args:
-        begin: the first.
-        end: the one after the last.
-        first_lines: (M + 1,) their first lines.
-        lines: as written by `blend_tiles_backward`.
-        line_size: their length.
-        rows: of the Gaussians.
-        stride: of these rows.
+        begin: first Gaussian.
+        end: one past the last.
+        first_lines: (M + 1,) first line of each Gaussian.
+        lines: lines written by `blend_tiles_backward`.
+        line_size: length of a line.
+        rows: packed rows of the Gaussians.
+        stride: length of a row.
         opacities: (M,).
-        means: (M, 2) gradient to the means, written, as all that follow.
-        conics: (M, 3) to the conics.
-        by_opacity: (M,).
-        by_feature: (M, D).
-        absolute: (M, 2) sums of the magnitudes of each pixel's gradient to the means.
-        sums: (line,) scratch.
+        means: (M, 2) output, gradient to the means.
+        conics: (M, 3) output, gradient to the conics.
+        by_opacity: (M,) output, gradient to the opacities.
+        by_feature: (M, D) output, gradient to the features.
+        absolute: (M, 2) output, sums of the absolute gradients of each pixel to the means.
+        sums: (line_size,) scratch.
     """
     channels, none = by_feature.shape[1], broadcast(np.float32(0.0))
     for i in range(begin, end):
         for column in range(0, line_size, LANES):
-            # each pair's numbers are added with what rounding took from the sum before
+            # compensated (Kahan) summation: the rounding error of each sum is subtracted from the next addend
             total_so_far, lost = none, none
             for slot in range(first_lines[i], first_lines[i + 1]):
                 added = load(lines, slot * line_size + column) - lost

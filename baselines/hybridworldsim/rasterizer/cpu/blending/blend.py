@@ -1,4 +1,4 @@
-"""Ellipses to a picture, with gradients."""
+"""Blends ellipses to an image, with gradients."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from mirror.errors import UsageError
 
 _PARTS: Final = 32
 LEAST_SLICE: Final = 32768
-"""Gaussians of the nearest slice, at least."""
+"""Least number of Gaussians in the nearest slice."""
 
 _SHARE: Final = 8
-"""All Gaussians are so many times those of the nearest slice, where there are many."""
+"""The nearest slice has at least one part in this number of all Gaussians."""
 
 
 def blend(
@@ -47,20 +47,20 @@ def blend(
 
     Args:
         projected: M ellipses.
-        features: (M, D) of each.
-        opacities: (M,) of each, compensated if antialiased.
-        width: of the picture, pixels.
-        height: of the picture.
-        preset: whose cap of alpha is taken.
-        tile_size: side of a tile, 16.
-        absgrad: whether `projected.means2d.absgrad` is set by the backward pass.
+        features: (M, D).
+        opacities: (M,), compensated if antialiased.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        preset: generation of gsplat, for the upper bound of alpha.
+        tile_size: side of a tile, 16 pixels.
+        absgrad: whether the backward pass sets `projected.means2d.absgrad`.
 
     Returns:
-        The picture. Its counts: pairs of tile and Gaussian; those that were looked at; pairs of a block of 4 x 4 pixels
-        and a Gaussian that were blended; tiles that were done before their last Gaussian.
+        The image. Its counts: `pairs` of tile and Gaussian; `processed_pairs` among them; `processed_blocks`, pairs of
+        a block of 4 x 4 pixels and a Gaussian; `stopped_tiles`, tiles that ended before their last Gaussian.
 
     Raises:
-        UsageError: tiles of another size.
+        UsageError: a tile size other than 16.
     """
     if tile_size != TILE_PX:
         raise UsageError(
@@ -76,13 +76,13 @@ def blend(
 
 
 class _Slice(NamedTuple):
-    """Gaussians that are neighbours in depth.
+    """A slice of Gaussians that follow each other in depth.
 
     Attributes:
-        order: (R,) which ones.
-        tiles: the tiles that they reach, of those that were not done before.
-        counts_before: (T,) how many Gaussians of each tile came before.
-        processed_end: (T,) the place in front of which the last Gaussian is that was looked at.
+        order: (R,) indices of the Gaussians.
+        tiles: their pairs with the tiles that were not done before the slice.
+        counts_before: (T,) number of Gaussians of each tile in earlier slices.
+        processed_end: (T,) one past the last processed pair of each tile.
     """
 
     order: Int32
@@ -137,9 +137,9 @@ class _Blend(torch.autograd.Function):
     @once_differentiable
     def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
-        found = _Gradients.zeros(len(opacities), shape[2])
+        gradients = _Gradients.zeros(len(opacities), shape[2])
         to_colours, transmittance, background_sum = canvas.gradients_to_blocks(
-            _array(by_image, shape), _array(by_alpha, shape[:2])
+            _to_array(by_image, shape), _to_array(by_alpha, shape[:2])
         )
         first_lines = _first_lines(slices, len(opacities))
         line_size = LANES * -(-(SUMS + splats.channels) // LANES)
@@ -158,21 +158,21 @@ class _Blend(torch.autograd.Function):
                 line_size,
                 absgrad,
             )
-        _reduce_gradients(splats, opacities, first_lines, lines, line_size, found)
+        _reduce_gradients(splats, opacities, first_lines, lines, line_size, gradients)
         if absgrad:
-            means2d.absgrad = torch.from_numpy(found.absolute)
-        return (*map(torch.from_numpy, found[:4]), None, None, None, None, None)
+            means2d.absgrad = torch.from_numpy(gradients.absolute)
+        return (*map(torch.from_numpy, gradients[:4]), None, None, None, None, None)
 
 
 class _Gradients(NamedTuple):
-    """Of M Gaussians.
+    """The gradients to M Gaussians.
 
     Attributes:
         means: (M, 2).
         conics: (M, 3).
         features: (M, D).
         opacities: (M,).
-        absolute: (M, 2) to the means, each pixel's taken without its sign.
+        absolute: (M, 2) sums of each pixel's absolute gradient to the means.
     """
 
     means: Float32
@@ -183,7 +183,7 @@ class _Gradients(NamedTuple):
 
     @classmethod
     def zeros(cls, count: int, channels: int) -> _Gradients:
-        """Of Gaussians that nothing shows."""
+        """Make gradients of zero."""
         return cls(
             np.zeros((count, 2), np.float32),
             np.zeros((count, 3), np.float64),
@@ -193,12 +193,13 @@ class _Gradients(NamedTuple):
         )
 
 
-def _array(gradient: Tensor | None, shape: tuple[int, ...]) -> Float32:
+def _to_array(gradient: Tensor | None, shape: tuple[int, ...]) -> Float32:
+    """Convert a gradient to an array; zeros if there is none."""
     return np.zeros(shape, np.float32) if gradient is None else gradient.detach().contiguous().numpy()
 
 
 def _slices(order: Int32) -> Iterator[Int32]:
-    """Gaussians in depth order by slices that grow: what the first ones hide is never paired with tiles."""
+    """Yield slices of growing size in depth order, so that hidden Gaussians are never paired with tiles."""
     first, size = 0, max(LEAST_SLICE, -(-len(order) // _SHARE))
     while first < len(order):
         end = len(order) if len(order) - first < 2 * size else first + size
@@ -207,12 +208,12 @@ def _slices(order: Int32) -> Iterator[Int32]:
 
 
 def _tile_rows(canvas: Canvas) -> Int64:
-    """The numbers of tiles (tiles_y, tiles_x)."""
+    """Make the indices of the tiles (tiles_y, tiles_x)."""
     return np.arange(len(canvas.alive)).reshape(canvas.tiles_y, canvas.tiles_x)
 
 
 def _blend_slice(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float, work: Int64) -> _Slice:
-    """Blend Gaussians into all tiles that are not done; counts what was looked at, and pairs of block and Gaussian."""
+    """Blend Gaussians into all tiles that are not done; add processed pairs and processed blocks to `work`."""
     tiles = assign_tiles(splats, order, canvas.tiles_x, canvas.alive)
     part = _Slice(order, tiles, canvas.counts_before.copy(), np.empty(len(canvas.alive), np.int64))
     numbers, counts = _tile_rows(canvas), np.zeros((canvas.tiles_y, 2), np.int64)
@@ -232,7 +233,7 @@ def _blend_slice(canvas: Canvas, splats: Splats, order: Int32, alpha_max: float,
 
 
 def _first_lines(slices: list[_Slice], count: int) -> Int64:
-    """Where the lines (M + 1,) of each Gaussian begin: one for each of its tiles."""
+    """Compute the first line (M + 1,) of each Gaussian; it has one line per tile."""
     first_lines = np.zeros(count + 1, np.int64)
     for part in slices:
         first_lines[part.order + 1] = part.tiles.pairs
@@ -252,7 +253,7 @@ def _backward_slice(
     line_size: int,
     absgrad: bool,
 ) -> None:
-    """Write the gradients of each pair of tile and Gaussian of a slice."""
+    """Write the line of each pair of tile and Gaussian of a slice."""
     tiles, numbers = part.tiles, _tile_rows(canvas)
 
     def write(row: int) -> None:
@@ -267,14 +268,15 @@ def _backward_slice(
 
 
 def _reduce_gradients(
-    splats: Splats, opacities: Float32, first_lines: Int64, lines: Float32, line_size: int, found: _Gradients
+    splats: Splats, opacities: Float32, first_lines: Int64, lines: Float32, line_size: int, gradients: _Gradients
 ) -> None:
-    """Add up the lines of each Gaussian."""
+    """Add the lines of each Gaussian in parallel."""
     edges = np.linspace(0, len(opacities), _PARTS + 1).astype(np.int64)
     in_parallel(
         lambda number: reduce_lines(
             edges[number], edges[number + 1], first_lines, lines, line_size, splats.rows, splats.stride, opacities,
-            found.means, found.conics, found.opacities, found.features, found.absolute, empty_aligned(line_size),
+            gradients.means, gradients.conics, gradients.opacities, gradients.features, gradients.absolute,
+            empty_aligned(line_size),
         ),
         _PARTS,
     )  # fmt: skip

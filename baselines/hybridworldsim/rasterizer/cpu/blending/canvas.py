@@ -1,4 +1,4 @@
-"""A picture in the making: tiles of 16 x 16 pixels, each 16 blocks of 4 x 4, a block's pixels side by side."""
+"""The image during blending: tiles of 16 x 16 pixels in blocks of 4 x 4; the pixels of a block are contiguous."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ BLOCKS: Final = 16
 
 
 class Canvas(NamedTuple):
-    """A picture as T tiles, row by row.
+    """An image of T tiles, row by row.
 
     Attributes:
-        width: of the picture, pixels.
-        height: of the picture.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
         tiles_x: columns of tiles.
-        tiles_y: rows of them.
-        channels: of the colours.
-        transmittance: (T * 256,) what is left of it; negative where a pixel is done.
-        colours: (T * channels * 256,) blended so far, a tile channel by channel.
-        last: (T * 256,) the number in its tile of a pixel's hindmost Gaussian; -1 if it has none.
-        counts_before: (T,) how many Gaussians of each tile there were.
-        alive: (T,) whether not all of a tile's pixels are done.
+        tiles_y: rows of tiles.
+        channels: number of colour channels.
+        transmittance: (T * 256,) remaining transmittance; negative if the pixel is done.
+        colours: (T * channels * 256,) blended colours, channel by channel in each tile.
+        last: (T * 256,) index in its tile of the last Gaussian of a pixel; -1 without Gaussians.
+        counts_before: (T,) number of Gaussians of each tile in earlier slices.
+        alive: (T,) whether at least one pixel of a tile is not done.
     """
 
     width: int
@@ -46,7 +46,7 @@ class Canvas(NamedTuple):
     alive: Bool
 
     def to_image(self, channels: int) -> tuple[Float32, Float32]:
-        """The first channels (H, W, channels), and alpha (H, W)."""
+        """Convert to an image with the first channels (H, W, channels), and alpha (H, W)."""
         flat, alpha = empty_aligned(self.height * self.width * channels), empty_aligned(self.height * self.width)
         image, alpha = flat.reshape(self.height, self.width, channels), alpha.reshape(self.height, self.width)
 
@@ -57,15 +57,15 @@ class Canvas(NamedTuple):
         return image, alpha
 
     def gradients_to_blocks(self, by_image: Float32, by_alpha: Float32) -> tuple[Float32, Float32, Float32]:
-        """Gradients as the canvas lies.
+        """Convert gradients from image to block layout.
 
         Args:
-            by_image: (H, W, D).
-            by_alpha: (H, W).
+            by_image: (H, W, D) gradient to the image.
+            by_alpha: (H, W) gradient to alpha.
 
         Returns:
-            To the colours (T * channels * 256,); the light that is left (T * 256,); minus that times the gradient to
-            alpha (T * 256,).
+            The gradient to the colours (T * channels * 256,); the remaining transmittance (T * 256,); and minus the
+            transmittance times the gradient to alpha (T * 256,).
         """
         to_colours = full_aligned(len(self.colours), 0.0)
         transmittance, background_sum = empty_aligned(len(self.transmittance)), empty_aligned(len(self.transmittance))
@@ -88,7 +88,7 @@ class Canvas(NamedTuple):
 
 
 def make_canvas(width: int, height: int, channels: int) -> Canvas:
-    """Nothing blended yet; what lies beyond the picture is done."""
+    """Make an empty canvas; pixels outside the image are done."""
     tiles_x, tiles_y = -(-width // TILE_PX), -(-height // TILE_PX)
     count = tiles_x * tiles_y
     transmittance = full_aligned(count * PIXELS, 1.0)
@@ -123,7 +123,7 @@ def _blocks_to_image(
     flat: Float32,
     alpha: Float32,
 ) -> None:
-    """Write a row of tiles into a picture."""
+    """Copy a row of tiles to the image."""
     height, width, image_channels = image.shape
     for tile_x in range(tiles_x):
         tile = tile_y * tiles_x + tile_x
@@ -174,7 +174,7 @@ def _gradients_to_blocks(
     transmittance: Float32,
     background_sum: Float32,
 ) -> None:
-    """Write a row of tiles of gradients into blocks."""
+    """Copy the gradients of a row of tiles to blocks."""
     height, width, image_channels = by_image.shape
     for tile_x in range(tiles_x):
         tile = tile_y * tiles_x + tile_x

@@ -1,8 +1,8 @@
-"""Blend each tile's Gaussians front to back.
+"""Blends the Gaussians of each tile front to back.
 
-A block of 4 x 4 pixels is one vector. Its light and colours stay in registers
-while the Gaussians that reach it pass by; those that do not reach it are sorted out sixteen blocks at once, by circles
-round block and ellipse in the space where the ellipse is a circle.
+A block of 4 x 4 pixels is one vector. Its transmittance and colours stay in registers during the loop over the
+Gaussians that reach it. The test which Gaussians reach a block runs for sixteen blocks at once, by a circle around the
+block and a circle around the Gaussian, in the space in which the ellipse is a circle.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 BATCH: Final = 64
 PLACEMENT_SIZE: Final = 6
-"""Columns of a Gaussian placed in a tile: u and v at its centre, the factors, the level."""
+"""Numbers of a Gaussian placed in a tile: u and v at the centre of the tile, the factors, and the level."""
 
 _LANE: Final = np.arange(LANES, dtype=np.float32)
 _BLOCK: Final = np.arange(BLOCKS, dtype=np.float32)[:, None]
 PIXEL_X: Final = (4.0 * (_BLOCK % 4) + _LANE % 4 - np.float32(7.5)).astype(np.float32).ravel()
 PIXEL_Y: Final = (4.0 * (_BLOCK // 4) + _LANE // 4 - np.float32(7.5)).astype(np.float32).ravel()
-"""A tile's pixels, seen from its centre, block by block."""
+"""Offsets of a tile's pixels from its centre, block by block, pixels."""
 
 BLOCK_X: Final = 4 * (_LANE % 4) - np.float32(6.0)
 BLOCK_Y: Final = 4 * (_LANE // 4) - np.float32(6.0)
-"""The blocks' centres, seen from the tile's."""
+"""Offsets of the blocks' centres from the centre of the tile, pixels."""
 
 _STOP: Final = np.float32(TRANSMITTANCE_STOP)
 _EVERY: Final = 0xFFFF
@@ -66,7 +66,7 @@ _E4, _E5 = np.float32(0.00967554096), np.float32(0.00132764713)
 
 @kernel(inline="always")
 def exp2(exponent: Any) -> Any:
-    """2 to the power of a vector's elements to 2e-7, from -126 to 126; anything beyond."""
+    """Compute 2 to the power of a vector's elements to 2e-7, from -126 to 126; undefined outside this range."""
     shifted = exponent + _SHIFT
     part = exponent - (shifted - _SHIFT)
     power = fma(fma(fma(broadcast(_E5), part, _E4), part, _E3), part, _E2)
@@ -77,7 +77,7 @@ def exp2(exponent: Any) -> Any:
 def place_in_tile(
     rows: Float32, row: int, centre_x: Any, centre_y: Any, out: Float32, at: int, block_x: Any, block_y: Any
 ) -> Any:
-    """Place a Gaussian in a tile; which of the tile's blocks it may reach, as bits."""
+    """Write a Gaussian's numbers relative to a tile; return bits of the blocks that it may reach."""
     f11, f12, f22 = rows[row + FACTORS], rows[row + FACTORS + 1], rows[row + FACTORS + 2]
     u, v = to_unit_space(rows, row, centre_x, centre_y)
     level = rows[row + LEVEL]
@@ -90,7 +90,7 @@ def place_in_tile(
 
 @kernel(inline="always")
 def group_by_block(block_bits: Int32, gaussian_bits: AnyArray) -> None:
-    """From the blocks that each Gaussian reaches, the Gaussians that reach each block: as bits."""
+    """Transpose bits: from the blocks of each Gaussian to the Gaussians of each block."""
     for block in range(BLOCKS):
         word, bit = np.uint64(0), np.int32(1 << block)
         for group in range(BATCH // LANES):
@@ -118,29 +118,29 @@ def blend_tiles(
     block_bits: Int32,
     gaussian_bits: AnyArray,
     processed_end: Int64,
-    seen: Int64,
+    work: Int64,
 ) -> None:
-    """Blend the Gaussians of some tiles behind what is blended already.
+    """Blend the Gaussians of some tiles behind the Gaussians of earlier slices.
 
     Args:
-        tiles: which ones.
-        tile_starts: where the places of each tile begin.
-        ids: the Gaussian at each place.
-        counts_before: (T,) how many Gaussians of each tile came before.
-        rows: of the Gaussians.
-        stride: of these rows.
-        channels: of the features.
+        tiles: indices of the tiles.
+        tile_starts: (T + 1,) start of each tile in the list of pairs.
+        ids: Gaussian of each pair.
+        counts_before: (T,) number of Gaussians of each tile in earlier slices.
+        rows: packed rows of the Gaussians.
+        stride: length of a row.
+        channels: number of feature channels.
         tiles_x: columns of tiles.
-        alpha_max: the greatest alpha.
-        transmittance: (T * 256,) transmittance of the pixels so far, block by block.
-        colours: (T * channels * 256,) blended so far.
-        last: (T * 256,) the number in its tile of the hindmost Gaussian of a pixel.
-        alive: (T,) whether a tile's pixels are not all done; a pixel that is done has negative light.
-        scratch: (BATCH * PLACED,).
-        block_bits: (BATCH,).
-        gaussian_bits: (BATCH,).
-        processed_end: (T,) written: the place in front of which the last Gaussian that was looked at is.
-        seen: (2,) counts Gaussians that were looked at, and pairs of block and Gaussian.
+        alpha_max: upper bound of alpha.
+        transmittance: (T * 256,) transmittance of the pixels, block by block; updated; negative if a pixel is done.
+        colours: (T * channels * 256,) blended colours; updated.
+        last: (T * 256,) index in its tile of the last Gaussian of a pixel; updated.
+        alive: (T,) whether at least one pixel of a tile is not done; updated.
+        scratch: (BATCH * PLACEMENT_SIZE,) scratch.
+        block_bits: (BATCH,) scratch.
+        gaussian_bits: (BLOCKS,) scratch.
+        processed_end: (T,) output, one past the last processed pair.
+        work: (2,) numbers of processed pairs, and of processed pairs of block and Gaussian; increased.
     """
     block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap = np.float32(alpha_max)
@@ -223,6 +223,6 @@ def blend_tiles(
                 store(colours, to + PIXELS, green)
                 store(colours, to + 2 * PIXELS, blue)
                 store(colours, to + 3 * PIXELS, other)
-        seen[0] += processed_end[tile] - begin
-        seen[1] += block_pairs
+        work[0] += processed_end[tile] - begin
+        work[1] += block_pairs
         alive[tile] = open_blocks != 0

@@ -1,4 +1,4 @@
-"""Order by depth: a stable radix sort of float32 keys."""
+"""Sorts by depth: a stable radix sort of float32 keys."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NUMPY_BELOW: Final = 4096
 
 
 def depth_order(depths: Float32) -> Int32:
-    """The order (M,) of depths (M,), equal ones by index; 0 and above, not NaN."""
+    """Compute the order (M,) of depths (M,) of at least 0, without NaN; equal depths are ordered by index."""
     count = len(depths)
     if count < _NUMPY_BELOW:
         return np.argsort(depths, kind="stable").astype(np.int32)
@@ -29,7 +29,7 @@ def depth_order(depths: Float32) -> Int32:
 
 
 def _sort_by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tuple[AnyArray, Int32]:
-    """Sort by some bits, keeping what is equal in order."""
+    """Sort by one digit, stably."""
     counts = np.zeros((_PARTS, _BINS), np.int64)
     in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, counts[part]), _PARTS)
     if counts.sum(axis=0).max() == len(keys):
@@ -47,6 +47,7 @@ def _sort_by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tu
 
 @kernel()
 def _count(keys: AnyArray, begin: int, end: int, shift: int, counts: AnyArray) -> None:
+    """Count the keys of each digit value."""
     for i in range(begin, end):
         counts[(keys[i] >> np.uint32(shift)) & np.uint32(_BINS - 1)] += 1
 
@@ -62,6 +63,7 @@ def _scatter(
     sorted_keys: AnyArray,
     sorted_order: Int32,
 ) -> None:
+    """Move keys to their sorted places."""
     for i in range(begin, end):
         bucket = (keys[i] >> np.uint32(shift)) & np.uint32(_BINS - 1)
         place = places[bucket]

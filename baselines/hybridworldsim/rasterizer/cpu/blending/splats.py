@@ -1,4 +1,4 @@
-"""What blending reads of a Gaussian: one row each, the whole of it in a cache line or two."""
+"""Packs the data of each Gaussian for blending into one row, in one or two cache lines."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ LEVEL: Final = 7
 REACH: Final = 8
 F12_LOW: Final = 10
 FEATURES: Final = 12
-"""Columns of a row: the mean (2) and what rounding took from it (2), the factors (3), log2 of the opacity, how near a
-block's centre is to the ellipse's if they may touch (2, squares: of both of u and v, and of v), what rounding took from
-the second factor, one that is free, and the features."""
+"""Columns of a row: the mean (2), the rounding error of the mean (2), the factors (3), log2 of the opacity, the squared
+greatest distances of the centre of a block that the ellipse may touch (2: in (u, v), and in v), the rounding error of
+the second factor, one unused column, and the features."""
 
 FLOOR: Final = np.float32(math.log2(ALPHA_MIN))
-"""log2 of the least alpha that counts. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
+"""log2 of the least alpha that is blended. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
 
 _SCALE: Final = math.sqrt(0.5 * math.log2(math.e))
 _PARTS: Final = 16
@@ -35,13 +35,13 @@ _SLACK: Final = np.float32(1e-3)
 
 
 class Splats(NamedTuple):
-    """What is blended.
+    """The packed Gaussians.
 
     Attributes:
-        rows: (M * stride,) the columns named above.
-        stride: of a row.
-        channels: of the features, at least 4.
-        boxes: (M, 4) the tiles of each: first and last column, first and last row, ends excluded.
+        rows: (M * stride,) rows with the columns above.
+        stride: length of a row.
+        channels: number of feature channels, at least 4.
+        boxes: (M, 4) tiles of each Gaussian: first column, one past the last column, and the same for rows.
     """
 
     rows: Float32
@@ -60,17 +60,17 @@ def pack_splats(
     tiles_x: int,
     tiles_y: int,
 ) -> Splats:
-    """Lay Gaussians out for blending.
+    """Pack Gaussians for blending.
 
     Args:
         means: (M, 2) pixels.
-        means_low: (M, 2) to be added to those.
+        means_low: (M, 2) rounding errors of the means.
         factors: (M, 3).
         opacities: (M,).
         features: (M, D).
-        radii: (M, 2) half the extent beyond whose tiles nothing is covered.
+        radii: (M, 2) half extents, pixels.
         tiles_x: columns of tiles.
-        tiles_y: rows of them.
+        tiles_y: rows of tiles.
     """
     count, channels = features.shape
     padded_channels = max(4, channels)
@@ -92,16 +92,16 @@ def pack_splats(
 
 @kernel(inline="always")
 def load_factors(rows: Float32, row: Any) -> Any:
-    """The three factors of a row, as float64."""
+    """Load the three factors of a row as float64."""
     f12_exact = np.float64(rows[row + FACTORS + 1]) + rows[row + F12_LOW]
     return np.float64(rows[row + FACTORS]), f12_exact, np.float64(rows[row + FACTORS + 2])
 
 
 @kernel(inline="always")
 def to_unit_space(rows: Float32, row: Any, x: Any, y: Any) -> Any:
-    """A point of the image in the space where a Gaussian is round: u and v.
+    """Transform a point of the image to (u, v), the space in which a Gaussian is round.
 
-    In float64: far along a needle both terms of u are many times its width.
+    The computation is in float64: far along a needle both terms of u are much larger than its width.
     """
     f11, f12, f22 = load_factors(rows, row)
     dx = (np.float64(x) - rows[row + MEAN]) - rows[row + MEAN_LOW]
@@ -111,7 +111,7 @@ def to_unit_space(rows: Float32, row: Any, x: Any, y: Any) -> Any:
 
 @kernel(inline="always")
 def _tile(pixel: Any, tiles: int) -> int:
-    """The tile of a coordinate, at least 0 and at most their number."""
+    """Compute the tile index of a coordinate, from 0 to the number of tiles."""
     return int(min(max(pixel * np.float32(1.0 / TILE_PX), np.float32(0.0)), np.float32(tiles)))
 
 
@@ -131,13 +131,14 @@ def _pack(
     stride: int,
     boxes: AnyArray,
 ) -> None:
+    """Pack the Gaussians from begin to end."""
     channels, one = features.shape[1], np.float32(1.0)
     slack, up = np.float32(_SLACK_PX), np.float32(TILE_PX)
     for i in range(begin, end):
         row = np.uint64(i * stride)
         x, y, level = means[i, 0], means[i, 1], levels[i]
         f11, f22 = np.float32(factors[i, 0] * _SCALE), np.float32(factors[i, 2] * _SCALE)
-        # rounding f11 or f22 makes a needle a little thinner or shorter; f12 / f11, its direction, may not be rounded
+        # rounding f11 or f22 slightly changes a needle's width or length; its direction f12 / f11 has to stay exact
         f12_exact = factors[i, 1] / factors[i, 0] * f11
         f12 = np.float32(f12_exact)
         rows[row], rows[row + np.uint64(1)] = x, y

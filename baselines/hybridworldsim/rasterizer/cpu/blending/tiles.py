@@ -1,4 +1,4 @@
-"""Which Gaussians reach which tile: exact for ellipses, each tile's in depth order."""
+"""Pairs Gaussians with the tiles that their ellipses reach; the pairs of a tile are in depth order."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
 _PARTS: Final = 16
 PREFETCH_DISTANCE: Final = 12
-"""How many more ids there are than places: a row may be fetched so many places before it is needed."""
+"""Number of extra ids after the last pair: a row is prefetched this number of pairs before it is needed."""
 _ORDER_PREFETCH_DISTANCE: Final = 16
 _SLACK_PX: Final = 0.01
 
@@ -27,10 +27,10 @@ class Tiles(NamedTuple):
     """Pairs of a tile and a Gaussian.
 
     Attributes:
-        tile_starts: (T + 1,) where each tile's places begin, T tiles row by row.
-        ids: (P,) the Gaussian at each place, and `PREFETCH_DISTANCE` more that are nobody's.
-        pair_ranks: (P,) how many pairs of the same Gaussian come before, tile by tile.
-        pairs: (R,) how many each Gaussian has, R Gaussians in depth order.
+        tile_starts: (T + 1,) index of the first pair of each tile, T tiles row by row.
+        ids: (P + PREFETCH_DISTANCE,) Gaussian of each pair, then zeros.
+        pair_ranks: (P,) number of earlier pairs of the same Gaussian, tile by tile.
+        pairs: (R,) number of pairs of each of R Gaussians in depth order.
     """
 
     tile_starts: Int64
@@ -40,19 +40,19 @@ class Tiles(NamedTuple):
 
 
 def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Tiles:
-    """Pairs of Gaussians and tiles.
+    """Pair Gaussians with tiles.
 
     Args:
         splats: the Gaussians.
-        order: (R,) which of them, and in which order.
+        order: (R,) indices of the Gaussians to pair, in depth order.
         tiles_x: columns of tiles.
-        alive: (T,) whether anything is still to be seen in a tile.
+        alive: (T,) tiles that are not done.
 
     Raises:
-        UsageError: too many pairs to be numbered.
+        UsageError: more than `PAIRS_MAX` pairs.
     """
     edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
-    # a part writes one tile beyond its last at most
+    # a part writes at most one tile after its last
     starts, boxes, alive_sums = np.ones(_PARTS + 1, np.int64), splats.boxes, _integral_image(alive, tiles_x)
     starts[0] = 0
     in_parallel(
@@ -92,7 +92,7 @@ def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Til
 
 
 def _integral_image(alive: Bool, tiles_x: int) -> Int32:
-    """How many tiles (tiles_y + 1, tiles_x + 1) above and left of each corner are alive."""
+    """Count the living tiles above and left of each corner: (tiles_y + 1, tiles_x + 1)."""
     sums = np.zeros((len(alive) // tiles_x + 1, tiles_x + 1), np.int32)
     np.cumsum(np.cumsum(alive.reshape(-1, tiles_x), axis=0), axis=1, out=sums[1:, 1:])
     return sums
@@ -100,13 +100,13 @@ def _integral_image(alive: Bool, tiles_x: int) -> Int32:
 
 @kernel(inline="always")
 def _count_alive(alive_sums: Int32, x0: Any, x1: Any, y0: Any, y1: Any) -> Any:
-    """How many tiles of a box are alive."""
+    """Count the living tiles of a box."""
     return np.int64(alive_sums[y1, x1]) - alive_sums[y0, x1] - alive_sums[y1, x0] + alive_sums[y0, x0]
 
 
 @kernel()
 def _count_box_tiles(begin: int, end: int, order: Int32, boxes: AnyArray, alive_sums: Int32, counts: Int64) -> None:
-    """How many living tiles boxes have, added."""
+    """Add the numbers of living tiles of boxes to a count."""
     total = 0
     for rank in range(begin, end):
         prefetch(boxes, order[min(rank + _ORDER_PREFETCH_DISTANCE, end - 1)] * 4)
@@ -131,7 +131,7 @@ def _list_tiles(
     pairs: Int64,
     counts: Int64,
 ) -> None:
-    """Write down the living tiles of Gaussians, one after the other."""
+    """List the living tiles of each Gaussian."""
     place = start
     for rank in range(begin, end):
         soon = order[min(rank + _ORDER_PREFETCH_DISTANCE, end - 1)]
@@ -160,7 +160,7 @@ def _list_tiles(
             square = np.float64(rows[row + LEVEL]) - FLOOR
             high = math.sqrt(square) / f22
             slope, wide, steep = f12 / f11, 1.0 / f11, f22 * f22
-            # where the ellipse is farthest right, and at the negative of it farthest left
+            # y at which the ellipse is farthest right; it is farthest left at -y
             right = -f12 * high / math.sqrt(f12 * f12 + steep)
             for y in range(y0, y1):
                 low_y = max(y * TILE_PX + (0.5 - _SLACK_PX) - mean_y, -high)
@@ -194,7 +194,7 @@ def _sort_by_tile(
     ids: Int32,
     pair_ranks: Int32,
 ) -> None:
-    """Order pairs by tile: `places` says where the part's next pair of each tile goes."""
+    """Sort pairs by tile; `places` has the index of this part's next pair of each tile."""
     at = start
     for rank in range(begin, end):
         for turn in range(pairs[rank]):

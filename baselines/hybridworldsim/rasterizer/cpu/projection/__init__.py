@@ -1,1 +1,1 @@
-"""Gaussians to the ellipses that a camera sees."""
+"""Projects Gaussians to the ellipses that reach an image."""

@@ -1,7 +1,7 @@
-"""What all projections share: which Gaussians may be seen at all, which ellipses reach the picture, and their record.
+"""Functions that all projections share: early culling, culling of ellipses, and the output records.
 
-Kernels take the Gaussians as `(means, quats, scales, opacities)`, flat, and give what they see as the tensors of
-`ProjectedGaussians`, `RECORD`.
+Kernels take the Gaussians as flat arrays `(means, quats, scales, opacities)`, and write the visible ones to arrays as
+in `RECORD`, which are the tensors of `ProjectedGaussians`.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ RECORD: tuple[tuple[type, tuple[int, ...]], ...] = (
     (np.float32, ()),  # compensations
     (np.int32, (2,)),  # radii
 )
-"""What is written of each Gaussian: dtype and shape.
+"""The output of each Gaussian: dtype and shape.
 
-The shape of an ellipse stays float64: a needle's gradient cancels in its conic by the square of its aspect ratio.
+Conics and factors are float64, because a needle's gradient loses the square of its aspect ratio by cancellation.
 """
 
 CAUSES = ("near", "far", "frustum", "radius", "opacity", "degenerate")
-"""Why a Gaussian is culled; it counts for the first that is found, the cheapest is tried first."""
+"""Causes of culling. A Gaussian counts for the first cause that applies; the cheapest test comes first."""
 
 FLOAT32_MAX = 1e30
-"""What is stored stays below, so that float32 holds it, and products with it."""
+"""Upper bound of stored values, so that float32 can represent them and products with them."""
 
 DETERMINANT_MAX = 1e200
-"""Covariances beyond cannot be inverted in float64."""
+"""Covariances with a larger determinant cannot be inverted in float64."""
 
 RADIUS_MAX = float(2**30)
-"""Half extents saturate here, pixels: they are int32."""
+"""Upper bound of half extents, pixels: they are int32."""
 
 _LN2 = float(np.log(2.0))
 _SQUARE_MIN, _SQUARE_MAX = QUATERNION_MIN**2, QUATERNION_MAX**2
@@ -53,7 +53,7 @@ _SQUARE_MIN, _SQUARE_MAX = QUATERNION_MIN**2, QUATERNION_MAX**2
 
 @kernel(inline="always")
 def rotation(quaternion: Any) -> Any:
-    """The three rows of a quaternion's rotation, 2 / its squared norm, and whether it is a rotation at all."""
+    """Compute the three rows of a quaternion's rotation, 2 / its squared norm, and whether it is a rotation."""
     w, x, y, z = quaternion
     square = w * w + x * x + y * y + z * z
     k = 2.0 / square
@@ -71,7 +71,7 @@ def rotation(quaternion: Any) -> Any:
 
 @kernel(inline="always")
 def to_camera(camera: Any, point: Any) -> Any:
-    """A point of the world in the camera's frame."""
+    """Transform a point from the world to the camera frame."""
     x, y, z = point
     return (
         camera.r00 * x + camera.r01 * y + (camera.r02 * z + camera.t0),
@@ -82,7 +82,7 @@ def to_camera(camera: Any, point: Any) -> Any:
 
 @kernel(inline="always")
 def row_times_matrix(row: Any, first: Any, second: Any, third: Any) -> Any:
-    """A row vector times the matrix of three rows."""
+    """Multiply a row vector by a matrix of three rows."""
     return (
         row[0] * first[0] + row[1] * second[0] + row[2] * third[0],
         row[0] * first[1] + row[1] * second[1] + row[2] * third[1],
@@ -92,19 +92,19 @@ def row_times_matrix(row: Any, first: Any, second: Any, third: Any) -> Any:
 
 @kernel(inline="always")
 def dot(a: Any, b: Any) -> Any:
-    """Scalar product of two triples."""
+    """Compute the scalar product of two triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(inline="always")
 def multiply(a: Any, b: Any) -> Any:
-    """Product of two triples, element by element."""
+    """Multiply two triples element by element."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 @kernel(inline="always")
 def log(a: Any) -> Any:
-    """Natural, of a positive ordinary number, to 1e-10."""
+    """Compute the natural logarithm of positive normal numbers to 1e-10."""
     m, e = lanes.mantissa(a), lanes.exponent(a)
     above = m > 1.4142135623730951
     m, e = lanes.select(above, 0.5 * m, m), lanes.select(above, e + 1.0, e)
@@ -116,7 +116,7 @@ def log(a: Any) -> Any:
 
 @kernel(inline="always")
 def compute_extent(camera: Any, xx: Any, yy: Any, determinant: Any, opacity: Any) -> Any:
-    """Half the extent of a blurred covariance in x and y, whole pixels."""
+    """Compute half the extent of a blurred covariance in x and y, whole pixels."""
     if camera.square:
         half = 0.5 * (xx + yy)
         longest = half + lanes.sqrt(lanes.max_or_b(half * half - determinant, SQUARE_DISCRIMINANT_MIN))
@@ -128,15 +128,15 @@ def compute_extent(camera: Any, xx: Any, yy: Any, determinant: Any, opacity: Any
 
 @kernel()
 def find_candidates(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, counts: Any) -> Any:
-    """Find Gaussians that may reach the picture, by bounds that need no rotation; return how many.
+    """Find Gaussians that may reach the image, by bounds that need no rotation; return their number.
 
     Args:
         camera: `KernelCamera`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
-        end: past the last.
-        rows: (end - begin + 8,) gets their indices; spare lanes of the last eight repeat their first.
-        counts: (6,) gets how many were culled, by the order of `CAUSES`.
+        end: one past the last.
+        rows: (end - begin + 8,) output, the indices; spare lanes of the last eight repeat the first of them.
+        counts: (6,) numbers of culled Gaussians in the order of `CAUSES`; they are increased.
     """
     means, _, scales, opacities = gaussians
     half_x, half_y = 0.5 * camera.width, 0.5 * camera.height
@@ -193,20 +193,20 @@ def write_records(
     output: Any,
     counts: Any,
 ) -> Any:
-    """Write those of eight ellipses that reach the picture; return how many there are in all.
+    """Write those of eight ellipses that reach the image; return the new number of records.
 
     Args:
         camera: `KernelCamera`.
         rows: indices of Gaussians.
-        start: first of the eight in `rows`.
-        valid_lanes: mask of those that are left to be judged.
+        start: index of the first of the eight in `rows`.
+        valid_lanes: mask of the lanes that are not culled yet.
         mean: x and y, pixels.
         depth: metres.
         shape: xx, xy, yy and determinant of the covariance before the blur, pixel^2.
-        opacity: before antialiasing.
-        written: how many are in the output.
-        output: arrays as in `RECORD`; 8 rows longer than what they get.
-        counts: (6,) int64, is increased by how many are culled, by the order of `CAUSES`.
+        opacity: opacity before antialiasing.
+        written: number of records in the output.
+        output: arrays as in `RECORD`, with 8 spare rows.
+        counts: (6,) int64 numbers of culled Gaussians in the order of `CAUSES`; they are increased.
     """
     ids, means2d, means2d_low, depths, conics, factors, compensations, radii = output
     xx, xy, yy, sharp = shape
@@ -234,7 +234,7 @@ def write_records(
     if kept == 0:
         return written
 
-    # (f11 dx + f12 dy)^2 + (f22 dy)^2, the square completed in x
+    # the form as (f11 dx + f12 dy)^2 + (f22 dy)^2: the square is completed in x
     scale = 1.0 / lanes.sqrt(yy * determinant)
     inverse = scale * scale * yy
     lanes.store_pairs(means2d, written, mean[0], mean[1])

@@ -1,7 +1,7 @@
-"""What the gradients of all projections share: from the ellipses that were written, and to the Gaussians.
+"""Functions that the gradients of all projections share: from output records to Gaussians.
 
-Kernels take the gradients to a record as `(means2d, depths, conics, compensations)`, flat, and the strides of these
-four; one that nothing was computed from is three zeros with stride 0.
+Kernels take the gradients to the records as flat arrays `(means2d, depths, conics, compensations)`, and the strides of
+these four arrays. An output without a gradient has an array of three zeros with stride 0.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ from typing import Any
 from hybridworldsim.kernels import lanes
 from hybridworldsim.kernels.compilation import kernel
 
-_RATIO_MIN = 1e-290  # of the determinants, below which the root's slope overflows
+_RATIO_MIN = 1e-290  # ratio of the determinants below which the slope of the square root overflows
 
 
 @kernel(inline="always")
 def scale(factor: Any, triple: Any) -> Any:
-    """A triple times a number."""
+    """Multiply a triple by a number."""
     return factor * triple[0], factor * triple[1], factor * triple[2]
 
 
 @kernel(inline="always")
 def add(a: Any, b: Any) -> Any:
-    """Sum of two triples."""
+    """Add two triples."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @kernel(inline="always")
 def combine(a: Any, first: Any, b: Any, second: Any) -> Any:
-    """Sum of two triples, each times a number."""
+    """Add two triples, each multiplied by a number."""
     return a * first[0] + b * second[0], a * first[1] + b * second[1], a * first[2] + b * second[2]
 
 
 @kernel(inline="always")
 def select_rows(ids: Any, start: Any, end: Any, rows: Any) -> None:
-    """Write which eight of those that are seen come next, and which Gaussians they are; spare ones repeat the first."""
+    """Write the next eight indices in `ids`, then their Gaussians, to `rows`; spare lanes repeat the first."""
     for lane in range(8):
         rows[lane] = start + lane if start + lane < end else start
         rows[8 + lane] = ids[rows[lane]]
@@ -42,7 +42,7 @@ def select_rows(ids: Any, start: Any, end: Any, rows: Any) -> None:
 
 @kernel(inline="always")
 def load_upstream(upstream: Any, strides: Any, rows: Any, lanes_in_use: Any) -> Any:
-    """Gradients to mean (x, y), depth, conic (xx, xy, yy) and compensation; zero for spare lanes."""
+    """Load gradients to mean (x, y), depth, conic (xx, xy, yy) and compensation; zero for spare lanes."""
     to_means2d, to_depths, to_conics, to_compensations = upstream
     by_mean, by_depth, by_conic, by_compensation = strides
     return (
@@ -62,7 +62,7 @@ def load_upstream(upstream: Any, strides: Any, rows: Any, lanes_in_use: Any) -> 
 
 @kernel(inline="always")
 def covariance_gradient(camera: Any, shape: Any, to_conic: Any, to_compensation: Any) -> Any:
-    """Gradient to xx, xy and yy of the 2D covariance (xy as one of two equal entries).
+    """Compute the gradient to xx, xy and yy of the 2D covariance (xy as one of two equal entries).
 
     Args:
         camera: `KernelCamera`.
@@ -90,7 +90,7 @@ def covariance_gradient(camera: Any, shape: Any, to_conic: Any, to_compensation:
 
 @kernel(inline="always")
 def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third: Any) -> Any:
-    """Gradient to a quaternion of any norm, from that to the rows of its rotation; k = 2 / squared norm."""
+    """Compute the gradient to a quaternion from the gradient to the rows of its rotation; k is 2 / squared norm."""
     w, x, y, z = quaternion
     v01, v02, v12 = second[0] + first[1], first[2] + third[0], second[2] + third[1]
     d21, d02, d10 = third[1] - second[2], first[2] - third[0], second[0] - first[1]
@@ -98,7 +98,7 @@ def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third:
     to_x = k * (w * d21 + y * v01 + z * v02 - 2.0 * x * (second[1] + third[2]))
     to_y = k * (w * d02 + x * v01 + z * v12 - 2.0 * y * (first[0] + third[2]))
     to_z = k * (w * d10 + x * v02 + y * v12 - 2.0 * z * (first[0] + second[1]))
-    # a longer quaternion is the same rotation
+    # the length of a quaternion has no effect: remove the radial part of the gradient
     outward = 0.5 * k * (to_w * w + to_x * x + to_y * y + to_z * z)
     return to_w - outward * w, to_x - outward * x, to_y - outward * y, to_z - outward * z
 
@@ -107,20 +107,20 @@ def quaternion_gradient(quaternion: Any, k: Any, first: Any, second: Any, third:
 def store_gradients(
     rows: Any, count: Any, next_row: Any, buffer: Any, to_mean: Any, to_quat: Any, to_scale: Any, output: Any
 ) -> Any:
-    """Write gradients of up to eight Gaussians, and zeros for those before them that are not seen.
+    """Write the gradients of up to eight Gaussians, and zeros for the invisible Gaussians in front of them.
 
     Args:
-        rows: as `select_rows` leaves them.
-        count: of those that are no spare.
-        next_row: the first Gaussian that nothing is written of yet.
-        buffer: (80,) of the output's type, for its own use.
+        rows: rows as written by `select_rows`.
+        count: number of lanes in use.
+        next_row: first Gaussian without a written gradient.
+        buffer: (80,) scratch in the dtype of the output.
         to_mean: three lanes.
         to_quat: four lanes.
         to_scale: three lanes.
         output: (N, 3), (N, 4) and (N, 3).
 
     Returns:
-        `next_row` from now on.
+        The new `next_row`.
     """
     to_means, to_quats, to_scales = output
     lanes.store(buffer, 0, to_mean[0])
@@ -150,7 +150,7 @@ def store_gradients(
 
 @kernel(inline="always")
 def store_viewmat_sums(first: Any, second: Any, third: Any, translation: Any, to_viewmat: Any) -> None:
-    """Write the lanes' sums for a view matrix: nine of the rotation, row by row, and three of the translation."""
+    """Write the sums over lanes for a view matrix: nine for the rotation, row by row, and three for the translation."""
     to_viewmat[0], to_viewmat[1], to_viewmat[2] = (
         lanes.sum_lanes(first[0]),
         lanes.sum_lanes(first[1]),

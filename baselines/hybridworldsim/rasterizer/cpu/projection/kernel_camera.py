@@ -1,4 +1,4 @@
-"""One camera, and the limits under which it sees a Gaussian, as kernels take them."""
+"""A camera and its limits of visibility, in the form that kernels take."""
 
 from __future__ import annotations
 
@@ -11,26 +11,27 @@ from hybridworldsim.rasterizer.presets import SQUARE_DISCRIMINANT_MIN, SQUARE_SI
 from mirror.arrays import Float64
 
 DEPTH_MIN = 1e-30
-"""Nothing on or behind the camera plane is ever kept, metres."""
+"""Least depth, metres: Gaussians on or behind the camera plane are culled."""
 
-_UNBOUNDED = 1e300  # pixels; a lens may bend a ray into the picture from wherever it comes
-_SIGMAS = 3.33  # an opaque Gaussian is below ALPHA_MIN there
+_UNBOUNDED = 1e300  # pixels; a lens may project any direction into the image
+_SIGMAS = 3.33  # distance in standard deviations at which an opaque Gaussian is below ALPHA_MIN
 
 
 class KernelCamera(NamedTuple):
-    """One camera and the limits under which it sees a Gaussian; numbers that kernels take as they are.
+    """A camera and its limits of visibility.
 
     Attributes:
-        antialiased: whether opacities shrink by the compensation.
+        antialiased: whether opacities are multiplied by the compensation.
         square: whether the extent is the square of three sigmas.
         r00: to `r22`, rotation of the view matrix; `t0` to `t2` its translation, metres.
         fx: `fy`, `cx`, `cy`: the pinhole, pixels.
         left: `right`, `top`, `bottom`: bounds of x/z and y/z in the Jacobian.
-        near: `far`: depths between which Gaussians are kept, metres.
+        near: `far`: range of depths in which Gaussians are kept, metres.
         blur: added to both variances, pixel^2.
-        clip: Gaussians whose radii are no larger are dropped, pixels.
-        reach_x: the radius of a Gaussian of opacity 1 is less than `reach_x` * greatest scale / depth + `margin`.
-        ratio_min: floor of the squared compensation.
+        clip: Gaussians with smaller or equal radii are culled, pixels.
+        reach_x: `reach_y`, `margin`: the radius of a Gaussian of opacity 1 is below `reach_x` * greatest scale / depth
+            + `margin`, pixels.
+        ratio_min: lower bound of the squared compensation.
     """
 
     antialiased: bool
@@ -81,19 +82,19 @@ def to_kernel_camera(
     antialiased: bool,
     lens: Lens | None,
 ) -> KernelCamera:
-    """Gather what kernels need of a camera.
+    """Convert a camera to the form that kernels take.
 
     Args:
         viewmat: (4, 4), world to camera.
         K: (3, 3) intrinsic matrix, pixels.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
         eps2d: added to both variances, pixel^2.
-        near_plane: least depth, metres; what is on or behind the camera plane is never kept.
+        near_plane: least depth, metres; Gaussians on or behind the camera plane are always culled.
         far_plane: greatest depth, metres.
-        radius_clip: Gaussians whose radii are no larger are dropped, pixels.
-        preset: gsplat's generation.
-        antialiased: whether opacities shrink by the compensation.
+        radius_clip: Gaussians with smaller or equal radii are culled, pixels.
+        preset: generation of gsplat.
+        antialiased: whether opacities are multiplied by the compensation.
         lens: None for a pinhole.
     """
     fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])

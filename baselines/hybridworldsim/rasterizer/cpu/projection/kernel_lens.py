@@ -1,4 +1,4 @@
-"""Where a lens shows points, eight at a time, and how fast that moves."""
+"""Projects points through a lens, eight at a time, with derivatives."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, Lens
 
 
 class KernelLens(NamedTuple):
-    """A lens, as kernels take it.
+    """A lens in the form that kernels take.
 
     Attributes:
-        fisheye: whether it is one; else a pinhole's.
-        k1: to `k6` radial, `p1` and `p2` tangential, `s1` to `s4` thin prism coefficients; zero where there are none.
-        last: angle to the optical axis beyond which a fisheye shows nothing, radians.
-        left: `right`, `top`, `bottom`: bounds of the pixels at which a point counts as seen.
+        fisheye: whether the lens is a fisheye; else it is a pinhole with distortion.
+        k1: to `k6` radial, `p1` and `p2` tangential, `s1` to `s4` thin prism coefficients; 0 for missing ones.
+        last: largest angle to the optical axis that a fisheye shows, radians.
+        left: `right`, `top`, `bottom`: bounds of the pixels at which a point counts as visible.
     """
 
     fisheye: bool
@@ -43,11 +43,11 @@ class KernelLens(NamedTuple):
 
 
 def to_kernel_lens(lens: Lens, camera: KernelCamera) -> KernelLens:
-    """Gather what kernels need of a lens.
+    """Convert a lens to the form that kernels take.
 
     Args:
-        lens: what bends the rays.
-        camera: the camera behind it.
+        lens: the lens.
+        camera: the camera of the lens.
     """
     width, height = int(camera.width), int(camera.height)
     fisheye = lens.model == "fisheye"
@@ -62,10 +62,10 @@ def to_kernel_lens(lens: Lens, camera: KernelCamera) -> KernelLens:
 
 @kernel(inline="always")
 def _arctan(opposite: Any, adjacent: Any) -> Any:
-    """Inverse tangent of opposite / adjacent, neither negative and not both zero, to 1e-15 relative."""
+    """Compute atan(opposite / adjacent) to 1e-15 relative; both are at least 0, and not both are 0."""
     steep = opposite > adjacent
     t = lanes.select(steep, adjacent / opposite, opposite / adjacent)
-    # halved twice: t < 0.2
+    # the angle is halved twice, so that t < 0.2
     t = t / (1.0 + lanes.sqrt(1.0 + t * t))
     t = t / (1.0 + lanes.sqrt(1.0 + t * t))
     q = t * t
@@ -78,7 +78,7 @@ def _arctan(opposite: Any, adjacent: Any) -> Any:
 
 @kernel(inline="always")
 def _project_fisheye(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
-    """As `project_point`, for z > 0 (OpenCV's fisheye model)."""
+    """Compute `project_point` for z > 0 by OpenCV's fisheye model."""
     squared = x * x + y * y
     off_axis = squared > 0.0
     r = lanes.select(off_axis, lanes.sqrt(squared), 1.0)
@@ -89,7 +89,7 @@ def _project_fisheye(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
     derivative = 1.0 + q * (3.0 * lens.k1 + q * (5.0 * lens.k2 + q * (7.0 * lens.k3 + q * 9.0 * lens.k4)))
     derivative = lanes.select(full <= lens.last, derivative, 0.0) / (squared + z * z)
     scale = lanes.select(off_axis, distorted / r, 1.0 / z)
-    # of the scale: by the radius, over the radius, and by depth; on the axis neither moves a pixel
+    # derivatives of the scale: by the radius, divided by the radius, and by depth; both are 0 on the axis
     outward = lanes.select(off_axis, (derivative * z - scale) / (r * r), 0.0)
     deeper = lanes.select(off_axis, 0.0 - derivative, 0.0)
     fx, fy = camera.fx, camera.fy
@@ -105,7 +105,7 @@ def _project_fisheye(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
 
 @kernel(inline="always")
 def _project_pinhole(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
-    """As `project_point`, for z > 0 (Brown-Conrady, OpenCV's rational and thin prism model)."""
+    """Compute `project_point` for z > 0 by OpenCV's rational and thin prism model (Brown-Conrady)."""
     u, v = x / z, y / z
     q = u * u + v * v
     numerator = 1.0 + q * (lens.k1 + q * (lens.k2 + q * lens.k3))
@@ -136,10 +136,10 @@ def _project_pinhole(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
 
 @kernel(inline="always")
 def project_point(camera: Any, lens: Any, point: Any) -> Any:
-    """Where a point of the camera's frame is shown, x and y in pixels, and gradients of both to it.
+    """Project a point of the camera frame; return x and y in pixels, their derivatives by the point, and a mask.
 
-    What is behind the camera, or impossible for the lens, lies at (0, 0) and does not move. The last that is returned
-    is where a point counts as seen if it lies in the picture.
+    A point behind the camera, or outside the domain of the lens, lies at (0, 0) with derivatives of 0. The mask marks
+    points that count as visible if they lie in the image.
     """
     in_front = point[2] > 0.0
     z = lanes.select(in_front, point[2], 1.0)

@@ -1,4 +1,4 @@
-"""Records of the Gaussians that are seen, one after the other, whichever part of them is ready first."""
+"""Collects the output records of parallel parts in the order of the parts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from hybridworldsim.rasterizer.cpu.projection.ellipses import RECORD
 from mirror.arrays import AnyArray, Int64
 
 PART: Final = 16384
-"""Gaussians that one call of a kernel takes: results are the same for any number of threads as long as this is."""
+"""Number of Gaussians per kernel call. It is constant, so that results do not depend on the number of threads."""
 
-_SPARE: Final = 8  # rows that a kernel may write beyond what it keeps
+_SPARE: Final = 8  # rows that a kernel may write after its last record
 
 
 def _empty_records(rows: int) -> tuple[AnyArray, ...]:
+    """Make uninitialised arrays as in `RECORD`, with spare rows."""
     return tuple(
         empty_aligned((rows + _SPARE) * math.prod(shape), dtype).reshape(rows + _SPARE, *shape)
         for dtype, shape in RECORD
@@ -31,7 +32,7 @@ def _empty_records(rows: int) -> tuple[AnyArray, ...]:
 
 
 class _Workspace(NamedTuple):
-    """Memory that one part needs for a while; kept, as fresh memory costs more than what is computed in it."""
+    """Memory of one part. It is reused, because fresh memory costs more time than the computation."""
 
     rows: Int64  # (PART + _SPARE,)
     arrays: tuple[AnyArray, ...]
@@ -55,12 +56,12 @@ def _return_workspace(workspace: _Workspace) -> None:
 
 @dataclass
 class PartOutput:
-    """Where a part writes.
+    """The output arrays of a part.
 
     Attributes:
-        rows: (PART + 8,) for its own use.
-        arrays: as in `RECORD`, with 8 rows more than the part can fill.
-        count: how many it has filled.
+        rows: (PART + 8,) scratch.
+        arrays: arrays as in `RECORD`, with 8 spare rows.
+        count: number of records; the part sets it.
     """
 
     rows: Int64
@@ -71,10 +72,10 @@ class PartOutput:
 class OrderedOutput:
     """Arrays that parts of unknown length fill in order.
 
-    The part whose turn it is writes where it belongs; others write elsewhere and are moved.
+    The next part in order writes directly to the arrays. Other parts write to a workspace and are copied later.
 
     Args:
-        capacity: rows of all parts together.
+        capacity: greatest number of rows of all parts together.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -86,22 +87,23 @@ class OrderedOutput:
 
     @contextmanager
     def open_part(self, number: int) -> Iterator[PartOutput]:
-        """A place for a part, whose first ``count`` rows are taken in the end.
+        """Yield the output of a part; its first ``count`` rows are kept.
 
         Args:
-            number: of the part; they count from 0, and none is left out.
+            number: number of the part, counted from 0 without gaps.
         """
         workspace = _borrow_workspace()
         with self._lock:
             in_place = number == self._next_part
             arrays = tuple(array[self._row_count :] for array in self._arrays) if in_place else workspace.arrays
-        place = PartOutput(workspace.rows, arrays)
-        yield place
+        output = PartOutput(workspace.rows, arrays)
+        yield output
         if in_place:
             _return_workspace(workspace)
-        self._finish_part(number, place.count, None if in_place else workspace)
+        self._finish_part(number, output.count, None if in_place else workspace)
 
     def _finish_part(self, number: int, count: int, workspace: _Workspace | None) -> None:
+        """Copy the rows of this part, and of finished parts behind it, if all parts in front are done."""
         to_move = []
         with self._lock:
             self._finished[number] = count, workspace
@@ -117,5 +119,5 @@ class OrderedOutput:
             _return_workspace(source)
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """All parts' rows, once each part is done."""
+        """Return the rows of all parts; call it when all parts are done."""
         return tuple(torch.from_numpy(array[: self._row_count]) for array in self._arrays)

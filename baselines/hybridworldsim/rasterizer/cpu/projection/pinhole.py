@@ -1,8 +1,8 @@
-"""Project Gaussians into one pinhole camera by EWA splatting, eight at a time, and keep those that reach the picture.
+"""Projects Gaussians into a pinhole camera by EWA splatting, eight at a time, and keeps those that reach the image.
 
-Everything is float64 until it is stored. The covariance never forms in three dimensions: its square root, the axes
-times the scales, is projected, so that the 2D determinant is a sum of squares (Cauchy-Binet) and a needle keeps its
-width. Conventions are gsplat's (`ProjectionEWA3DGSFused.cu`, `Utils.cuh`).
+All computations are in float64. The 3D covariance is not computed: its square root, the axes times the scales, is
+projected. The 2D determinant is then a sum of squares (Cauchy-Binet), which is exact for needles. Conventions are
+gsplat's (`ProjectionEWA3DGSFused.cu`, `Utils.cuh`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hybridworldsim.rasterizer.cpu.projection.ellipses import (
 
 @kernel(inline="always")
 def jacobian(camera: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
-    """Of pixels by world coordinates: its two rows, and the clamped u = x/z, v = y/z that they were taken at."""
+    """Compute the two rows of d pixel / d world, and the clamped u = x/z and v = y/z at which they are taken."""
     u = lanes.min_or_b(lanes.max_or_b(u, camera.left), camera.right)
     v = lanes.min_or_b(lanes.max_or_b(v, camera.top), camera.bottom)
     a, b = camera.fx * inverse_depth, camera.fy * inverse_depth
@@ -38,7 +38,7 @@ def jacobian(camera: Any, u: Any, v: Any, inverse_depth: Any) -> Any:
 
 @kernel(inline="always")
 def covariance(a: Any, b: Any) -> Any:
-    """xx, xy, yy and determinant of the 2D covariance whose root has the rows a and b."""
+    """Compute xx, xy, yy and the determinant of the 2D covariance with the root rows a and b."""
     m0 = a[1] * b[2] - a[2] * b[1]
     m1 = a[2] * b[0] - a[0] * b[2]
     m2 = a[0] * b[1] - a[1] * b[0]
@@ -47,16 +47,16 @@ def covariance(a: Any, b: Any) -> Any:
 
 @kernel()
 def project_part(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, output: Any, counts: Any) -> Any:
-    """Project Gaussians of a range and write those that the camera sees, in order; return how many.
+    """Project a range of Gaussians and write the visible ones in order; return their number.
 
     Args:
         camera: `KernelCamera`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
-        end: past the last.
-        rows: (end - begin + 8,) int64, for its own use.
+        end: one past the last.
+        rows: (end - begin + 8,) int64 scratch.
         output: arrays as in `RECORD`, end - begin + 8 rows.
-        counts: (6,) int64, is increased by how many were culled, by the order of `CAUSES`.
+        counts: (6,) int64 numbers of culled Gaussians in the order of `CAUSES`; they are increased.
     """
     means, quats, scales, opacities = gaussians
     found = find_candidates(camera, gaussians, begin, end, rows, counts)

@@ -1,4 +1,4 @@
-"""Gradients of the EWA projection: recomputed from the inputs, eight Gaussians at a time, in float64."""
+"""Gradients of the EWA projection, from recomputed values, eight Gaussians at a time, in float64."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def project_part_backward(
     output: Any,
     to_viewmat: Any,
 ) -> None:
-    """Gradients of the Gaussians that a camera saw, of a range; zeros for those between that it did not see.
+    """Compute the gradients of a range of visible Gaussians; write zeros for invisible Gaussians between them.
 
     Args:
         camera: `KernelCamera`.
         gaussians: (3 N,), (4 N,), (3 N,).
-        ids: (M,) of the Gaussians seen, ascending.
-        upstream: gradients to what was written of them, see the module `gradients`.
-        strides: of these.
-        begin: first of those seen.
-        end: past the last.
-        rows: (16,) int64, for its own use, as is `buffer` (80,), of the output's type.
-        buffer: see `rows`.
-        output: (N, 3), (N, 4), (N, 3) get gradients; what is past the last Gaussian seen is left to the caller.
-        to_viewmat: (12,) gets the part's sum for the rotation, row by row, and the translation.
+        ids: (M,) indices of the visible Gaussians, ascending.
+        upstream: gradients to the output records, see the module `gradients`.
+        strides: strides of `upstream`.
+        begin: first visible Gaussian.
+        end: one past the last.
+        rows: (16,) int64 scratch.
+        buffer: (80,) scratch in the dtype of the output.
+        output: (N, 3), (N, 4), (N, 3), the gradients; the caller fills the rows after the last visible Gaussian.
+        to_viewmat: (12,) output, the sums of this part for the rotation, row by row, and the translation.
     """
     means, quats, scales = gaussians
     view_x, view_y = (camera.r00, camera.r01, camera.r02), (camera.r10, camera.r11, camera.r12)

@@ -1,4 +1,4 @@
-"""What one camera sees of a set of Gaussians, by compiled kernels, with gradients."""
+"""Projects Gaussians into a camera by compiled kernels, with gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _Array = np.ndarray[Any, np.dtype[Any]]
 
 _UPSTREAM = (torch.float32, torch.float32, torch.float64, torch.float32)
-"""Of the gradients to means2d, depths, conics and compensations."""
+"""Dtypes of the gradients to means2d, depths, conics and compensations."""
 
 
 def project(
@@ -48,30 +48,31 @@ def project(
     antialiased: bool,
     lens: Lens | None,
 ) -> ProjectedGaussians:
-    """Project Gaussians into one camera and keep those that reach its picture.
+    """Project Gaussians into one camera and keep those that reach its image.
 
-    Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected (a quaternion that is
-    no rotation, on or behind the camera plane, no invertible covariance) is culled, counted, and its gradient is 0.
+    Differentiable to means, quats, scales and viewmat. A Gaussian that cannot be projected is culled and counted, and
+    its gradient is 0: its quaternion is no rotation, it is on or behind the camera plane, or its covariance is
+    singular.
 
     Args:
         means: (N, 3) metres, float32 or float64.
         quats: (N, 4) scalar first, of any length from 1e-30 to 1e150.
         scales: (N, 3) standard deviations, metres.
-        opacities: (N,) decide how far a Gaussian reaches; no gradient.
+        opacities: (N,) determine the extent of a Gaussian; no gradient.
         viewmat: (4, 4) world to camera.
         K: (3, 3) pixels; no gradient.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        eps2d: added to both variances in the picture, pixel^2.
+        width: width of the image, pixels.
+        height: height of the image, pixels.
+        eps2d: added to both variances in the image, pixel^2.
         near_plane: least depth, metres.
         far_plane: greatest depth, metres.
-        radius_clip: Gaussians whose radii are no larger are dropped, pixels.
-        preset: gsplat's generation.
-        antialiased: whether opacities shrink by the compensation.
-        lens: distortion; None is a pinhole.
+        radius_clip: Gaussians with smaller or equal radii are culled, pixels.
+        preset: generation of gsplat.
+        antialiased: whether opacities are multiplied by the compensation.
+        lens: distortion; None for a pinhole.
 
     Returns:
-        What is seen, float32; conics and factors float64.
+        The visible Gaussians, float32; conics and factors are float64.
     """
     camera = to_kernel_camera(
         viewmat.detach().to(torch.float64).cpu().numpy(),
@@ -104,7 +105,7 @@ def project(
 
 
 def flat(tensor: Tensor, dtype: torch.dtype) -> _Array:
-    """A tensor's numbers as kernels take them."""
+    """Convert a tensor to a flat array of a dtype."""
     array: _Array = tensor.detach().to(dtype).contiguous().numpy().reshape(-1)
     return array
 
@@ -127,18 +128,18 @@ class _Project(torch.autograd.Function):
         outputs = OrderedOutput(number)
         counts = np.zeros((parts, len(CAUSES)), np.int64)
 
-        def one(part: int) -> None:
+        def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
-            with outputs.open_part(part) as place:
+            with outputs.open_part(part) as output:
                 if kernel_lens is None:
-                    place.count = project_part(camera, inputs_flat, *span, place.rows, place.arrays, counts[part])
+                    output.count = project_part(camera, inputs_flat, *span, output.rows, output.arrays, counts[part])
                 else:
-                    scratch = place.rows, np.empty(SCRATCH)
-                    place.count = unscented_part(
-                        camera, kernel_lens, inputs_flat, *span, *scratch, place.arrays, counts[part]
+                    scratch = output.rows, np.empty(SCRATCH)
+                    output.count = unscented_part(
+                        camera, kernel_lens, inputs_flat, *span, *scratch, output.arrays, counts[part]
                     )
 
-        in_parallel(one, parts)
+        in_parallel(run_part, parts)
         ids, means2d, low, depths, conics, factors, compensations, radii = outputs.tensors()
         culled = torch.from_numpy(counts.sum(axis=0))
         ctx.save_for_backward(means, quats, scales, viewmat, ids)
@@ -164,7 +165,7 @@ class _Project(torch.autograd.Function):
         parts = -(-written // PART)
         to_viewmat = np.zeros((parts, 12))
 
-        def one(part: int) -> None:
+        def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, written)
             rows, buffer = np.empty(16, np.int64), np.empty(80, inputs_flat[0].dtype)
             arguments, outputs = (
@@ -176,7 +177,7 @@ class _Project(torch.autograd.Function):
             else:
                 unscented_part_backward(ctx.camera, ctx.kernel_lens, *arguments, rows, np.empty(SCRATCH), *outputs)
 
-        in_parallel(one, parts)
+        in_parallel(run_part, parts)
         for array in to_inputs_flat:
             array[int(indices[-1]) + 1 if written else 0 :] = 0.0
         total = np.zeros((4, 4))

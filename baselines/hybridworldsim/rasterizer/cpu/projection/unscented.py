@@ -1,8 +1,9 @@
-"""Project Gaussians through a lens by the unscented transform, eight at a time, with gradients.
+"""Projects Gaussians through a lens by the unscented transform, eight at a time, with gradients.
 
-Seven points of each pass the lens: its mean, and `UT_SPREAD` standard deviations along each axis, both ways. Their mean
-and covariance are the ellipse, by the sums that do not cancel: about the image of the mean, with w the weight of the
-other six and d where these lie, ``mean = centre + m``, ``m = w sum d``,
+Seven points of a Gaussian are projected: its mean, and the points at `UT_SPREAD` standard deviations in both
+directions of each axis. Their mean and covariance are the ellipse. The sums are relative to the projected mean, so that
+they do not cancel: with w the weight of the other six points and d their offsets,
+``mean = centre + m``, ``m = w sum d``,
 ``covariance = w sum d d' + (beta - alpha^2) m m'``.
 """
 
@@ -35,17 +36,17 @@ from hybridworldsim.rasterizer.cpu.projection.kernel_lens import project_point
 from hybridworldsim.rasterizer.lenses import UT_ALPHA, UT_BETA, UT_SPREAD
 
 SCRATCH: Final = 512
-"""Float64 numbers that a kernel needs for its own use."""
+"""Size of a kernel's float64 scratch array."""
 
 _WEIGHT: Final = 0.5 / UT_SPREAD**2
 _OUTER: Final = UT_BETA - UT_ALPHA**2
-_PIXELS: Final = 72  # in the scratch, after the axes: seven points, x and y
-_POINTS: Final = 184  # after these: seven gradients in the camera's frame
+_PIXELS: Final = 72  # offset in the scratch, after the axes: x and y of seven points
+_POINTS: Final = 184  # offset after the pixels: seven gradients in the camera frame
 
 
 @kernel(inline="always")
 def _axes(camera: Any, first: Any, second: Any, third: Any) -> Any:
-    """Rows of the rotation from a Gaussian to the camera: its axes are the columns."""
+    """Compute the rows of the rotation from a Gaussian to the camera; its columns are the Gaussian's axes."""
     return (
         row_times_matrix((camera.r00, camera.r01, camera.r02), first, second, third),
         row_times_matrix((camera.r10, camera.r11, camera.r12), first, second, third),
@@ -55,7 +56,7 @@ def _axes(camera: Any, first: Any, second: Any, third: Any) -> Any:
 
 @kernel(inline="always")
 def _put_steps(axes: Any, size: Any, scratch: Any) -> None:
-    """Write from the mean to the points, axis by axis."""
+    """Store the steps from the mean to the points, axis by axis."""
     lanes.store(scratch, 0, UT_SPREAD * size[0] * axes[0][0])
     lanes.store(scratch, 8, UT_SPREAD * size[0] * axes[1][0])
     lanes.store(scratch, 16, UT_SPREAD * size[0] * axes[2][0])
@@ -69,7 +70,7 @@ def _put_steps(axes: Any, size: Any, scratch: Any) -> None:
 
 @kernel(inline="always")
 def _point(number: Any, mean: Any, scratch: Any) -> Any:
-    """One of the seven: 0 is the mean, 1 to 3 lie ahead on the axes, 4 to 6 behind."""
+    """Compute one of the seven points: 0 is the mean, 1 to 3 lie at positive, 4 to 6 at negative steps."""
     sign = 0.0 if number == 0 else (1.0 if number < 4 else -1.0)
     axis = 24 * ((number + 2) % 3)
     return (
@@ -81,9 +82,9 @@ def _point(number: Any, mean: Any, scratch: Any) -> Any:
 
 @kernel(inline="always")
 def _moments(scratch: Any) -> Any:
-    """Shift of the mean, and xx, xy, yy and determinant of the covariance, from the points' pixels.
+    """Compute the shift of the mean, and xx, xy, yy and the determinant of the covariance, from the points' pixels.
 
-    Leaves the offsets d in place of the pixels of the points but the first.
+    The function replaces the pixels of points 1 to 6 by their offsets d.
     """
     centre_x, centre_y = lanes.load(scratch, _PIXELS), lanes.load(scratch, _PIXELS + 8)
     zero = lanes.broadcast(0.0)
@@ -95,7 +96,7 @@ def _moments(scratch: Any) -> Any:
         lanes.store(scratch, at + 8, y)
         shift_x, shift_y = shift_x + _WEIGHT * x, shift_y + _WEIGHT * y
         xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
-    # the determinant as a sum of squared minors (Cauchy-Binet): a needle keeps its width
+    # the determinant as a sum of squared minors (Cauchy-Binet), which is exact for needles
     for number in range(1, 7):
         at = _PIXELS + 16 * number
         x, y = lanes.load(scratch, at), lanes.load(scratch, at + 8)
@@ -119,18 +120,18 @@ def _moments(scratch: Any) -> Any:
 def unscented_part(
     camera: Any, lens: Any, gaussians: Any, begin: Any, end: Any, rows: Any, scratch: Any, output: Any, counts: Any
 ) -> Any:
-    """Project Gaussians of a range and write those that the camera sees, in order; return how many.
+    """Project a range of Gaussians and write the visible ones in order; return their number.
 
     Args:
         camera: `KernelCamera`.
         lens: `KernelLens`.
         gaussians: (3 N,), (4 N,), (3 N,), (N,).
         begin: first Gaussian.
-        end: past the last.
-        rows: (end - begin + 8,) int64, for its own use, as is `scratch` (SCRATCH,) float64.
-        scratch: see `rows`.
+        end: one past the last.
+        rows: (end - begin + 8,) int64 scratch.
+        scratch: (SCRATCH,) float64 scratch.
         output: arrays as in `RECORD`, end - begin + 8 rows.
-        counts: (6,) int64, is increased by how many were culled, by the order of `CAUSES`.
+        counts: (6,) int64 numbers of culled Gaussians in the order of `CAUSES`; they are increased.
     """
     means, quats, scales, opacities = gaussians
     found = find_candidates(camera, gaussians, begin, end, rows, counts)
@@ -176,23 +177,22 @@ def unscented_part_backward(
     output: Any,
     to_viewmat: Any,
 ) -> None:
-    """Gradients of the Gaussians that a camera saw, of a range; zeros for those between that it did not see.
+    """Compute the gradients of a range of visible Gaussians; write zeros for invisible Gaussians between them.
 
     Args:
         camera: `KernelCamera`.
         lens: `KernelLens`.
         gaussians: (3 N,), (4 N,), (3 N,).
-        ids: (M,) of the Gaussians seen, ascending.
-        upstream: gradients to what was written of them, see the module `gradients`.
-        strides: of these.
-        begin: first of those seen.
-        end: past the last.
-        rows: (16,) int64, for its own use, as are `scratch` (SCRATCH,) float64 and `buffer` (80,), of the output's
-            type.
-        scratch: see `rows`.
-        buffer: see `rows`.
-        output: (N, 3), (N, 4), (N, 3) get gradients; what is past the last Gaussian seen is left to the caller.
-        to_viewmat: (12,) gets the part's sum for the rotation, row by row, and the translation.
+        ids: (M,) indices of the visible Gaussians, ascending.
+        upstream: gradients to the output records, see the module `gradients`.
+        strides: strides of `upstream`.
+        begin: first visible Gaussian.
+        end: one past the last.
+        rows: (16,) int64 scratch.
+        scratch: (SCRATCH,) float64 scratch.
+        buffer: (80,) scratch in the dtype of the output.
+        output: (N, 3), (N, 4), (N, 3), the gradients; the caller fills the rows after the last visible Gaussian.
+        to_viewmat: (12,) output, the sums of this part for the rotation, row by row, and the translation.
     """
     means, quats, scales = gaussians
     view_x, view_y = (camera.r00, camera.r01, camera.r02), (camera.r10, camera.r11, camera.r12)
@@ -223,7 +223,7 @@ def unscented_part_backward(
         rest_x, rest_y = to_mean
         to_mean_camera = (zero, zero, to_depth)
         for back in range(7):
-            number = 6 - back  # the mean is last: it gets what the others leave
+            number = 6 - back  # the mean is last: its gradient is the rest
             to_pixel_x, to_pixel_y = rest_x, rest_y
             if number > 0:
                 at = _PIXELS + 16 * number
@@ -271,7 +271,7 @@ def unscented_part_backward(
 
 @kernel(inline="always")
 def _step_gradient(coordinate: Any, scratch: Any) -> Any:
-    """Gradient to one coordinate of the three axes, one standard deviation long."""
+    """Compute the gradient to one coordinate of the three axes, which have a length of one standard deviation."""
     return (
         UT_SPREAD * (lanes.load(scratch, _POINTS + 24 + coordinate) - lanes.load(scratch, _POINTS + 96 + coordinate)),
         UT_SPREAD * (lanes.load(scratch, _POINTS + 48 + coordinate) - lanes.load(scratch, _POINTS + 120 + coordinate)),

@@ -1,4 +1,7 @@
-"""One small valid recording of every reader, with a ROI that it passes through: what is damaged in the tests."""
+"""Small valid recordings, each with a ROI that it passes through; the tests damage them.
+
+`BASES` holds a synthetic recording for every reader, `REAL_BASES` slices of real recordings.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ import pyproj
 
 from mirror.geometry.geodesy import ecef_R_enu
 from mirror.geometry.quaternions import quaternion_from_matrix
+from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from mirror.schema.files import write_table
 from mirror.schema.tables import BOXES
@@ -30,8 +34,8 @@ class Base:
     """A valid recording.
 
     Attributes:
-        reader: its format.
-        path: its folder or file.
+        reader: name of its reader.
+        path: its folder.
         roi: a scene that it passes through once.
     """
 
@@ -41,7 +45,7 @@ class Base:
 
     @property
     def files(self) -> list[Path]:
-        """Every file of it that its reader reads, sorted."""
+        """Every file of the recording, sorted."""
         return sorted(file for file in self.path.rglob("*") if file.is_file())
 
 
@@ -191,6 +195,37 @@ def dgp(root: Path) -> Base:
     return Base("dgp", path, roi)
 
 
+def real_boreas(root: Path, real_data: Path) -> Base:
+    """20 s of a real sequence, without images."""
+    path = root / "boreas-2021-08-05-13-34"
+    path.mkdir(parents=True)
+    header, *rows = (real_data / "boreas" / path.name / "camera_poses.csv").read_text().splitlines()
+    (path / "camera_poses.csv").write_text("\n".join([header, *rows[3000:3200]]) + "\n")
+    return Base("boreas", path, _roi_around(path, "boreas"))
+
+
+def real_comma2k19(root: Path, real_data: Path) -> Base:
+    """20 s of a real segment, as two segments."""
+    path = root / "b0c9d2329ad1606b_2018-08-02--08-34-47"
+    (source,) = (real_data / "comma2k19" / "Example_1").glob("*/40/global_pose")
+    for number in range(2):
+        folder_of_poses = path / str(number) / "global_pose"
+        folder_of_poses.mkdir(parents=True)
+        for name in ("frame_gps_times", "frame_positions", "frame_orientations"):
+            with (folder_of_poses / name).open("wb") as file:
+                np.save(file, np.load(source / name, allow_pickle=False)[200 * number : 200 * (number + 1)])
+    return Base("comma2k19", path, _roi_around(path, "comma2k19"))
+
+
+def _roi_around(path: Path, reader: str) -> Roi:
+    """A scene that contains the whole recording."""
+    track = open_recording(path, reader).track()
+    assert track.longitude_deg is not None and track.latitude_deg is not None
+    centre = {"longitude_deg": float(track.longitude_deg[0]), "latitude_deg": float(track.latitude_deg[0])}
+    return Roi(scene_id="s", radius_m=2000.0, **centre)
+
+
+REAL_BASES: dict[str, Callable[[Path, Path], Base]] = {"boreas": real_boreas, "comma2k19": real_comma2k19}
 BASES: dict[str, Callable[[Path], Base]] = {
     "folder": folder,
     "csv": csv,

@@ -1,7 +1,8 @@
-"""Whether what became of a damaged recording is one of what may become of it.
+"""Checks the outcome of a damaged recording.
 
-It may be refused by name, and then the dataset is as it was. Or it is taken, perhaps without some rows, which are
-counted; then every value is in its documented range, and what the damage did not touch is as it is without the damage.
+A damaged recording may be refused by name; then the dataset must not change. Or it may be ingested, perhaps without
+some rows, which are counted; then every value must be in its documented range, and rows that the damage did not touch
+must equal those of the pristine recording.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from tests.fuzz.bases import Base
 POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 POSES, CAMERAS, SHOTS, OBJECTS = "ego_poses", "calibrations", "images", "boxes"
 ALL = frozenset((POSES, CAMERAS, SHOTS, OBJECTS))
-# Which tables a file decides, by reader and the beginning of its path; a file that is not listed decides none.
-DECIDES: dict[str, dict[str, frozenset[str]]] = {
+# The tables that depend on a file, by reader and prefix of the file's path; no table depends on other files.
+DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
     "folder": {
         "poses.csv": frozenset({POSES}),
         "recording.json": ALL,
@@ -64,12 +65,12 @@ Rows = dict[str, list[dict[str, Any]]]
 
 @dataclass(frozen=True)
 class Reference:
-    """What a pristine recording comes to.
+    """The result of a pristine recording.
 
     Attributes:
-        base: it.
-        rows: of its only traversal, by table.
-        stamps_ns: (N,) of its track, in the order of the file's rows.
+        base: the recording.
+        rows: rows of its only traversal, by table.
+        stamps_ns: (N,) stamps of its track, in the order of the file's rows.
     """
 
     base: Base
@@ -78,7 +79,7 @@ class Reference:
 
 
 def rows_of(dataset: Path, traversal: str) -> Rows:
-    """All tables of a traversal."""
+    """Read all tables of a traversal."""
     layout = Layout(dataset)
     found = {
         table.name: read_table(layout.recorded(traversal) / f"{table.name}.parquet", table).to_pylist()
@@ -89,12 +90,12 @@ def rows_of(dataset: Path, traversal: str) -> Rows:
 
 
 def faults_of_values(rows: Rows) -> list[str]:
-    """Values out of their documented ranges."""
+    """List values outside their documented ranges."""
     faults = []
     for name in (POSES, CAMERAS, OBJECTS):
         pose = np.array([[row[column] for column in POSE] for row in rows[name]]).reshape(-1, 7)
         if not np.isfinite(pose).all() or (np.abs(np.linalg.norm(pose[:, :4], axis=1) - 1.0) > 1e-6).any():
-            faults.append(f"{name}: a pose that is none")
+            faults.append(f"{name}: an invalid pose")
     for row in rows[POSES]:
         lon, lat, sigma = row["longitude_deg"], row["latitude_deg"], row["sigma_m"]
         if lon is not None and not (-180 <= lon <= 180 and -90 <= lat <= 90):
@@ -108,7 +109,7 @@ def faults_of_values(rows: Rows) -> list[str]:
         camera = camera_from_row(row)
         rasters[row["camera"]] = (camera.width_px, camera.height_px)
         if not np.isfinite(camera.project(np.array([[0.0, 0.0, 1.0]])).uv_px).all():
-            faults.append("calibrations: the axis has no pixel")
+            faults.append("calibrations: the optical axis has no pixel")
     for row in rows[SHOTS]:
         size = (row["width_px"], row["height_px"])
         if rasters.get(row["camera"], size) != size or min(size) < 1:
@@ -122,18 +123,17 @@ def faults_of_values(rows: Rows) -> list[str]:
 
 
 def faults_of_untouched(reference: Reference, rows: Rows, damaged: Base, files: set[str]) -> list[str]:
-    """Rows that the damage did not touch and that are not what they were.
+    """List rows that changed although the damage did not touch them.
 
     Args:
-        reference: the pristine recording's.
-        rows: of the damaged one's traversal.
-        damaged: the damaged one.
-        files: its files that differ, relative to it.
+        reference: the result of the pristine recording.
+        rows: rows of the damaged recording's traversal.
+        damaged: the damaged recording.
+        files: the files that differ, relative to the recording.
     """
-    decided = DECIDES[damaged.reader]
     touched: set[str] = set()
-    for start, tables in decided.items():
-        if any(file.startswith(start) for file in files):
+    for prefix, tables in DEPENDENT_TABLES[damaged.reader].items():
+        if any(file.startswith(prefix) for file in files):
             touched |= tables
     faults = []
     for table, key in KEYS.items():
@@ -146,12 +146,12 @@ def faults_of_untouched(reference: Reference, rows: Rows, damaged: Base, files: 
         for row in rows[table]:
             other = before.get(tuple(row[name] for name in key))
             if other is not None and any(row[name] != other[name] for name in COMPARED[table]):
-                faults.append(f"{table}: {[row[name] for name in key]} is not what it was")
+                faults.append(f"{table}: {[row[name] for name in key]} has changed")
     return faults
 
 
 def untouched_stamps(reference: Reference, damaged: Base, files: set[str]) -> set[int]:
-    """Stamps of those rows of the poses that are as they were, and that no other row has now."""
+    """Stamps of the pose rows that are unchanged and that no other row of the damaged recording has."""
     rows = np.zeros(len(reference.stamps_ns), np.bool_)
     start = 0
     for name in pose_files(reference.base):
@@ -161,13 +161,12 @@ def untouched_stamps(reference: Reference, damaged: Base, files: set[str]) -> se
         start += len(same)
     if any(name not in pose_files(reference.base) for name in files):
         rows[:] = False
-    now, counts = np.unique(open_recording(damaged.path, damaged.reader).track().timestamp_ns, return_counts=True)
-    alone = set(now[counts == 1].tolist())
-    return alone & set(reference.stamps_ns[rows].tolist())
+    stamps, counts = np.unique(open_recording(damaged.path, damaged.reader).track().timestamp_ns, return_counts=True)
+    return set(stamps[counts == 1].tolist()) & set(reference.stamps_ns[rows].tolist())
 
 
 def pose_files(base: Base) -> list[str]:
-    """The files of poses whose rows can be told apart, in order."""
+    """The files with one pose per row, in order."""
     names = {
         "folder": ["poses.csv"],
         "csv": ["track.csv"],
@@ -183,7 +182,7 @@ def _bytes(file: Path) -> bytes:
 
 
 def _same_rows(before: bytes, after: bytes) -> np.ndarray:
-    """Which (N,) rows of a table stand unchanged at their place."""
+    """(N,) True where a row of a table is unchanged."""
     if before.startswith(b"\x93NUMPY"):
         array = np.load(io.BytesIO(before))
         try:

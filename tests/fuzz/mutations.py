@@ -1,4 +1,4 @@
-"""Damage to a recording: one random change of one of its files, of the kinds that strangers' recordings have."""
+"""Damages a recording: one random change of one of its files, of the kinds that occur in users' recordings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Mutation = Callable[[Path, Path, Generator], None]
 
 
 def _replace(file: Path, data: bytes) -> None:
-    """New bytes under the same name; the file may be a hard link to the pristine one."""
+    """Replace a file by new bytes; the file may be a hard link to the pristine file."""
     file.unlink()
     file.write_bytes(data)
 
@@ -33,7 +33,7 @@ def _is_array(file: Path) -> bool:
 
 
 def flip_bits(root: Path, file: Path, random: Generator) -> None:
-    """One to eight bits anywhere."""
+    """Flip one to eight bits anywhere."""
     data = bytearray(file.read_bytes())
     for _ in range(int(random.integers(1, 9))):
         data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
@@ -41,7 +41,7 @@ def flip_bits(root: Path, file: Path, random: Generator) -> None:
 
 
 def flip_header(root: Path, file: Path, random: Generator) -> None:
-    """Bytes of the first 128, where formats keep their header."""
+    """Change bytes of the first 128, where formats have their header."""
     data = bytearray(file.read_bytes())
     for _ in range(int(random.integers(1, 4))):
         data[int(random.integers(min(128, len(data))))] = int(random.integers(256))
@@ -49,23 +49,23 @@ def flip_header(root: Path, file: Path, random: Generator) -> None:
 
 
 def truncate(root: Path, file: Path, random: Generator) -> None:
-    """Cut short anywhere."""
+    """Truncate the file anywhere."""
     data = file.read_bytes()
     _replace(file, data[: int(random.integers(len(data)))])
 
 
 def empty(root: Path, file: Path, random: Generator) -> None:
-    """No bytes."""
+    """Remove all bytes."""
     _replace(file, b"")
 
 
 def remove(root: Path, file: Path, random: Generator) -> None:
-    """No file."""
+    """Remove the file."""
     file.unlink()
 
 
 def swap(root: Path, file: Path, random: Generator) -> None:
-    """The contents of another file, and this one's there."""
+    """Swap the contents of the file and another file."""
     files = sorted(path for path in root.rglob("*") if path.is_file() and path != file)
     if files:
         other = files[int(random.integers(len(files)))]
@@ -75,7 +75,7 @@ def swap(root: Path, file: Path, random: Generator) -> None:
 
 
 def put_number(root: Path, file: Path, random: Generator) -> None:
-    """A number that is huge, tiny, negative or none, for one of the file's numbers."""
+    """Replace one of the file's numbers by a huge, tiny or negative number, or by a text that is not a number."""
     words = NUMBERS if random.random() < 0.5 else NO_NUMBERS
     word = words[int(random.integers(len(words)))]
     if file.suffix == ".parquet":
@@ -87,10 +87,10 @@ def put_number(root: Path, file: Path, random: Generator) -> None:
         _save(file, array)
     else:
         data = file.read_bytes()
-        found = list(_NUMBER.finditer(data))
-        if found:
-            one = found[int(random.integers(len(found)))]
-            _replace(file, data[: one.start()] + word.encode() + data[one.end() :])
+        numbers = list(_NUMBER.finditer(data))
+        if numbers:
+            number = numbers[int(random.integers(len(numbers)))]
+            _replace(file, data[: number.start()] + word.encode() + data[number.end() :])
 
 
 def _change_cell(file: Path, word: str, random: Generator) -> None:
@@ -120,7 +120,7 @@ def _save(file: Path, array: np.ndarray) -> None:
 
 
 def change_columns(root: Path, file: Path, random: Generator) -> None:
-    """A column, key or axis twice, missing or renamed."""
+    """Repeat, remove or rename a column, key or axis."""
     how = int(random.integers(3))
     if file.suffix == ".parquet":
         table = pq.read_table(file)
@@ -159,7 +159,7 @@ def change_columns(root: Path, file: Path, random: Generator) -> None:
 
 
 def _random_object(document: Any, random: Generator) -> dict[str, Any] | None:
-    """One of the objects in a document."""
+    """Choose one of the objects in a document."""
     objects: list[dict[str, Any]] = []
     pending = [document]
     while pending:
@@ -169,12 +169,12 @@ def _random_object(document: Any, random: Generator) -> dict[str, Any] | None:
             pending += value.values()
         elif isinstance(value, list):
             pending += value
-    objects = [one for one in objects if one]
+    objects = [candidate for candidate in objects if candidate]
     return objects[int(random.integers(len(objects)))] if objects else None
 
 
 def change_type(root: Path, file: Path, random: Generator) -> None:
-    """A JSON value of another kind, or nested beyond any parser's depth; of an array, another type."""
+    """Replace a JSON value by another type or by nesting beyond any parser's depth; change the type of an array."""
     if file.suffix == ".json":
         document = json.loads(file.read_text())
         owner = _random_object(document, random)
@@ -191,7 +191,7 @@ def change_type(root: Path, file: Path, random: Generator) -> None:
 
 
 def change_rows(root: Path, file: Path, random: Generator) -> None:
-    """Rows twice, backward, missing or torn."""
+    """Repeat, reverse, remove or truncate rows."""
     how = int(random.integers(4))
     if file.suffix in (".csv", ".txt"):
         lines = file.read_bytes().splitlines(keepends=True)
@@ -212,7 +212,7 @@ def change_rows(root: Path, file: Path, random: Generator) -> None:
 
 
 def link(root: Path, file: Path, random: Generator) -> None:
-    """A link out, to a device, to itself or to nothing."""
+    """Replace the file by a link that leads outside, to a device, to itself or to nothing."""
     kept = file.read_bytes()
     file.unlink()
     outside = root.parent / "outside"
@@ -222,19 +222,19 @@ def link(root: Path, file: Path, random: Generator) -> None:
 
 
 def pipe(root: Path, file: Path, random: Generator) -> None:
-    """A pipe that nobody writes into."""
+    """Replace the file by a pipe without a writer."""
     file.unlink()
     os.mkfifo(file)
 
 
 def folder(root: Path, file: Path, random: Generator) -> None:
-    """A folder."""
+    """Replace the file by a folder."""
     file.unlink()
     file.mkdir()
 
 
 def huge_header(root: Path, file: Path, random: Generator) -> None:
-    """A header that claims more than there is; where the format has none, garbage in the middle."""
+    """Write a header that claims more bytes than exist; without a header, write random bytes in the middle."""
     data = file.read_bytes()
     if _is_array(file):
         rows = (10**10, 2**40, 2**62, 10**30)[int(random.integers(4))]
@@ -269,9 +269,9 @@ MUTATIONS: dict[str, Mutation] = {
 
 
 def mutate(root: Path, random: Generator) -> tuple[str, Path]:
-    """Damage one file of a recording; the kind of damage, and the file.
+    """Damage one file of a recording, and return the name of the mutation and the file.
 
-    Kinds of files have the same chance, however many there are of each; numbers are changed more often than the rest.
+    Each kind of file has the same probability, whatever the number of its files; numbers are changed most often.
     """
     files: dict[tuple[Path, str], list[Path]] = {}
     for file in sorted(path for path in root.rglob("*") if path.is_file()):

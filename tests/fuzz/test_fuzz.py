@@ -1,6 +1,6 @@
-"""Damaged recordings of every reader: refused by name, or taken with right values; no traceback, hang or lost data.
+"""Damaged recordings of every reader: refused by name, or ingested with right values; no traceback, hang or lost data.
 
-``make fuzz`` runs ten times as many as ``make test`` (`MIRROR_FUZZ`), and prints what came of them.
+``make fuzz`` runs ten times as many trials as ``make test`` (`MIRROR_FUZZ`), and prints their outcomes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mirror.errors import MirrorError
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
-from tests.fuzz.bases import BASES, Base
+from tests.fuzz.bases import BASES, REAL_BASES, Base
 from tests.fuzz.judge import Reference, faults_of_untouched, faults_of_values, rows_of
 from tests.fuzz.mutations import mutate
 from tests.fuzz.worker import Request, Worker
@@ -38,7 +38,7 @@ def linked(source: Path, target: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of another drive, elsewhere."""
+    """A dataset with another drive at another place."""
     root = tmp_path_factory.mktemp("kept")
     rows = [f"{1_700_000_000 + second},{11.0 + 1e-4 * second},48.0" for second in range(30)]
     (root / "kept.csv").write_text("time,longitude,latitude\n" + "\n".join(rows) + "\n")
@@ -55,23 +55,23 @@ def reference_of(base: Base, kept: Path, folder: Path) -> Reference:
     return Reference(base, rows, open_recording(base.path, base.reader).track().timestamp_ns)
 
 
-def judged(
-    found: dict[str, Any], before: dict[str, str], reference: Reference, damaged: Base, out: Path
+def judge(
+    answer: dict[str, Any], before: dict[str, str], reference: Reference, damaged: Base, out: Path
 ) -> tuple[str, str | None]:
-    """What came of one damaged recording, and what is wrong with that.
+    """Return the outcome of one damaged recording, and its fault; None: the outcome is right.
 
     Args:
-        found: the worker's answer.
+        answer: the worker's answer.
         before: hashes of the dataset's files before.
-        reference: the pristine recording's.
-        damaged: the damaged one.
+        reference: the result of the pristine recording.
+        damaged: the damaged recording.
         out: the dataset.
     """
-    if "failures" not in found:
-        return "no answer", str(found)
+    if "failures" not in answer:
+        return "no answer", str(answer)
     after = tree(out)
-    if found["failures"]:
-        (failure,) = found["failures"]
+    if answer["failures"]:
+        (failure,) = answer["failures"]
         if failure["error"] not in ERRORS or not failure["problem"] or not failure["file"]:
             return "no name", str(failure)
         return "refused", None if after == before else "the dataset has changed"
@@ -81,12 +81,12 @@ def judged(
     pristine = {file.relative_to(reference.base.path): file for file in reference.base.files}
     touched = {str(name) for name, file in pristine.items() if not _same(damaged.path / name, file)}
     faults = []
-    for name in found["traversals"]:
+    for name in answer["traversals"]:
         rows = rows_of(out, name)
         faults += faults_of_values(rows) + faults_of_untouched(reference, rows, damaged, touched)
-    dropped = sum(one["poses"] - one["kept"] for one in found["cleaning"])
+    dropped = sum(drive["poses"] - drive["kept"] for drive in answer["cleaning"])
     outcome = "taken without rows" if dropped else "taken"
-    return outcome if found["traversals"] else "no pass", "; ".join(faults[:3]) or None
+    return outcome if answer["traversals"] else "no pass", "; ".join(faults[:3]) or None
 
 
 def _same(file: Path, pristine: Path) -> bool:
@@ -95,34 +95,45 @@ def _same(file: Path, pristine: Path) -> bool:
 
 @pytest.mark.parametrize("reader", BASES)
 def test_damage_is_refused_by_name_or_does_no_harm(reader: str, tmp_path: Path, kept: Path) -> None:
-    base = BASES[reader](tmp_path / "base")
+    run_trials(BASES[reader](tmp_path / "base"), TRIALS, tmp_path, kept)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("reader", REAL_BASES)
+def test_damage_to_real_recordings(reader: str, real_data: Path, tmp_path: Path, kept: Path) -> None:
+    run_trials(REAL_BASES[reader](tmp_path / "base", real_data), max(1, TRIALS // 10), tmp_path, kept)
+
+
+def run_trials(base: Base, trials: int, tmp_path: Path, kept: Path) -> None:
+    """Damage a recording in many ways, ingest each damaged copy, and check every outcome."""
+    reader = base.reader
     reference = reference_of(base, kept, tmp_path / "reference")
     before = tree(kept)
     counts: Counter[str] = Counter()
     faults = []
     slowest = 0.0
     with Worker() as worker:
-        for trial in range(TRIALS):
+        for trial in range(trials):
             random = np.random.default_rng([SEED, list(BASES).index(reader), trial])
-            here = tmp_path / f"trial{trial}"
-            path = linked(base.path, here / base.path.name)
+            folder = tmp_path / f"trial{trial}"
+            path = linked(base.path, folder / base.path.name)
             kind, file = mutate(path, random)
-            out = linked(kept, here / "d")
-            began = time.monotonic()
-            found = worker.ask(Request(path, reader, base.roi, out))
-            if "hang" in found:
-                # A kernel that is compiled for the first time, on a busy machine, takes that long too, but it ends.
+            out = linked(kept, folder / "d")
+            start_s = time.monotonic()
+            answer = worker.ask(Request(path, reader, base.roi, out))
+            if "hang" in answer:
+                # On a busy machine the first compilation of a kernel takes as long, but it ends.
                 shutil.rmtree(out)
-                found = worker.ask(Request(path, reader, base.roi, linked(kept, out)), timeout_s=120.0)
-            slowest = max(slowest, time.monotonic() - began)
-            outcome, fault = judged(found, before, reference, Base(reader, path, base.roi), out)
+                answer = worker.ask(Request(path, reader, base.roi, linked(kept, out)), timeout_s=120.0)
+            slowest = max(slowest, time.monotonic() - start_s)
+            outcome, fault = judge(answer, before, reference, Base(reader, path, base.roi), out)
             counts[outcome] += 1
             damage = f"trial {trial}: {kind} of {file.relative_to(path)}"
             if fault is not None:
                 faults.append(f"{damage}: {outcome}: {fault}")
             if VERBOSE:
-                said = found["failures"][0]["problem"] if found.get("failures") else ""
-                print(f"{reader}, {damage}: {outcome}: {said:.200}")
-            shutil.rmtree(here)
-    print(f"{reader}: {TRIALS} damaged recordings: {dict(counts)}; slowest {slowest:.1f} s")
+                problem = answer["failures"][0]["problem"] if answer.get("failures") else ""
+                print(f"{reader}, {damage}: {outcome}: {problem:.200}")
+            shutil.rmtree(folder)
+    print(f"{reader}: {trials} damaged recordings: {dict(counts)}; slowest {slowest:.1f} s")
     assert not faults, "\n".join(faults)

@@ -1,7 +1,7 @@
-"""A process that ingests recordings one after the other, so that one that hangs can be killed from outside.
+"""A process that ingests recordings one after the other; the test can kill it when a recording hangs.
 
-It reads one JSON request a line and answers with one JSON line: the failures, or what was written; or, for what no
-recording may cause, the traceback.
+It reads one JSON request per line and answers with one JSON line: the failures, or the written traversals, or the
+traceback of an exception that no recording may cause.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Request:
-    """One recording to be ingested.
+    """A request to ingest one recording.
 
     Attributes:
         path: the recording.
-        reader: its format.
+        reader: name of its reader.
         roi: a scene.
         out: the dataset.
     """
@@ -50,7 +50,7 @@ class Request:
 
 
 def answer(request: Request) -> dict[str, Any]:
-    """What `mirror info` and `mirror ingest` come to."""
+    """Run the work of `mirror info` and `mirror ingest`, and return the result."""
     try:
         with reader_errors(request.path):
             summarise(open_recording(request.path, request.reader))
@@ -61,13 +61,13 @@ def answer(request: Request) -> dict[str, Any]:
     )
     return {
         "failures": [error.to_dict() for _, error in report.failures],
-        "traversals": [one.traversal_id for one in report.traversals],
+        "traversals": [traversal.traversal_id for traversal in report.traversals],
         "cleaning": [drive.cleaning.model_dump() for drive in report.drives.values()],
     }
 
 
 def serve() -> None:
-    """Answer requests until there are no more."""
+    """Answer requests until the input ends."""
     warnings.simplefilter("ignore")
     faulthandler.enable()
     for line in sys.stdin:
@@ -77,18 +77,18 @@ def serve() -> None:
         )
         try:
             with np.errstate(all="ignore"):
-                found = answer(request)
+                reply = answer(request)
         except BaseException as error:  # noqa: BLE001
-            found = {"traceback": "".join(traceback.format_exception(error))}
-        print(json.dumps(found), flush=True)
+            reply = {"traceback": "".join(traceback.format_exception(error))}
+        print(json.dumps(reply), flush=True)
 
 
 class Worker:
-    """The process, started again where it has ended."""
+    """Starts the process when it is needed, again after it has ended."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
-        self._said: IO[str] | None = None
+        self._log: IO[str] | None = None
 
     def __enter__(self) -> Worker:
         return self
@@ -97,26 +97,26 @@ class Worker:
         self.stop()
 
     def stop(self) -> str:
-        """End it, and say what its threads were at."""
-        if self._process is None or self._said is None:
+        """End the process and return the tracebacks of its threads."""
+        if self._process is None or self._log is None:
             return ""
         # The fault handler writes a traceback of every thread.
         self._process.send_signal(signal.SIGABRT)
         self._process.communicate()
         self._process = None
-        with self._said as file:
+        with self._log as file:
             file.seek(0)
             return file.read()
 
     def ask(self, request: Request, timeout_s: float = 20.0) -> dict[str, Any]:
-        """The answer; ``{"hang": traceback}`` or ``{"died": code}`` where there is none."""
+        """Return the answer; without one, ``{"hang": traceback}`` or ``{"died": code}``."""
         if self._process is None:
-            # A file, not a pipe: decoders of images say more than a pipe holds.
-            self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115
+            # A file, not a pipe: image decoders write more messages than a pipe holds.
+            self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115
             words = [sys.executable, "-m", "tests.fuzz.worker"]
             pipe = subprocess.PIPE
-            self._process = subprocess.Popen(words, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=self._said, text=True)
-            # Ready once it answers: its imports are no part of anybody's time.
+            self._process = subprocess.Popen(words, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=self._log, text=True)
+            # Wait for its first line, so that no request pays for the imports.
             self._process.stdout.readline()  # type: ignore[union-attr]
         process = self._process
         assert process.stdin is not None and process.stdout is not None
@@ -137,8 +137,8 @@ class Worker:
             code = process.wait()
             self._process = None
             return {"died": code}
-        found: dict[str, Any] = json.loads(line)
-        return found
+        reply: dict[str, Any] = json.loads(line)
+        return reply
 
 
 if __name__ == "__main__":

@@ -164,20 +164,20 @@ def interpolation_rows(size: int) -> Iterator[Row]:
     fraction = (query[:SAMPLE] - stamps[start]).astype(np.longdouble) / span
     expected = slerp_long(track.rotation[start], track.rotation[start + 1], fraction)
 
-    def peer(asked: Int64) -> Float64:
+    def peer(stamps_ns: Int64) -> Float64:
         slerp = Slerp((stamps - stamps[0]) * 1e-9, rotations)
-        return np.asarray(slerp((asked - stamps[0]) * 1e-9).as_quat(canonical=True, scalar_first=True))
+        return np.asarray(slerp((stamps_ns - stamps[0]) * 1e-9).as_quat(canonical=True, scalar_first=True))
 
-    for name, asked in (("interpolate, any order", query), ("interpolate, in order", np.sort(query))):
+    for name, stamps_ns in (("interpolate, any order", query), ("interpolate, in order", np.sort(query))):
         yield Row(
             name,
             f"{size:,} of {TRACK:,}",
-            best_ms(partial(interpolate, stamps, track, asked)),
+            best_ms(partial(interpolate, stamps, track, stamps_ns)),
             largest(interpolate(stamps, track, query[:SAMPLE]).rotation - expected),
             (
                 Peer(
                     "scipy Slerp (turn only)",
-                    best_ms(partial(peer, asked)),
+                    best_ms(partial(peer, stamps_ns)),
                     largest(peer(query[:SAMPLE]) - expected),
                 ),
             ),

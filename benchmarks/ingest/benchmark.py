@@ -328,10 +328,10 @@ def main(argv: list[str]) -> int:
         "memory": lambda: memory_rows(options.drives),
         "startup": startup_rows,
     }
-    wanted = options.sections or SECTIONS
-    if "trigger" in wanted:
-        wanted = [*wanted, "conversion"]
-    return report("ingest", {name: rows() for name, rows in groups.items() if name in wanted})
+    selected = options.sections or SECTIONS
+    if "trigger" in selected:
+        selected = [*selected, "conversion"]
+    return report("ingest", {name: rows() for name, rows in groups.items() if name in selected})
 
 
 if __name__ == "__main__":

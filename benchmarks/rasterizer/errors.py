@@ -107,14 +107,14 @@ def compute_image_errors(view: View, true: Truth) -> ImageErrors:
     with torch.no_grad():
         image, alphas, _ = view.render(view.tensors())
     colors = (image[0, ..., :-1].double() - true.image).abs().amax(-1)
-    apart: Float64 = colors.maximum((alphas[0, ..., 0].double() - true.alpha).abs()).numpy()
+    distance: Float64 = colors.maximum((alphas[0, ..., 0].double() - true.alpha).abs()).numpy()
     depth: Float64 = ((image[0, ..., -1].double() - true.depth).abs() / true.depth.clamp_min(0.1)).numpy()
     marked = true.marks.marked.numpy()
-    clear, doubtful = apart[~marked], (apart - true.marks.jump.numpy())[marked]
+    clear, doubtful = distance[~marked], (distance - true.marks.jump.numpy())[marked]
     return ImageErrors(
         unmarked=float(clear.max(initial=0.0)),
-        worst=float(apart.max()),
-        all_999=_quantile(apart, 0.999),
+        worst=float(distance.max()),
+        all_999=_quantile(distance, 0.999),
         beyond_flips=float(doubtful.max(initial=0.0)),
         marked_percent=100.0 * float(marked.mean()),
         depth=_quantile(depth, 0.999),
@@ -127,13 +127,13 @@ def compute_gradient_errors(view: View, true: Truth) -> dict[str, GradientErrors
     image, alphas, _ = view.render(tensors)
     found = _gradients(view, tensors, image, alphas, true.marks)
     errors = {}
-    for name, wanted in true.gradients.items():
-        apart = (found[name].double() - wanted).reshape(len(wanted), -1).norm(dim=1).numpy()
-        length = wanted.reshape(len(wanted), -1).norm(dim=1).numpy()
+    for name, expected in true.gradients.items():
+        distance = (found[name].double() - expected).reshape(len(expected), -1).norm(dim=1).numpy()
+        length = expected.reshape(len(expected), -1).norm(dim=1).numpy()
         felt = length > _FELT * length.max()
-        single = apart[felt] / length[felt]
+        single = distance[felt] / length[felt]
         errors[name] = GradientErrors(
-            norm=float(np.linalg.norm(apart) / np.linalg.norm(length)),
+            norm=float(np.linalg.norm(distance) / np.linalg.norm(length)),
             median=_quantile(single, 0.5),
             percentile_99=_quantile(single, 0.99),
         )

@@ -74,14 +74,14 @@ def run(path: Path, scene: Splats, weight: Float32, repeats: int = 3, threads: i
     camera = scene.camera_matrix(width, height)
     arrays = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
     with tempfile.TemporaryDirectory() as folder:
-        given, drawn = Path(folder) / "in", Path(folder) / "out"
-        with given.open("wb") as file:
+        input_file, output_file = Path(folder) / "in", Path(folder) / "out"
+        with input_file.open("wb") as file:
             file.write(np.array([len(scene), width, height], np.int32).tobytes())
             floats = (camera[[0, 1, 0, 1], [0, 1, 2, 2]], scene.viewmat, *arrays, weight)
             file.writelines(np.ascontiguousarray(part, np.float32).tobytes() for part in floats)
-        command = [str(path), str(given), str(drawn), str(repeats), str(threads)]
+        command = [str(path), str(input_file), str(output_file), str(repeats), str(threads)]
         printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        values = np.fromfile(drawn, np.float32)
+        values = np.fromfile(output_file, np.float32)
     names = ("means", "quats", "scales", "opacities", "colors")
     sizes = np.cumsum([weight.size, *(array.size for array in arrays)])
     image, *gradients = np.split(values, sizes[:-1])

@@ -101,7 +101,7 @@ def _timed(call: Callable[[], Any], repeats: int) -> tuple[float, float, Tensor]
 def _means_error(true_ids: Tensor, true: Tensor, ids: Tensor, means: Tensor) -> float:
     """Largest difference of means within 10,000 pixels of the origin."""
     common, of_true, of_ours = np.intersect1d(true_ids.numpy(), ids.numpy(), return_indices=True)
-    wanted = true.detach()[torch.from_numpy(of_true)]
-    near = wanted.abs().amax(-1) < 1e4
-    apart = (means[torch.from_numpy(of_ours)].double() - wanted).abs()[near]
-    return float(apart.max()) if len(common) else 0.0
+    expected = true.detach()[torch.from_numpy(of_true)]
+    near = expected.abs().amax(-1) < 1e4
+    distance = (means[torch.from_numpy(of_ours)].double() - expected).abs()[near]
+    return float(distance.max()) if len(common) else 0.0

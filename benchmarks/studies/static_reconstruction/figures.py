@@ -41,9 +41,9 @@ def write_sheet(jobs: Sequence[Job], folder: Path, path: Path) -> None:
         true, mask = models[0].street.recorded.image(view), models[0].street.recorded.scored_mask(view)
         row = [(f"{group}, {view.light}, {view.weather}", _dimmed(true, mask))]
         for job, render in zip(jobs, renderers):
-            drawn = render(view)
-            found = score_image(view, drawn, true, mask)
-            row.append((f"{job.entry} {found.psnr:.1f}, * {found.psnr_cc:.1f} dB", drawn))
+            rendered = render(view)
+            scores = score_image(view, rendered, true, mask)
+            row.append((f"{job.entry} {scores.psnr:.1f}, * {scores.psnr_cc:.1f} dB", rendered))
         rows.append(row)
     sheet_bgr = np.ascontiguousarray(sheet(rows)[..., ::-1])
     write_bytes(path, bytes(cv2.imencode(".jpg", sheet_bgr, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]))
@@ -61,10 +61,10 @@ def write_budgets(results: Sequence[JobResult], entries: Sequence[str], path: Pa
     Nothing is written if no entry has several budgets.
     """
     budgets = {entry: {one.job.core_minutes for one in results if one.job.entry == entry} for entry in entries}
-    drawn = [entry for entry in entries if len(budgets[entry]) > 1]
-    if not drawn:
+    plotted = [entry for entry in entries if len(budgets[entry]) > 1]
+    if not plotted:
         return
-    common = set.intersection(*(_complete(results, entry, budgets[entry]) for entry in drawn))
+    common = set.intersection(*(_complete(results, entry, budgets[entry]) for entry in plotted))
     import matplotlib
 
     matplotlib.use("Agg")
@@ -72,14 +72,14 @@ def write_budgets(results: Sequence[JobResult], entries: Sequence[str], path: Pa
 
     figure, panels = pyplot.subplots(1, len(_CURVES), figsize=(10.0, 4.0), layout="constrained")
     for panel, (name, label) in zip(panels, _CURVES):
-        for entry in drawn:
+        for entry in plotted:
             own = [one for one in results if one.job.entry == entry and (one.job.scene, one.job.seed) in common]
             if own:
                 along = sorted(budgets[entry])
                 means = [np.mean([one.figures[name] for one in own if one.job.core_minutes == at]) for at in along]
                 panel.plot(along, means, marker="o", label=entry)
         panel.set(xscale="log", xlabel="core-minutes of training", ylabel=label)
-        every = sorted(set().union(*(budgets[entry] for entry in drawn)))
+        every = sorted(set().union(*(budgets[entry] for entry in plotted)))
         panel.set_xticks(every, [f"{minutes:g}" for minutes in every])
         panel.minorticks_off()
         panel.grid(alpha=0.3)

@@ -34,12 +34,12 @@ def score_exact_street(folder: Path, declaration: Declaration, scene: str, width
     def of_policy(view: RenderView) -> str:
         return selector.select(view).colours[0][0].traversal_id
 
-    wanted: tuple[tuple[str, str, Callable[[RenderView], str]], ...] = (
+    rows: tuple[tuple[str, str, Callable[[RenderView], str]], ...] = (
         (TRAINING, "own", of_its_own),
         (NOVEL, "own", of_its_own),
         (NOVEL, declaration.policy, of_policy),
     )
-    return [_row(request, group, light, source, poses) for group, light, source in wanted for poses in POSES]
+    return [_row(request, group, light, source, poses) for group, light, source in rows for poses in POSES]
 
 
 def _row(

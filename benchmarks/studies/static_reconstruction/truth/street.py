@@ -65,10 +65,10 @@ class StreetTruth:
     """The synthetic street that a dataset's recordings are of.
 
     Args:
-        dataset: of recordings that ``mirror synth`` wrote.
-        plan: of the views that will be asked for.
-        preset: that the recordings were made with.
-        seed: that the recordings were made with.
+        dataset: dataset of recordings that ``mirror synth`` wrote.
+        plan: plan of the requested views.
+        preset: preset of the recordings.
+        seed: seed of the recordings.
 
     Attributes:
         recorded: the recorded images, and which of their pixels are scored.

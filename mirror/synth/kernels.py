@@ -24,5 +24,5 @@ def per_pixel(
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
     if contract:
         options["fastmath"] = {"contract"}
-    found: Callable[[_Function], _Function] = numba.njit(**options)
-    return found
+    decorator: Callable[[_Function], _Function] = numba.njit(**options)
+    return decorator

@@ -31,10 +31,10 @@ def test_overlaps_match_the_closed_form() -> None:
 def test_hardly_visible_targets_are_optional() -> None:
     boxes = np.array([[0.0, 0.0, 10.0, 10.0], [50.0, 50.0, 60.0, 60.0], [90.0, 0.0, 99.0, 9.0]])
     targets = [target((1.0, 0.0, 11.0, 10.0)), target((50.0, 50.0, 60.0, 60.0), 0.3), target((30.0, 0.0, 38.0, 20.0))]
-    found = evaluate_detections([(boxes, targets), (np.zeros((0, 4)), [])], 1, 0.6)
-    assert found.size_px.tolist() == [10.0, 20.0]
-    assert found.found.tolist() == [True, False]
-    assert (found.boxes, found.right) == (3, 2)
+    result = evaluate_detections([(boxes, targets), (np.zeros((0, 4)), [])], 1, 0.6)
+    assert result.size_px.tolist() == [10.0, 20.0]
+    assert result.result.tolist() == [True, False]
+    assert (result.boxes, result.right) == (3, 2)
 
 
 def test_number_of_anchors_equals_the_network_outputs() -> None:

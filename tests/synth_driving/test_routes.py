@@ -22,17 +22,17 @@ def turned_deg(route) -> float:
 
 
 def test_routes_match_their_names() -> None:
-    found = {name: make_route(name, NETWORK, street.RADIUS) for name in available_routes(NETWORK, street.RADIUS)}
-    assert set(found) == set(ROUTES) - {"other", "change", "leave", "join"}
-    assert turned_deg(found["along"]) == pytest.approx(0.0, abs=1.0)
-    assert turned_deg(found["turn"]) == pytest.approx(-90.0, abs=2.0)
-    assert turned_deg(found["left"]) == pytest.approx(90.0, abs=2.0)
-    assert turned_deg(found["twice"]) == pytest.approx(180.0, abs=2.0)
-    along, back, across = (driven(found[name]) for name in ("along", "back", "across"))
+    routes = {name: make_route(name, NETWORK, street.RADIUS) for name in available_routes(NETWORK, street.RADIUS)}
+    assert set(routes) == set(ROUTES) - {"other", "change", "leave", "join"}
+    assert turned_deg(routes["along"]) == pytest.approx(0.0, abs=1.0)
+    assert turned_deg(routes["turn"]) == pytest.approx(-90.0, abs=2.0)
+    assert turned_deg(routes["left"]) == pytest.approx(90.0, abs=2.0)
+    assert turned_deg(routes["twice"]) == pytest.approx(180.0, abs=2.0)
+    along, back, across = (driven(routes[name]) for name in ("along", "back", "across"))
     assert np.dot(along[-1] - along[0], back[-1] - back[0]) < 0.0
     assert abs(np.dot(along[-1] - along[0], across[-1] - across[0])) < 1e-6
     for name in ("along", "back", "turn", "left", "across"):
-        radius = np.hypot(*driven(found[name]).T)
+        radius = np.hypot(*driven(routes[name]).T)
         assert min(radius[0], radius[-1]) > street.RADIUS + 20.0
         assert radius.min() < 0.5 * street.RADIUS
 

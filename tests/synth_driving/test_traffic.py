@@ -31,9 +31,9 @@ def car(way, enter_s=0.0, enter_m=0.0, **more) -> Participant:
 
 
 def run(*participants, clock_s=0.0, longest_s=90.0) -> list[Schedule]:
-    found = simulate_participants(NETWORK, participants, clock_s, longest_s)
-    assert all(schedule is not None for schedule in found)
-    return found
+    schedules = simulate_participants(NETWORK, participants, clock_s, longest_s)
+    assert all(schedule is not None for schedule in schedules)
+    return schedules
 
 
 def test_crossing_lines_have_a_square_zone() -> None:

@@ -87,8 +87,8 @@ def test_exact_tracks_recover_the_rig() -> None:
     recorded = perturb_intrinsics(rig, 1)
     start = replace(tracks, points=tracks.points + np.random.default_rng(2).normal(0.0, 0.05, tracks.points.shape))
     # The feature errors are negligible, so the tracks decide; the scale comes from the recorded poses.
-    found, residual = adjust_rig(recorded, start, replace(SPREAD, feature_px=1e-3))
-    before, after = pose_errors(recorded, rig), pose_errors(found, rig)
+    result, residual = adjust_rig(recorded, start, replace(SPREAD, feature_px=1e-3))
+    before, after = pose_errors(recorded, rig), pose_errors(result, rig)
     assert before[0].max() > 0.05
     assert after[0].max() < 2e-3
     assert after[1].max() < 2.0
@@ -98,8 +98,8 @@ def test_exact_tracks_recover_the_rig() -> None:
 
 def test_a_fitting_rig_is_unchanged() -> None:
     rig = true_rig(CAMERAS)
-    found, residual = adjust_rig(rig, tracks_of(rig), SPREAD)
-    angle, distance = pose_errors(found, rig)
+    result, residual = adjust_rig(rig, tracks_of(rig), SPREAD)
+    angle, distance = pose_errors(result, rig)
     assert angle.max() < 1e-6
     assert distance.max() < 1e-6
     assert residual.max() < 1e-6
@@ -120,8 +120,8 @@ def test_wrong_matches_have_little_influence() -> None:
     rng = np.random.default_rng(6)
     wrong = rng.random(len(tracks.uv_px)) < 0.05
     noise = rng.normal(0.0, 0.15, tracks.uv_px.shape) + wrong[:, None] * rng.normal(0.0, 30.0, tracks.uv_px.shape)
-    found, _ = adjust_rig(perturb_intrinsics(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
-    angle, distance = pose_errors(found, rig)
+    result, _ = adjust_rig(perturb_intrinsics(rig, 3), replace(tracks, uv_px=tracks.uv_px + noise), SPREAD)
+    angle, distance = pose_errors(result, rig)
     assert angle.max() < 0.05
     assert distance.max() < 4.0
 
@@ -155,7 +155,7 @@ def test_pycolmap_triangulates_the_true_points() -> None:
             common = sorted(places[one].keys() & places[other].keys())
             if common:
                 matches[one, other] = np.array([(places[one][p], places[other][p]) for p in common])
-    found = triangulate_tracks(rig, features, matches)
-    assert len(found.points) > 60
-    apart = np.linalg.norm(found.points[:, None] - exact.points[None], axis=2).min(axis=1)
+    result = triangulate_tracks(rig, features, matches)
+    assert len(result.points) > 60
+    apart = np.linalg.norm(result.points[:, None] - exact.points[None], axis=2).min(axis=1)
     assert apart.max() < 1e-2

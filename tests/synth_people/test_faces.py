@@ -47,7 +47,7 @@ def test_face_detector_finds_the_faces(real_data: Path, size_px: int) -> None:
     edge = 4 * size_px // 32 * 32 + 32
     weights = str(real_data / "weights" / "yunet" / "yunet_n_dynamic.onnx")
     detector = cv2.FaceDetectorYN.create(weights, "", (edge, edge), 0.6)
-    found = 0
+    count = 0
     for number in FACES:
         face = cv2.resize(
             face_image(number), (round(size_px * HEAD_ASPECT), size_px), interpolation=cv2.INTER_AREA
@@ -64,5 +64,5 @@ def test_face_detector_finds_the_faces(real_data: Path, size_px: int) -> None:
         grey = np.where(image < 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-6) ** (1 / 2.4) - 0.055)
         boxes = detector.detect((255 * np.clip(grey[..., ::-1], 0.0, 1.0)).astype(np.uint8))[1]
         middles = np.empty((0, 2)) if boxes is None else boxes[:, :2] + 0.5 * boxes[:, 2:4]
-        found += bool((np.abs(middles - 0.5 * edge).max(axis=1) < 0.5 * size_px).any()) if len(middles) else 0
-    assert found >= 0.9 * len(FACES)
+        count += bool((np.abs(middles - 0.5 * edge).max(axis=1) < 0.5 * size_px).any()) if len(middles) else 0
+    assert count >= 0.9 * len(FACES)

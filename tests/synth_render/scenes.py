@@ -94,5 +94,5 @@ def surroundings(
 
 def turned(rng: np.random.Generator) -> Float64:
     """A random rotation (3, 3)."""
-    found, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return np.ascontiguousarray(found * np.sign(np.linalg.det(found)))
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return np.ascontiguousarray(rotation * np.sign(np.linalg.det(rotation)))

@@ -25,62 +25,64 @@ def world(kind: Kind) -> World:
     return build_world(roi, 20.0, 1)
 
 
-def middles(found: World) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    count = found.model.faces["count"]
-    return np.add.reduceat(corners_of(found.model), np.cumsum(count) - count) / count[:, None]
+def middles(scene: World) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    count = scene.model.faces["count"]
+    return np.add.reduceat(corners_of(scene.model), np.cumsum(count) - count) / count[:, None]
 
 
 def test_urban_has_thousands_of_primitives() -> None:
-    found = world("urban")
-    faces, places = found.model.faces, middles(found)
+    scene = world("urban")
+    faces, places = scene.model.faces, middles(scene)
     counted = ~np.isin(faces["label"], GROUND) & (faces["material"] != Material.LEAVES)
     counted &= np.hypot(places[:, 0], places[:, 1]) < 200.0
     assert counted.sum() >= 3000
-    assert len(found.lamps) > 40
-    assert len(found.parked) > 20
+    assert len(scene.lamps) > 40
+    assert len(scene.parked) > 20
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_carriageways_are_free_of_objects(kind: Kind) -> None:
-    found = world(kind)
-    corners, faces = corners_of(found.model), found.model.faces
+    scene = world(kind)
+    corners, faces = corners_of(scene.model), scene.model.faces
     label = np.repeat(faces["label"], faces["count"])
     ground = np.isin(label, GROUND)
     near = np.hypot(corners[:, 0], corners[:, 1]) < 220.0
     places = corners[~ground & near]
-    above = places[:, 2] - found.height_m(places[:, 0], places[:, 1])
+    above = places[:, 2] - scene.height_m(places[:, 0], places[:, 1])
     low = places[(above > 0.05) & (above < 3.5)]
-    on_road = shapely.contains_xy(found.plan.carriageways.buffer(-0.25), low[:, 0], low[:, 1])
+    on_road = shapely.contains_xy(scene.plan.carriageways.buffer(-0.25), low[:, 0], low[:, 1])
     assert on_road.sum() == 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_houses_stand_on_the_ground(kind: Kind) -> None:
-    found = world(kind)
-    for lot in found.plan.lots[:25]:
+    scene = world(kind)
+    for lot in scene.plan.lots[:25]:
         x, y = lot.origin[:2]
-        assert abs(float(found.height_m(x, y)) - lot.origin[2]) < 0.5
+        assert abs(float(scene.height_m(x, y)) - lot.origin[2]) < 0.5
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_horizon_is_closed_around_the_middle(kind: Kind) -> None:
     """In nearly every direction a distant object rises above eye height."""
-    found = world(kind)
-    faces, places = found.model.faces, middles(found)
+    scene = world(kind)
+    faces, places = scene.model.faces, middles(scene)
     far = (np.hypot(places[:, 0], places[:, 1]) > 220.0) & ~np.isin(faces["label"], GROUND)
     bearings = np.sort(np.arctan2(places[far, 1], places[far, 0]))
     assert np.diff(bearings).max() < 0.15
 
 
 def test_signal_lamps_are_lit_by_group_and_time() -> None:
-    found = world("urban")
-    network = found.network
-    assert len(found.lights) >= 2
-    assert set(found.lights) <= set(range(len(network.green_s)))
-    signals = set(np.flatnonzero(found.model.faces["material"] == Material.SIGNAL).tolist())
-    told = {int(n) for light in found.lights.values() for part in (light.red, light.amber, light.green) for n in part}
-    assert told == signals
-    for group, light in found.lights.items():
+    scene = world("urban")
+    network = scene.network
+    assert len(scene.lights) >= 2
+    assert set(scene.lights) <= set(range(len(network.green_s)))
+    signals = set(np.flatnonzero(scene.model.faces["material"] == Material.SIGNAL).tolist())
+    indices = {
+        int(n) for light in scene.lights.values() for part in (light.red, light.amber, light.green) for n in part
+    }
+    assert indices == signals
+    for group, light in scene.lights.items():
         start, end = network.green_s[group]
         for time, expected in (
             (start + 0.1, light.green),
@@ -89,27 +91,27 @@ def test_signal_lamps_are_lit_by_group_and_time() -> None:
             (end + 4.0, light.red),
             (start + network.cycle_s + 0.5, light.green),
         ):
-            burning = set(found.find_lit_lamps(float(time)).tolist())
+            burning = set(scene.find_lit_lamps(float(time)).tolist())
             own = burning & {int(n) for part in (light.red, light.amber, light.green) for n in part}
             assert own == set(expected.tolist())
-    assert (found.model.faces["lights"] == 0).all()
+    assert (scene.model.faces["lights"] == 0).all()
 
 
 def test_signal_lamps_precede_the_leaves_among_the_faces() -> None:
-    found = world("urban")
-    first = np.flatnonzero(found.model.faces["material"] == Material.LEAVES)[0]
-    assert max(int(light.red.max()) for light in found.lights.values()) < first
+    scene = world("urban")
+    first = np.flatnonzero(scene.model.faces["material"] == Material.LEAVES)[0]
+    assert max(int(light.red.max()) for light in scene.lights.values()) < first
 
 
 def test_parked_vehicles_stand_on_parking_lanes() -> None:
-    found = world("urban")
-    for user in found.parked:
+    scene = world("urban")
+    for user in scene.parked:
         place = user.motion.at(3.0)
         assert place == user.motion.at(0.0)
-        assert abs(float(found.height_m(place.x_m, place.y_m)) - place.z_m) < 0.08
+        assert abs(float(scene.height_m(place.x_m, place.y_m)) - place.z_m) < 0.08
         assert abs(place.pitch_rad) < 0.08
         assert abs(place.roll_rad) < 0.08
-    places = np.array([(user.motion.at(0.0).x_m, user.motion.at(0.0).y_m) for user in found.parked])
+    places = np.array([(user.motion.at(0.0).x_m, user.motion.at(0.0).y_m) for user in scene.parked])
     apart = np.linalg.norm(places[:, None] - places[None], axis=2) + 100.0 * np.eye(len(places))
     assert apart.min() > 4.8
 

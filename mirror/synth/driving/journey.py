@@ -90,10 +90,10 @@ def simulate_journey(
     for attempt in range(_ATTEMPTS):
         share = (2.0 / 3.0) ** attempt
         less = replace(bustle, vehicles=bustle.vehicles * share, people=bustle.people * share)
-        found = _attempt(site, route, chosen, chassis, np.random.default_rng([seed, attempt]), scene_seed,
+        journey = _attempt(site, route, chosen, chassis, np.random.default_rng([seed, attempt]), scene_seed,
                          fastest_mps, aside_m, less)  # fmt: skip
-        if found is not None:
-            return found
+        if journey is not None:
+            return journey
     raise MirrorError(
         f"route {route!r} cannot be driven through within {_LONGEST_S:.0f} s",
         place=f"seed {seed}",

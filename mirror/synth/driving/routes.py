@@ -90,24 +90,24 @@ class Streets:
     def across(self) -> list[Path]:
         """Return straight paths that cross the main street, those with the longest part in the ROI first."""
         chord = self.along[0].chord
-        found = [
+        paths = [
             path
             for path in self.paths
             if not path.turns and abs(_cross_lines(chord, path.chord)) > 0.7 and path.closest_m < _EDGE * self.radius_m
         ]
-        return sorted(found, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
+        return sorted(paths, key=lambda path: (-round(path.inside_m(self.radius_m)), path.lane_ids))
 
     def turning(self, sign: float) -> list[Path]:
         """Return paths that turn off the main street once, left (1) or right (-1), those deepest in the ROI first."""
         starts = {path.lane_ids[0] for path in self.along}
-        found = [
+        paths = [
             path
             for path in self.paths
             if path.lane_ids[0] in starts and len(path.turns) == 1 and sign * path.turns[0] > 0.0
         ]
         least_m = 0.8 * self.radius_m
         return sorted(
-            (path for path in found if path.inside_m(self.radius_m) > least_m),
+            (path for path in paths if path.inside_m(self.radius_m) > least_m),
             key=lambda path: (self._turns_at_m(path), path.lane_ids),
         )
 
@@ -117,23 +117,23 @@ class Streets:
 
     def edge(self) -> list[Path]:
         """Return straight paths that only touch the ROI."""
-        found = [
+        paths = [
             path
             for path in self.paths
             if not path.turns and _EDGE * self.radius_m < path.closest_m < self.radius_m - 1.0
         ]
-        return sorted(found, key=lambda path: (path.inside_m(self.radius_m), path.lane_ids))
+        return sorted(paths, key=lambda path: (path.inside_m(self.radius_m), path.lane_ids))
 
     def skimming(self) -> list[Path]:
         """Return paths that enter the ROI for a few metres and turn away at its edge."""
-        found = [
+        paths = [
             path
             for path in self.paths
             if len(path.turns) == 1
             and path.closest_m > _EDGE * self.radius_m
             and 5.0 < path.inside_m(self.radius_m) < _SKIM_M
         ]
-        return sorted(found, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
+        return sorted(paths, key=lambda path: (-path.inside_m(self.radius_m), path.lane_ids))
 
     def out_and_home(self, at_m: float) -> tuple[Path, Path]:
         """Return a path out of the ROI and a parallel one back, without a crossing at the place of the turn."""
@@ -155,12 +155,12 @@ class Streets:
         main = [*self.along, *self.back]
         own, other = (0, -1) if leaving else (-1, 0)
         own_ids, other_ids = {path.lane_ids[own] for path in main}, {path.lane_ids[other] for path in main}
-        found = [
+        paths = [
             path
             for path in self.paths
             if not path.turns and path.lane_ids[own] in own_ids and path.lane_ids[other] not in other_ids
         ]
-        return sorted(found, key=lambda path: path.lane_ids)
+        return sorted(paths, key=lambda path: path.lane_ids)
 
 
 def _joins(path: Path, begin: Float64, end: Float64) -> bool:
@@ -354,11 +354,11 @@ def make_route(name: str, network: Network, radius_m: float, variant: int = 0, w
 def available_routes(network: Network, radius_m: float) -> tuple[str, ...]:
     """Return the names of the routes that exist in a network."""
     streets = Streets(network, radius_m, 2.8)
-    found = []
+    names = []
     for name, make in ROUTES.items():
         try:
             make(streets, 0)
         except UsageError:
             continue
-        found.append(name)
-    return tuple(found)
+        names.append(name)
+    return tuple(names)

@@ -96,10 +96,10 @@ class Trace:
         f = place - first
         weights, slopes = _weights(f)
         rows = self.controls[first[:, None] + np.arange(-1, 3)]
-        found = np.einsum("nk,nkd->nd", weights, rows)
+        values = np.einsum("nk,nkd->nd", weights, rows)
         slope = np.einsum("nk,nkd->nd", slopes, rows[:, :, :2]) / STEP_M
-        found[:, :2] += (along_m - inside)[:, None] * slope
-        return found, np.hypot(slope[:, 0], slope[:, 1])
+        values[:, :2] += (along_m - inside)[:, None] * slope
+        return values, np.hypot(slope[:, 0], slope[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,15 +185,15 @@ class TraceMotion:
                 (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f),
             )
         )
-        found, slope = (weights @ trace.controls[k - 1 : k + 3]).tolist()
+        value, slope = (weights @ trace.controls[k - 1 : k + 3]).tolist()
         over = knot - on
         return Placement(
-            found[0] + over * slope[0],
-            found[1] + over * slope[1],
-            found[2],
-            found[3],
-            found[4],
-            found[5],
+            value[0] + over * slope[0],
+            value[1] + over * slope[1],
+            value[2],
+            value[3],
+            value[4],
+            value[5],
             math.hypot(slope[0], slope[1]) / STEP_M * speed / schedule.step_s,
             along,
         )
@@ -244,9 +244,9 @@ def _on_line(points: Float64, along_m: Float64) -> Float64:
     inside = np.clip(along_m, 0.0, end)
     over = (along_m - inside)[:, None]
     place = STEP_M * np.arange(len(points))
-    found = np.column_stack([np.interp(inside, place, points[:, axis]) for axis in (0, 1)])
+    points_at = np.column_stack([np.interp(inside, place, points[:, axis]) for axis in (0, 1)])
     first, last = points[1] - points[0], points[-1] - points[-2]
-    return found + np.where(over < 0.0, over * first / np.linalg.norm(first), over * last / np.linalg.norm(last))
+    return points_at + np.where(over < 0.0, over * first / np.linalg.norm(first), over * last / np.linalg.norm(last))
 
 
 @njit(cache=True, nogil=True)

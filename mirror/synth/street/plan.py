@@ -132,14 +132,25 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
         bridge = build_overbridge(streets[0], scheme.bridge_m, float(ground_index.height_m(*under)))
         surfaces.append(bridge.model)
         squares.append(bridge.outline)
-    taken = shapely.union_all([roads.roads, *squares])
-    lots = place_lots(streets, taken, kind, ground_index.height_m, lot_rng)
+    road_area = shapely.union_all([roads.roads, *squares])
+    lots = place_lots(streets, road_area, kind, ground_index.height_m, lot_rng)
     lot_area = shapely.union_all([lot.outline() for lot in lots])
-    for geometry in (taken, lot_area):
+    for geometry in (road_area, lot_area):
         shapely.prepare(geometry)
     return Plan(
-        roi, kind, yaw, streets, crossings, merge_models(surfaces), layouts.table,
-        build_network(streets, crossings, feet, ground_index.height_m), lots,
+        roi,
+        kind,
+        yaw,
+        streets,
+        crossings,
+        merge_models(surfaces),
+        layouts.table,
+        build_network(streets, crossings, feet, ground_index.height_m),
+        lots,
         place_spots(streets, crossings, kind, shapely.union_all([roads.carriageway, *squares]), ground_index, spot_rng),
-        place_rails(streets, layouts.stations, kind, ground_index), ground_index, roads.carriageway, taken, lot_area,
-    )  # fmt: skip
+        place_rails(streets, layouts.stations, kind, ground_index),
+        ground_index,
+        roads.carriageway,
+        road_area,
+        lot_area,
+    )

@@ -107,11 +107,11 @@ def place_spots(
         places += _gantry_places(streets[0])
     furnishing = FURNISHINGS[kind]
     for street in streets:
-        found = _street_places(street, furnishing, rng)
+        street_places = _street_places(street, furnishing, rng)
         if street is streets[0] and furnishing.poles_m:
-            found += _even_places(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
+            street_places += _even_places(street, "pole", furnishing.poles_m, 1, _POLE_ASIDE_M)
         others = [other for other in streets if other is not street]
-        places += _drop_on_streets(found, street, find_level_stretches(street, crossings), others)
+        places += _drop_on_streets(street_places, street, find_level_stretches(street, crossings), others)
     points = np.array([place.street.line.at(place.station_m, place.offset_m) for place in places])
     free = shapely.distance(taken, shapely.points(points)) > _LEAST_M
     heights = ground_index.height_m(points[:, 0], points[:, 1])

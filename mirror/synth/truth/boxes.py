@@ -107,10 +107,10 @@ def _extents(objects: Int32, numbers: Int64) -> tuple[Int64, Float64]:
     which = np.searchsorted(numbers, objects[rows, columns])
     order = np.argsort(which, kind="stable")
     which, rows, columns = which[order], rows[order], columns[order]
-    found, starts = np.unique(which, return_index=True)
-    if len(found):
-        counts[found] = np.diff([*starts, len(which)])
+    indices, starts = np.unique(which, return_index=True)
+    if len(indices):
+        counts[indices] = np.diff([*starts, len(which)])
         ends = (np.minimum, columns), (np.minimum, rows), (np.maximum, columns), (np.maximum, rows)
         for place, (most, values) in enumerate(ends):
-            bounds[found, place] = most.reduceat(values, starts) + (place > 1)
+            bounds[indices, place] = most.reduceat(values, starts) + (place > 1)
     return counts, bounds

@@ -42,6 +42,6 @@ def static_flow(
     turn, shift = matrix_from_quaternion(later_SE3_camera.rotation)[0], later_SE3_camera.translation[0]
     rays = camera.rays().direction @ turn.T
     # In units of the distance: finite in the sky as well.
-    seen = later.project(rays + shift / distance[..., None])
+    projected = later.project(rays + shift / distance[..., None])
     u, v = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)
-    return (seen.uv_px - np.stack([u, v], axis=-1)).astype(np.float32)
+    return (projected.uv_px - np.stack([u, v], axis=-1)).astype(np.float32)

@@ -74,22 +74,22 @@ def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
         placed, speed = drive.placements(user, true)
         rows = np.flatnonzero(np.linalg.norm(placed[:, :2] - ego.translation[:, :2], axis=1) < _FARTHEST_M)
         boxes = _fit_boxes(placed[rows], np.full(len(rows), user.body.size_m[2]))
-        seen = _in_view(drive, ego[rows].inverse() @ boxes, user.body.size_m)
-        kept = rows[seen]
-        parts.append(_make_table([user] * len(kept), recorded[kept], ego[kept], boxes[seen], speed[kept]))
+        in_view = _in_view(drive, ego[rows].inverse() @ boxes, user.body.size_m)
+        kept = rows[in_view]
+        parts.append(_make_table([user] * len(kept), recorded[kept], ego[kept], boxes[in_view], speed[kept]))
     return pa.concat_tables(parts)
 
 
 def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, float]) -> Bool:
     """Whether some camera has each of N boxes in view, large enough: (N,)."""
-    seen = np.zeros(len(ego_SE3_box), np.bool_)
+    in_view = np.zeros(len(ego_SE3_box), np.bool_)
     for name, camera in drive.vehicle.cameras.items():
-        rows = np.flatnonzero(~seen)
+        rows = np.flatnonzero(~in_view)
         camera_SE3_box = drive.vehicle.ego_SE3_camera[name].inverse() @ ego_SE3_box[rows]
-        found = project_boxes(camera, camera_SE3_box, np.tile(size_m, (len(rows), 1)))
-        area = np.prod(found.bounds_px[:, 2:] - found.bounds_px[:, :2], axis=1)
-        seen[rows] = found.visible & (np.nan_to_num(area) >= least_px(drive))
-    return seen
+        projected = project_boxes(camera, camera_SE3_box, np.tile(size_m, (len(rows), 1)))
+        area = np.prod(projected.bounds_px[:, 2:] - projected.bounds_px[:, :2], axis=1)
+        in_view[rows] = projected.visible & (np.nan_to_num(area) >= least_px(drive))
+    return in_view
 
 
 def least_px(drive: SynthDrive) -> float:

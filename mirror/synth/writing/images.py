@@ -67,7 +67,7 @@ def _write_frame_images(
     """Write the images of one instant."""
     frame, instant, made_ns = FrameImages(), None, -1
     road_users = drive.road_users
-    seen = np.zeros(len(road_users), np.int64)
+    visible_pixels = np.zeros(len(road_users), np.int64)
     for place, camera in enumerate(schedule.true_ns):
         true_ns, recorded_ns = int(schedule.true_ns[camera][number]), int(schedule.recorded_ns[camera][number])
         if instant is None or true_ns != made_ns:
@@ -80,11 +80,11 @@ def _write_frame_images(
         write_bytes(folder / "images" / camera / f"{recorded_ns}.jpg", encode_image(".jpg", image.bgr))
         frame.images += 1
         objects = image.view.object
-        seen = np.maximum(seen, np.bincount(objects[objects >= 0], minlength=len(seen)))
+        visible_pixels = np.maximum(visible_pixels, np.bincount(objects[objects >= 0], minlength=len(visible_pixels)))
         if kinds:
             request = TruthRequest(camera, true_ns, recorded_ns, schedule.following(camera, number))
             frame.truth_boxes += write_image_truth(folder, drive, kinds, request, instant, image)
-    shown = [key for key in placements if seen[key] >= least_px(drive)]
+    shown = [key for key in placements if visible_pixels[key] >= least_px(drive)]
     frame.unseen = len(placements) - len(shown)
     frame.boxes = make_box_rows(
         [road_users[key] for key in shown], [placements[key] for key in shown],

@@ -85,21 +85,21 @@ def write_image_truth(
     """
     view, camera = image.view, drive.vehicle.cameras[request.camera]
     pose = drive.world_SE3_camera(request.camera, np.array([request.true_ns]))
-    found: dict[Kind, AnyArray] = {}
+    arrays: dict[Kind, AnyArray] = {}
     if "depth" in kinds:
-        found["depth"] = view.distance_m
+        arrays["depth"] = view.distance_m
     if "normals" in kinds:
         normals = (view.normal @ view.rotation).astype(np.float32)
         normals[np.isinf(view.distance_m)] = np.nan
-        found["normals"] = normals
+        arrays["normals"] = normals
     if "semantic" in kinds:
-        found["semantic"] = view.label
+        arrays["semantic"] = view.label
     if "instance" in kinds:
-        found["instance"] = view.object + 1
+        arrays["instance"] = view.object + 1
     if "flow" in kinds and request.next_ns is not None:
         later = drive.world_SE3_camera(request.camera, np.array([request.next_ns]))
-        found["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
-    for kind, values in found.items():
+        arrays["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
+    for kind, values in arrays.items():
         file = truth_file(recording / FOLDER, kind, request.camera, request.recorded_ns)
         write_bytes(file, KINDS[kind].encode(values))
     return _box_rows(drive, request, instant, image, pose) if "boxes" in kinds else []
@@ -120,12 +120,14 @@ def _box_rows(
         for row, (number, user, place) in enumerate(zip(numbers, road_users, places))
     }
     camera = drive.vehicle.cameras[request.camera]
-    found = measure_visibility(image.view.object, camera, world_SE3_camera, posed_objects)
+    visibility = measure_visibility(image.view.object, camera, world_SE3_camera, posed_objects)
     columns = boxes.to_columns()
     rows = []
-    for index, number in enumerate(found.number.tolist()):
+    for index, number in enumerate(visibility.number.tolist()):
         row = numbers.index(number)
-        bounds: Sequence[float | None] = found.bounds_px[index].tolist() if found.pixels[index] else (None,) * 4
+        bounds: Sequence[float | None] = (
+            visibility.bounds_px[index].tolist() if visibility.pixels[index] else (None,) * 4
+        )
         rows.append(
             {
                 "camera": request.camera,
@@ -135,8 +137,8 @@ def _box_rows(
                 **{name: float(column[row]) for name, column in columns.items()},
                 **dict(zip(("length_m", "width_m", "height_m"), road_users[row].body.size_m)),
                 "speed_mps": places[row].speed_mps,
-                "visibility": float(found.visibility[index]),
-                "pixels": int(found.pixels[index]),
+                "visibility": float(visibility.visibility[index]),
+                "pixels": int(visibility.pixels[index]),
                 **dict(zip(("u_min_px", "v_min_px", "u_max_px", "v_max_px"), bounds)),
             }
         )

@@ -46,8 +46,8 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
 def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
     """Yield placements for the occupied bays of a lane."""
     for bay in range(int((lane.length_m - 1.0) / _BAY_M)):
-        taken, jitter = rng.random() < _OCCUPIED_SHARE, rng.uniform(-0.35, 0.35, 2)
-        if not taken:
+        is_occupied, jitter = rng.random() < _OCCUPIED_SHARE, rng.uniform(-0.35, 0.35, 2)
+        if not is_occupied:
             continue
         at = (bay + 0.5) * _BAY_M + jitter[0]
         ends = np.array([at - 1.3, at + 1.3])

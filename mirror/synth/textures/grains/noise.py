@@ -33,10 +33,10 @@ def waves(
     if power != 0.0:
         gain *= np.maximum(frequency, 1.0) ** np.float32(-power)
     white = rng.standard_normal((*gain.shape, 2), np.float32).view(np.complex64)[..., 0]
-    made = np.fft.irfft2(white * gain, (size, size)).astype(np.float32)
-    made -= made.mean()
-    made /= made.std()
-    return made
+    noise = np.fft.irfft2(white * gain, (size, size)).astype(np.float32)
+    noise -= noise.mean()
+    noise /= noise.std()
+    return noise
 
 
 @cache

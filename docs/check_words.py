@@ -115,7 +115,7 @@ ALLOWED = (
     ("tests/static_reconstruction/test_tables.py", "pictures"),
     ("tests/training/test_loop.py", "pictures"),  # a key of run.json and a folder of a run
 )
-"""The end of a file's path, and a word that stays in it because they are serialized or are an option."""
+"""The end of a file's path, and a word that stays in that file because it is serialized or is an option."""
 
 
 def retired() -> list[str]:

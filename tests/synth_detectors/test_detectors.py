@@ -33,7 +33,7 @@ def test_hardly_visible_targets_are_optional() -> None:
     targets = [target((1.0, 0.0, 11.0, 10.0)), target((50.0, 50.0, 60.0, 60.0), 0.3), target((30.0, 0.0, 38.0, 20.0))]
     result = evaluate_detections([(boxes, targets), (np.zeros((0, 4)), [])], 1, 0.6)
     assert result.size_px.tolist() == [10.0, 20.0]
-    assert result.result.tolist() == [True, False]
+    assert result.found.tolist() == [True, False]
     assert (result.boxes, result.right) == (3, 2)
 
 

@@ -187,7 +187,9 @@ class Comma2k19Recording:
 
     def track(self) -> Track:
         """The camera's poses of all segments, rotated to x forward, y left, z up; damaged segments are left out."""
-        times, position, orientation = (np.concatenate([one.arrays[name] for one in self._loaded]) for name in _ARRAYS)
+        times, position, orientation = (
+            np.concatenate([segment.arrays[name] for segment in self._loaded]) for name in _ARRAYS
+        )
         bad = is_invalid_rotation(orientation)
         starts = np.cumsum([0, *(len(stamps) for stamps in self._stamps)])
         torn = [

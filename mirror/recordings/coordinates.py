@@ -161,13 +161,13 @@ def to_ego_track(body: Track, ego_SE3_body: Poses) -> Track:
     shift = rotate(body.rotation, offset)
     if body.x_m is not None and body.y_m is not None:
         height = None if body.height_m is None else body.height_m + shift[:, 2]
-        return _moved(body, rotation, height, x_m=body.x_m + shift[:, 0], y_m=body.y_m + shift[:, 1])
+        return _move_track(body, rotation, height, x_m=body.x_m + shift[:, 0], y_m=body.y_m + shift[:, 1])
     lon, lat = np.asarray(body.longitude_deg), np.asarray(body.latitude_deg)
     known = np.zeros(len(body)) if body.height_m is None else body.height_m
     position = geodetic_to_ecef(lon, lat, known) + rotate(_ecef_from_enu(lon, lat), shift)
     # Without a height the shift is made on the ellipsoid: at a true height of 1 km, a shift of 10 m is then 2 mm off.
     lon, lat, height = ecef_to_geodetic(position)
-    return _moved(body, rotation, None if body.height_m is None else height, longitude_deg=lon, latitude_deg=lat)
+    return _move_track(body, rotation, None if body.height_m is None else height, longitude_deg=lon, latitude_deg=lat)
 
 
 def _ecef_from_enu(longitude_deg: Float64, latitude_deg: Float64) -> Float64:
@@ -175,7 +175,7 @@ def _ecef_from_enu(longitude_deg: Float64, latitude_deg: Float64) -> Float64:
     return quaternion_from_matrix(ecef_R_enu(np.nan_to_num(longitude_deg), np.nan_to_num(latitude_deg)))
 
 
-def _moved(body: Track, rotation: Float64, height_m: Float64 | None, **position: Any) -> Track:
+def _move_track(body: Track, rotation: Float64, height_m: Float64 | None, **position: Any) -> Track:
     return Track(
         body.timestamp_ns,
         height_m=height_m,

@@ -101,9 +101,9 @@ class DgpRecording:
         return data
 
     def _list(self, key: str) -> list[Any]:
-        found = self._scene.get(key)
-        if not isinstance(found, list):
-            problem = "the key is missing" if found is None else f"{found!r:.80} is not a list"
+        values = self._scene.get(key)
+        if not isinstance(values, list):
+            problem = "the key is missing" if values is None else f"{values!r:.80} is not a list"
             raise RecordingError(
                 f"not a DGP scene: {problem}",
                 file=self.scene_file,
@@ -111,7 +111,7 @@ class DgpRecording:
                 expected="lists of samples and data",
                 remedy="copy the scene file again",
             )
-        return found
+        return values
 
     @cached_property
     def _data(self) -> list[Datum]:
@@ -125,14 +125,14 @@ class DgpRecording:
 
     @cached_property
     def _extrinsics(self) -> dict[tuple[str, str], Poses]:
-        found = {}
+        poses = {}
         for key, entry in self._calibration_files.items():
             for name, extrinsic in zip(entry["names"], entry["extrinsics"]):
                 file = self.path / "calibration" / f"{key}.json"
                 expected = "a rotation qw qx qy qz and a translation x y z"
                 with entry_errors(file, f"extrinsics of {name}", expected):
-                    found[key, name] = read_pose(extrinsic)
-        return found
+                    poses[key, name] = read_pose(extrinsic)
+        return poses
 
     @cached_property
     def _calibration_files(self) -> dict[str, dict[str, Any]]:

@@ -53,26 +53,26 @@ def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
             remedy="put its images there, or take the camera out of recording.json",
         )
     if table is not None and elsewhere:
-        return _referenced(camera, table)
-    return _video(root, camera, entry, videos[0]) if videos else _files(root, camera, folder, table)
+        return _referenced_stream(camera, table)
+    return _video_stream(root, camera, entry, videos[0]) if videos else _file_stream(root, camera, folder, table)
 
 
-def _files(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
+def _file_stream(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
     images = list_file_names(root, folder)
     if not images:
         raise RecordingError(f"camera {camera} has no images", file=folder, expected="<timestamp_ns>.jpg or .png")
     if table is not None:
-        start, end, names = _listed(table, set(images))
+        start, end, names = _read_listed_files(table, set(images))
     else:
         names = images
-        start = end = _stamps_of_names(folder, names)
-    codec = _codec(names, folder)
-    order, ordered = _in_time_order(start, end, names, folder)
+        start = end = _parse_names(folder, names)
+    codec = _find_codec(names, folder)
+    order, ordered = _sort_by_time(start, end, names, folder)
     # Strings, not Path objects: a camera may have a hundred thousand files.
     return FileStream(camera, codec, start[order], end[order], tuple(f"{folder}/{name}" for name in ordered))
 
 
-def _referenced(camera: str, table: Path) -> ReferencedStream:
+def _referenced_stream(camera: str, table: Path) -> ReferencedStream:
     columns = ("uri", *_EXPOSURES, *_SIZES)
     texts = dict.fromkeys(("uri", *_EXPOSURES), pa.string())
     rows = read_rows([table], types={**texts, **dict.fromkeys(_SIZES, pa.int64())}, columns=columns)
@@ -91,14 +91,14 @@ def _referenced(camera: str, table: Path) -> ReferencedStream:
         off = ~((values >= 1) & (values <= _LARGEST))
         rows.refuse(off, name, "no size", expected=f"a whole number from 1 to {_LARGEST}", remedy="correct the row")
         sizes.append(values.astype(np.int64))
-    start, end = _exposures(rows)
-    codec = _codec([urlsplit(uri).path for uri in uris], table)
-    order, ordered = _in_time_order(start, end, uris, table)
+    start, end = _read_exposures(rows)
+    codec = _find_codec([urlsplit(uri).path for uri in uris], table)
+    order, ordered = _sort_by_time(start, end, uris, table)
     byte_length, width, height = (size[order] for size in sizes)
     return ReferencedStream(camera, codec, start[order], end[order], tuple(ordered), byte_length, width, height)
 
 
-def _codec(names: list[str], file: Path) -> str:
+def _find_codec(names: list[str], file: Path) -> str:
     suffixes = {f".{name.rpartition('.')[2].lower()}" for name in names}
     codecs = {_CODECS.get(suffix) for suffix in suffixes}
     codec = codecs.pop()
@@ -109,7 +109,7 @@ def _codec(names: list[str], file: Path) -> str:
     return codec
 
 
-def _in_time_order(start: Int64, end: Int64, names: list[str], file: Path) -> tuple[Int64, list[str]]:
+def _sort_by_time(start: Int64, end: Int64, names: list[str], file: Path) -> tuple[Int64, list[str]]:
     """Sort images by mid-exposure: the order (N,) as indices, and the sorted names.
 
     Raises:
@@ -130,7 +130,7 @@ def _in_time_order(start: Int64, end: Int64, names: list[str], file: Path) -> tu
     return order, ordered
 
 
-def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
+def _parse_names(folder: Path, names: list[str]) -> Int64:
     stems = [name.rpartition(".")[0] for name in names]
     try:
         if not all(map(str.isdecimal, stems)):
@@ -146,7 +146,7 @@ def _stamps_of_names(folder: Path, names: list[str]) -> Int64:
         ) from error
 
 
-def _listed(table: Path, images: set[str]) -> tuple[Int64, Int64, list[str]]:
+def _read_listed_files(table: Path, images: set[str]) -> tuple[Int64, Int64, list[str]]:
     rows = read_rows([table], types=dict.fromkeys(("file", *_EXPOSURES), pa.string()), columns=("file", *_EXPOSURES))
     names = rows.column("file").to_pylist()
     unknown = np.array([name not in images for name in names])
@@ -165,11 +165,11 @@ def _listed(table: Path, images: set[str]) -> tuple[Int64, Int64, list[str]]:
             expected="one row per image",
             remedy="add the rows, or remove the images",
         )
-    start, end = _exposures(rows)
+    start, end = _read_exposures(rows)
     return start, end, names
 
 
-def _exposures(rows: RecordingRows) -> tuple[Int64, Int64]:
+def _read_exposures(rows: RecordingRows) -> tuple[Int64, Int64]:
     start, end = (rows.stamps(name, "unix_ns") for name in _EXPOSURES)
     rows.refuse(
         end < start,
@@ -181,14 +181,14 @@ def _exposures(rows: RecordingRows) -> tuple[Int64, Int64]:
     return start, end
 
 
-def _video(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoStream:
+def _video_stream(root: Path, camera: str, entry: FolderCamera, video: Path) -> VideoStream:
     table = find_file(root, f"videos/{camera}.csv")
     if table is not None:
         names = ("pts", *_EXPOSURES)
         rows = read_rows([table], types={"pts": pa.int64(), **dict.fromkeys(_EXPOSURES, pa.string())}, columns=names)
         missing = np.asarray(rows.column("pts").is_null())
         rows.refuse(missing, "pts", "missing", expected="a time stamp of the video", remedy="correct the row")
-        start, end = _exposures(rows)
+        start, end = _read_exposures(rows)
         return VideoStream(camera, start, end, video, np.asarray(rows.column("pts"), np.int64))
     if entry.video_start_ns is None:
         raise RecordingError(

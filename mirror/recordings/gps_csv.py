@@ -212,7 +212,7 @@ class CsvRecording:
         rows = self._rows
         ends = (*rows.starts[1:], len(rows))
         first = [stamps[low:high][rows.good[low:high]][:1] for low, high in zip(rows.starts, ends)]
-        dated = [index for index, found in enumerate(first) if len(found)]
+        dated = [index for index, stamp in enumerate(first) if len(stamp)]
         late = np.diff([int(first[index][0]) for index in dated]) < 0
         if late.any():
             before, after = (dated[int(np.argmax(late)) + step] for step in (0, 1))
@@ -296,15 +296,15 @@ class CsvRecording:
 def _usual_columns(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Columns with a usual name, by role; a date column and a time column together are the time."""
     by_key = {name.strip().lower().replace(" ", "_"): name for name in reversed(names)}
-    found: dict[str, tuple[str, ...]] = {}
+    columns: dict[str, tuple[str, ...]] = {}
     for role, usual in _USUAL.items():
         match = next((by_key[name] for name in usual if name in by_key), None)
         if match is not None:
-            found[role] = (match,)
-    date = found.pop("date", None)
+            columns[role] = (match,)
+    date = columns.pop("date", None)
     if date and "time" in by_key:
-        found["time"] = (*date, by_key["time"])
-    return found
+        columns["time"] = (*date, by_key["time"])
+    return columns
 
 
 def _stated_columns(text: str, names: Sequence[str], file: Path) -> dict[str, tuple[str, ...]]:

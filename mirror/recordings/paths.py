@@ -34,7 +34,7 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
     windows = PureWindowsPath(name)
     climbs = not parts or ".." in parts or "\0" in name
     if climbs or name.startswith("/") or "\\" in name or windows.drive:
-        raise _outside(name, file, place)
+        raise _outside_error(name, file, place)
     path = root / name
     try:
         target = path.resolve()
@@ -48,11 +48,11 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
             remedy="remove the link, or put the file in its place",
         ) from error
     if not target.is_relative_to(root.resolve()):
-        raise _outside(name, file, place)
+        raise _outside_error(name, file, place)
     return path
 
 
-def _outside(name: str, file: Path, place: str) -> RecordingError:
+def _outside_error(name: str, file: Path, place: str) -> RecordingError:
     return RecordingError(
         f"{name!r} leads out of the recording",
         file=file,
@@ -100,7 +100,7 @@ def list_file_names(root: Path, folder: Path) -> list[str]:
     """
     if folder != root:
         require_inside(root, folder.relative_to(root).as_posix(), file=folder, place="folder")
-    found = []
+    names = []
     with os.scandir(folder) as entries:
         for entry in entries:
             name = entry.name
@@ -110,10 +110,10 @@ def list_file_names(root: Path, folder: Path) -> list[str]:
                 path = folder / name
                 require_inside(root, path.relative_to(root).as_posix(), file=path, place="link")
             if entry.is_file():
-                found.append(name)
+                names.append(name)
             elif not entry.is_dir():
                 raise not_a_file_error(folder / name)
-    return found
+    return names
 
 
 def list_files(root: Path) -> list[tuple[str, str]]:
@@ -127,7 +127,7 @@ def list_files(root: Path) -> list[tuple[str, str]]:
     Raises:
         RecordingError: a link leads out of the recording or to nothing, or an entry is a pipe or device.
     """
-    found: list[tuple[str, str]] = []
+    files: list[tuple[str, str]] = []
     open_folders = [("", str(root))]
     while open_folders:
         prefix, folder = open_folders.pop()
@@ -142,10 +142,10 @@ def list_files(root: Path) -> list[tuple[str, str]]:
                 if entry.is_dir(follow_symlinks=False):
                     open_folders.append((relative + "/", path))
                 elif entry.is_file():
-                    found.append((relative, path))
+                    files.append((relative, path))
                 elif not entry.is_dir():
                     raise not_a_file_error(Path(path))
-    return sorted(found)
+    return sorted(files)
 
 
 def natural_key(name: str) -> tuple[str | int, ...]:

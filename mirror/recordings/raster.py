@@ -47,7 +47,7 @@ def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
     Raises:
         RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.
     """
-    return _walk(data, file, complete=False)
+    return _check_structure(data, file, complete=False)
 
 
 def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]:
@@ -56,7 +56,7 @@ def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]
     Raises:
         RecordingError: it is empty, of another format, truncated, or broken between its markers; the byte is named.
     """
-    return _walk(data, file, complete=True)
+    return _check_structure(data, file, complete=True)
 
 
 def has_end_marker(data: bytes, codec: str) -> bool:
@@ -70,12 +70,12 @@ def has_end_marker(data: bytes, codec: str) -> bool:
     return end is None or data.rfind(end, max(0, len(data) - TAIL_BYTES)) >= 0
 
 
-def _walk(data: bytes, file: str | PurePath, *, complete: bool) -> tuple[int, int]:
+def _check_structure(data: bytes, file: str | PurePath, *, complete: bool) -> tuple[int, int]:
     codec = next((codec for codec, start in _STARTS.items() if data.startswith(start)), None)
     try:
         if codec is None:
             raise _BrokenError("neither a JPEG nor a PNG")
-        size = _walk_jpeg(data, complete=complete) if codec == "jpeg" else _walk_png(data, complete=complete)
+        size = _check_jpeg(data, complete=complete) if codec == "jpeg" else _check_png(data, complete=complete)
         if complete and not has_end_marker(data, codec):
             raise _BrokenError(f"no end marker in its last {TAIL_BYTES} bytes")
     except (_CutError, _BrokenError) as problem:
@@ -89,7 +89,7 @@ def _walk(data: bytes, file: str | PurePath, *, complete: bool) -> tuple[int, in
     return size
 
 
-def _walk_jpeg(data: bytes, *, complete: bool) -> tuple[int, int]:
+def _check_jpeg(data: bytes, *, complete: bool) -> tuple[int, int]:
     position, size = 2, None
     markers: Int64 | None = None
     while True:
@@ -118,7 +118,7 @@ def _walk_jpeg(data: bytes, *, complete: bool) -> tuple[int, int]:
         if marker in _FRAMES:
             if size is not None:
                 raise _BrokenError(f"broken JPEG: a second frame at byte {position}")
-            size = _jpeg_frame(data[position + 4 : end], position)
+            size = _read_jpeg_frame(data[position + 4 : end], position)
             if not complete:
                 return size
         elif length < 2:
@@ -128,21 +128,21 @@ def _walk_jpeg(data: bytes, *, complete: bool) -> tuple[int, int]:
             if size is None:
                 raise _BrokenError(f"broken JPEG: image data before its size at byte {position}")
             if markers is None:
-                markers = _markers_from(data, position)
+                markers = _find_markers(data, position)
             following = int(np.searchsorted(markers, position))
             if following == len(markers):
                 raise _CutError
             position = int(markers[following])
 
 
-def _markers_from(data: bytes, start: int) -> Int64:
+def _find_markers(data: bytes, start: int) -> Int64:
     """Positions of possible markers from a byte on, ascending; one pass over the bytes serves all scans."""
     values = np.frombuffer(data, np.uint8, offset=start) if start < len(data) else np.empty(1, np.uint8)
     escapes = np.flatnonzero(values[:-1] == 0xFF)
     return start + escapes[_ENDS_SCAN[values[1:][escapes]]]
 
 
-def _jpeg_frame(segment: bytes, position: int) -> tuple[int, int]:
+def _read_jpeg_frame(segment: bytes, position: int) -> tuple[int, int]:
     if len(segment) < 6 or len(segment) != 6 + 3 * segment[5]:
         raise _BrokenError(f"broken JPEG: a frame header of {len(segment)} bytes at byte {position}")
     height, width = struct.unpack(">HH", segment[1:5])
@@ -151,7 +151,7 @@ def _jpeg_frame(segment: bytes, position: int) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _walk_png(data: bytes, *, complete: bool) -> tuple[int, int]:
+def _check_png(data: bytes, *, complete: bool) -> tuple[int, int]:
     position, size, has_data = len(_STARTS["png"]), None, False
     while True:
         if position + 12 > len(data):
@@ -170,7 +170,7 @@ def _walk_png(data: bytes, *, complete: bool) -> tuple[int, int]:
         ):
             raise _BrokenError(f"broken PNG: checksum of chunk {kind.decode()} at byte {position}")
         if size is None:
-            size = _png_header(data[position + 8 : end - 4])
+            size = _read_png_header(data[position + 8 : end - 4])
             if not complete:
                 return size
         has_data |= kind == b"IDAT"
@@ -181,7 +181,7 @@ def _walk_png(data: bytes, *, complete: bool) -> tuple[int, int]:
         position = end
 
 
-def _png_header(header: bytes) -> tuple[int, int]:
+def _read_png_header(header: bytes) -> tuple[int, int]:
     width, height, depth, colour, compression, filtering, interlace = struct.unpack(">IIBBBBB", header)
     known = depth in _PNG_DEPTHS.get(colour, ()) and compression == filtering == 0 and interlace <= 1
     if not known or not 0 < width <= _LARGEST or not 0 < height <= _LARGEST:

@@ -32,11 +32,11 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
                 remedy="uninstall one of the packages",
             )
         values[entry.name] = entry.value
-        loaded[entry.name] = _load(entry)
+        loaded[entry.name] = _load_reader(entry)
     return loaded
 
 
-def _load(entry: EntryPoint) -> Reader:
+def _load_reader(entry: EntryPoint) -> Reader:
     try:
         reader = entry.load()()
     except (ImportError, AttributeError) as error:

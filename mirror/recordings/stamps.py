@@ -60,23 +60,23 @@ def parse_stamps(
             wrong, column, lambda row: problem(text[row].as_py()), expected=_EXPECTED, remedy=remedy, reason="time"
         )
 
-    found = pc.extract_regex(pc.utf8_trim_whitespace(text), _STAMP)
-    bad = np.asarray(pc.is_null(found))
+    matches = pc.extract_regex(pc.utf8_trim_whitespace(text), _STAMP)
+    bad = np.asarray(pc.is_null(matches))
     refuse(bad, lambda stamp: f"{stamp!r} is not a date and time")
     if bad.all():
         return np.zeros(len(bad), np.int64)
-    parts = {name: pc.fill_null(pc.struct_field(found, name), "") for name in found.type.names}
+    parts = {name: pc.fill_null(pc.struct_field(matches, name), "") for name in matches.type.names}
     date = {name: _number(parts[name]) for name in "abc"}
     if date_format:
-        order = _order_given(date_format)
+        order = _parse_order(date_format)
     else:
-        order, odd, other = _order(rows, column, text, parts, date, ~bad)
+        order, odd, other = _decide_order(rows, column, text, parts, date, ~bad)
         refuse(odd & ~bad, other)
         bad = bad | odd
     year, month, day = (date[letter] for letter in order)
     hour, minute, second = (_number(parts[name]) for name in ("hour", "minute", "second"))
     # int64 nanoseconds since 1970 reach from 1678 to 2261.
-    wrong = ~_exists(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 59)
+    wrong = ~_is_date(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 59)
     refuse(wrong & ~bad, lambda stamp: f"{stamp!r} does not exist")
     bad = bad | wrong
     days = _first_day(year, month).astype(np.int64) + day - 1
@@ -91,7 +91,7 @@ def _first_day(year: Int64, month: Int64) -> npt.NDArray[np.datetime64]:
     return months.astype("datetime64[M]").astype("datetime64[D]")
 
 
-def _exists(year: Int64, month: Int64, day: Int64) -> Bool:
+def _is_date(year: Int64, month: Int64, day: Int64) -> Bool:
     """(N,) True where the calendar has the date."""
     december = month == 12
     following = _first_day(year + december, np.where(december, 1, month + 1))
@@ -99,7 +99,7 @@ def _exists(year: Int64, month: Int64, day: Int64) -> Bool:
     return (year >= 1) & (year <= 9998) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= length)
 
 
-def _order_given(date_format: str) -> tuple[str, str, str]:
+def _parse_order(date_format: str) -> tuple[str, str, str]:
     names = [_PARTS.get(token, "") for token in re.split(r"[-/.]", date_format)]
     if sorted(names) != ["day", "month", "year"]:
         raise RecordingError(
@@ -110,7 +110,7 @@ def _order_given(date_format: str) -> tuple[str, str, str]:
     return letters["year"], letters["month"], letters["day"]
 
 
-def _order(
+def _decide_order(
     rows: RecordingRows,
     column: str,
     text: pa.ChunkedArray,
@@ -131,7 +131,7 @@ def _order(
     if 2 * np.count_nonzero(year_first & good) > np.count_nonzero(good):
         return ("a", "b", "c"), ~year_first, no_date
     possible = ~year_first & np.asarray(pc.equal(pc.utf8_length(parts["c"]), 4)) & good
-    reads = {name: possible & _exists(*(date[letter] for letter in order)) for name, order in _ORDERS.items()}
+    reads = {name: possible & _is_date(*(date[letter] for letter in order)) for name, order in _ORDERS.items()}
     neither = ~(reads["the day first"] | reads["the month first"])
     day_only = reads["the day first"] & ~reads["the month first"]
     month_only = reads["the month first"] & ~reads["the day first"]

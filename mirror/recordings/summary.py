@@ -119,7 +119,10 @@ def summarise(recording: Recording) -> RecordingSummary:
         has=tuple(name for name in ("height_m", "rotation", "sigma_m") if getattr(track, name) is not None),
         rig_id=rig.rig_id if rig else None,
         reference_camera=rig.reference_camera if rig else None,
-        cameras={name: _camera(streams.get(name), {s: n for (c, s), n in rows.items() if c == name}) for name in names},
+        cameras={
+            name: _summarise_camera(streams.get(name), {s: n for (c, s), n in rows.items() if c == name})
+            for name in names
+        },
         boxes=0 if boxes is None else boxes.num_rows,
         bad_rows=track.bad.counts() if track.bad else {},
         first_bad_row=str(track.bad.first) if track.bad else None,
@@ -133,7 +136,7 @@ def _file_size(file: Path) -> int:
         raise unreadable_error(file, error) from error
 
 
-def _camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> CameraSummary:
+def _summarise_camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> CameraSummary:
     if stream is None or not len(stream.exposure_start_ns):
         return CameraSummary(0, "" if stream is None else stream.codec, None, None, None, calibrations)
     middle = stream.exposure_start_ns + (stream.exposure_end_ns - stream.exposure_start_ns) // 2

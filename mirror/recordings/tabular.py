@@ -216,7 +216,7 @@ def read_rows(
     torn: list[dict[int, int]] = []
     for file in files:
         lines: dict[int, int] = {}
-        table = _read(file, types, columns, delimiter, lines if tolerant else None)
+        table = _read_table(file, types, columns, delimiter, lines if tolerant else None)
         torn.append(lines)
         if tables and table.column_names != tables[0].column_names:
             odd = sorted(set(table.column_names) ^ set(tables[0].column_names)) or table.column_names
@@ -232,8 +232,10 @@ def read_rows(
     starts = [int(start) for start in np.concatenate(([0], np.cumsum(lengths)[:-1]))]
     # A column may be whole numbers in one file and decimals in another; if it is text in one, it becomes text in all.
     types_of = [{table.schema.field(index).type for table in tables} for index in range(tables[0].num_columns)]
-    mixed = [index for index, found in enumerate(types_of) if len(found) > 1 and pa.string() in found]
-    tables = [_as_text(table, mixed) for table in tables]
+    mixed = [
+        index for index, column_types in enumerate(types_of) if len(column_types) > 1 and pa.string() in column_types
+    ]
+    tables = [_to_text(table, mixed) for table in tables]
     table = pa.concat_tables(tables, promote_options="permissive")
     faults = None
     if tolerant:
@@ -241,7 +243,7 @@ def read_rows(
         faults = RowFaults(
             table.num_rows,
             [
-                (start + line - 2 - number, _torn_line(file, line, cells, width))
+                (start + line - 2 - number, _torn_line_error(file, line, cells, width))
                 for file, start, lines in zip(files, starts, torn)
                 for number, (line, cells) in enumerate(sorted(lines.items()))
             ],
@@ -249,13 +251,13 @@ def read_rows(
     return RecordingRows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
 
 
-def _as_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
+def _to_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
     for index in columns:
         table = table.set_column(index, table.column_names[index], table.column(index).cast(pa.string()))
     return table
 
 
-def _torn_line(file: Path, line: int, cells: int, width: int) -> RecordingError:
+def _torn_line_error(file: Path, line: int, cells: int, width: int) -> RecordingError:
     return RecordingError(
         f"{cells} cells",
         file=file,
@@ -294,7 +296,7 @@ def read_header(file: Path, delimiter: str | None = None) -> tuple[list[str], st
     return [name.strip().strip('"') for name in first.split(used)], used
 
 
-def _read(
+def _read_table(
     file: Path,
     types: Mapping[str, pa.DataType],
     columns: Sequence[str] | None,

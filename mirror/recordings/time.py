@@ -130,45 +130,45 @@ def to_unix_ns(values: pa.ChunkedArray, base: str) -> Int64:
     if base not in TIME_BASES:
         raise RecordingError(f"unknown time base {base!r}", expected=f"one of {', '.join(TIME_BASES)}")
     kind = TIME_BASES[base]
-    _first(np.asarray(pc.is_null(values, nan_is_null=True)), "missing")
+    _raise_for(np.asarray(pc.is_null(values, nan_is_null=True)), "missing")
     if pa.types.is_integer(values.type):
-        counted = _whole(values, kind)
+        counted = _from_integers(values, kind)
     elif pa.types.is_floating(values.type):
-        counted = _floating(np.asarray(values, np.float64), kind)
+        counted = _from_floats(np.asarray(values, np.float64), kind)
     else:
-        counted = _text(values, kind)
+        counted = _from_text(values, kind)
     return unix_from_gps_ns(counted) if kind.gps else counted
 
 
-def _text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
+def _from_text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
     text = pc.utf8_trim_whitespace(values.cast(pa.string()))
     good = pc.match_substring_regex(text, r"^[+-]?[0-9]{1,30}(\.[0-9]{0,12})?$")
-    _first(~np.asarray(good), "not a number of at most 12 decimals", text)
+    _raise_for(~np.asarray(good), "not a number of at most 12 decimals", text)
     if not pc.any(pc.match_substring(text, ".")).as_py() and pc.max(pc.utf8_length(text)).as_py() <= 18:
-        return _whole(text.cast(pa.int64()), kind)
+        return _from_integers(text.cast(pa.int64()), kind)
     unit = pa.scalar(Decimal(kind.unit_ns), pa.decimal256(11, 0))
     nanoseconds = pc.round(pc.multiply(text.cast(pa.decimal256(50, 12)), unit))
     limit = pa.scalar(Decimal(2**63 - 1 - GPS_EPOCH_NS), nanoseconds.type)
-    _first(np.asarray(pc.greater(pc.abs(nanoseconds), limit)), f"too large for {kind.words}", text)
+    _raise_for(np.asarray(pc.greater(pc.abs(nanoseconds), limit)), f"too large for {kind.words}", text)
     return np.asarray(nanoseconds.cast(pa.int64()))
 
 
-def _whole(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
-    whole = np.asarray(values.cast(pa.int64()))
+def _from_integers(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
+    integers = np.asarray(values.cast(pa.int64()))
     # The limit leaves room for the GPS epoch, which is added afterwards.
     limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
-    _first(np.abs(whole) > limit, f"too large for {kind.words}", values)
-    return whole * kind.unit_ns
+    _raise_for(np.abs(integers) > limit, f"too large for {kind.words}", values)
+    return integers * kind.unit_ns
 
 
-def _floating(values: Float64, kind: TimeBase) -> Int64:
+def _from_floats(values: Float64, kind: TimeBase) -> Int64:
     limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
-    _first(~(np.abs(values) < limit), f"not finite, or too large for {kind.words}", values)
+    _raise_for(~(np.abs(values) < limit), f"not finite, or too large for {kind.words}", values)
     whole = np.floor(values)
     return whole.astype(np.int64) * kind.unit_ns + np.rint((values - whole) * kind.unit_ns).astype(np.int64)
 
 
-def _first(bad: Bool, problem: str, values: pa.ChunkedArray | AnyArray | None = None) -> None:
+def _raise_for(bad: Bool, problem: str, values: pa.ChunkedArray | AnyArray | None = None) -> None:
     if bad.any():
         row = int(np.argmax(bad))
         raise StampError(bad, f"{values[row]} is {problem}" if values is not None else problem)

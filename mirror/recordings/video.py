@@ -85,9 +85,11 @@ class VideoStream:
         requested = {int(self.pts[index]): index for index in indices}
         if not requested:
             return
-        with _opened(self.file) as (container, stream):
+        with _open_video(self.file) as (container, stream):
             frames = (
-                _by_time(container, stream, requested) if _timed(stream) else _by_number(container, stream, requested)
+                _decode_by_time(container, stream, requested)
+                if _has_time_stamps(stream)
+                else _decode_by_number(container, stream, requested)
             )
             try:
                 for pts, frame in frames:
@@ -102,12 +104,12 @@ class VideoStream:
                     yield requested.pop(pts), data.tobytes()
                     if not requested:
                         return
-            except _av_error() as error:
-                raise self._missing(min(requested), str(error)) from error
+            except _av_error_type() as error:
+                raise self._missing_error(min(requested), str(error)) from error
         if requested:
-            raise self._missing(min(requested), "the video has no such frame, or ends before it")
+            raise self._missing_error(min(requested), "the video has no such frame, or ends before it")
 
-    def _missing(self, pts: int, reason: str) -> RecordingError:
+    def _missing_error(self, pts: int, reason: str) -> RecordingError:
         return RecordingError(
             f"frame cannot be decoded ({reason})",
             file=self.file,
@@ -129,11 +131,11 @@ def read_video_stamps(file: Path) -> tuple[Int64, Fraction]:
     Raises:
         RecordingError: the file is broken, or is a raw stream, which has no time stamps.
     """
-    with _opened(file) as (container, stream):
+    with _open_video(file) as (container, stream):
         try:
             stamps = [packet.pts for packet in container.demux(stream) if packet.size]
-        except _av_error() as error:
-            raise _broken(file, error) from error
+        except _av_error_type() as error:
+            raise _broken_error(file, error) from error
         time_base = stream.time_base
     if not stamps or None in stamps or time_base is None:
         raise RecordingError(
@@ -161,7 +163,7 @@ def to_unix_stamps(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
+def _open_video(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
     try:
         import av
     except ImportError as error:
@@ -173,16 +175,16 @@ def _opened(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
     try:
         container = av.open(str(file))
     except (av.FFmpegError, OSError) as error:
-        raise _broken(file, error) from error
+        raise _broken_error(file, error) from error
     with container:
         if not container.streams.video:
-            raise _broken(file, "it has no video stream")
+            raise _broken_error(file, "it has no video stream")
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         yield container, stream
 
 
-def _broken(file: Path, reason: object) -> RecordingError:
+def _broken_error(file: Path, reason: object) -> RecordingError:
     return RecordingError(
         f"cannot be read ({reason})",
         file=file,
@@ -191,17 +193,17 @@ def _broken(file: Path, reason: object) -> RecordingError:
     )
 
 
-def _av_error() -> type[Exception]:
+def _av_error_type() -> type[Exception]:
     import av
 
     return av.FFmpegError
 
 
-def _timed(stream: Stream) -> bool:
+def _has_time_stamps(stream: Stream) -> bool:
     return len(stream.index_entries) > 0 or stream.start_time is not None
 
 
-def _by_time(
+def _decode_by_time(
     container: InputContainer, stream: Stream, requested: Collection[int]
 ) -> Iterator[tuple[int, av.VideoFrame]]:
     """Decode from the key frame before each run of requested frames, and yield every decoded frame.
@@ -212,18 +214,18 @@ def _by_time(
     pending = dict.fromkeys(sorted(requested))
     while pending:
         target, reached = next(iter(pending)), -sys.maxsize
-        for pts, frame in _from_key_frame(container, stream, target):
+        for pts, frame in _decode_from_key_frame(container, stream, target):
             yield pts, frame
             pending.pop(pts, None)
             reached = max(reached, pts)
             # A container may start earlier than its index states: decode until the target is reached.
-            if not pending or (target not in pending and _key_frame_between(stream, reached, next(iter(pending)))):
+            if not pending or (target not in pending and _has_key_frame_between(stream, reached, next(iter(pending)))):
                 break
         else:
             return
 
 
-def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[tuple[int, av.VideoFrame]]:
+def _decode_from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[tuple[int, av.VideoFrame]]:
     """Decode from a key frame that is displayed at or before a pts, to the end of the video.
 
     Containers are indexed in decoding order: the key frame found may be displayed after the requested frame, which then
@@ -246,12 +248,12 @@ def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iter
     yield from frames
 
 
-def _key_frame_between(stream: Stream, reached: int, requested: int) -> bool:
+def _has_key_frame_between(stream: Stream, reached: int, requested: int) -> bool:
     index = stream.index_entries.search_timestamp(requested, backward=True, any_frame=False)
     return bool(index >= 0 and stream.index_entries[index].timestamp > reached)
 
 
-def _by_number(
+def _decode_by_number(
     container: InputContainer, stream: Stream, requested: Collection[int]
 ) -> Iterator[tuple[int, av.VideoFrame]]:
     """Decode the GOPs of a raw stream that hold requested frames; the number of a frame takes the place of its pts."""

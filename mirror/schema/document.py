@@ -50,17 +50,17 @@ def schema_page() -> str:
         "",
     ]
     for table in (PASSES, *RECORDED, *LAYERS):
-        lines += _table(table)
+        lines += _table_lines(table)
     lines += ["## Tables of the index", "", "`mirror index` derives them from the tables above; do not edit them.", ""]
     for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE):
-        lines += _table(table)
+        lines += _table_lines(table)
     lines += ["## JSON documents", ""]
     for model in _DOCUMENTS:
-        lines += _model(model)
+        lines += _model_lines(model)
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _table(table: Table) -> list[str]:
+def _table_lines(table: Table) -> list[str]:
     lines = [
         f"### {table.name}",
         "",
@@ -71,19 +71,19 @@ def _table(table: Table) -> list[str]:
     ]
     for field in table.schema:
         doc = (field.metadata or {})[b"doc"].decode().replace("|", "\\|")
-        lines.append(f"| `{field.name}` | {_kind(field.type)} | {'yes' if field.nullable else ''} | {doc} |")
+        lines.append(f"| `{field.name}` | {_type_name(field.type)} | {'yes' if field.nullable else ''} | {doc} |")
     return [*lines, ""]
 
 
-def _kind(kind: pa.DataType) -> str:
+def _type_name(kind: pa.DataType) -> str:
     if pa.types.is_dictionary(kind):
         return "KEY"
     return str(kind).replace("|", "\\|")
 
 
-def _model(model: type[BaseModel]) -> list[str]:
+def _model_lines(model: type[BaseModel]) -> list[str]:
     first, _, rest = (model.__doc__ or "").partition("Attributes:")
-    meanings = dict(_attributes(rest.splitlines()))
+    meanings = dict(_parse_attributes(rest.splitlines()))
     lines = [f"### {model.__name__}", "", " ".join(first.split()), "", "| key | required | meaning |", "|---|---|---|"]
     for name, info in model.model_fields.items():
         default = "yes" if info.is_required() else f"default `{info.get_default(call_default_factory=True)!r}`"
@@ -91,7 +91,7 @@ def _model(model: type[BaseModel]) -> list[str]:
     return [*lines, ""]
 
 
-def _attributes(lines: Iterable[str]) -> list[tuple[str, str]]:
+def _parse_attributes(lines: Iterable[str]) -> list[tuple[str, str]]:
     """Parse names and meanings from a docstring's ``Attributes`` section."""
     attributes: list[tuple[str, str]] = []
     for line in lines:

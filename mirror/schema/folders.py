@@ -95,7 +95,7 @@ def find_kind(folder: Path) -> FolderKind | None:
     names = {child.name for child in folder.iterdir() if not _is_temporary(child.name)}
     if not names:
         return None
-    kind = next((kind for kind, signs in _KINDS.items() if _has(folder, signs)), None)
+    kind = next((kind for kind, signs in _KINDS.items() if _matches(folder, signs)), None)
     if kind is not None:
         return kind
     if names <= _DATASET_NAMES and names & {"traversals", ".lock", ".staging"}:
@@ -147,7 +147,7 @@ def require_output_file(out: Path, *, place: str = "--out") -> None:
 def _refuse_inside(out: Path, place: str) -> None:
     for folder in out.absolute().resolve().parents:
         for kind, signs in _KINDS.items():
-            if signs.sealed and _has(folder, signs):
+            if signs.sealed and _matches(folder, signs):
                 raise UsageError(
                     f"it lies inside {folder}, which is {kind.value}: nothing was written",
                     file=out,
@@ -157,7 +157,7 @@ def _refuse_inside(out: Path, place: str) -> None:
                 )
 
 
-def _has(folder: Path, signs: _Signs) -> bool:
+def _matches(folder: Path, signs: _Signs) -> bool:
     if any((folder / mark).exists() for mark in signs.marks):
         return True
     return any(_has_format(folder / name, value) for name, value in signs.documents.items())

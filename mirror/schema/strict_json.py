@@ -31,7 +31,7 @@ def decode_json(data: str | bytes, *, constants: bool = True) -> Any:
             value of such a key, others the last.
     """
     try:
-        return json.loads(data, object_pairs_hook=_object, parse_constant=None if constants else _refused)
+        return json.loads(data, object_pairs_hook=_make_object, parse_constant=None if constants else _refuse_constant)
     except json.JSONDecodeError as error:
         raise JsonError(f"not valid JSON ({error})", f"line {error.lineno}, column {error.colno}") from error
     except UnicodeDecodeError as error:
@@ -45,13 +45,13 @@ def decode_json(data: str | bytes, *, constants: bool = True) -> Any:
         raise JsonError(f"not valid JSON ({error})") from error
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+def _make_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
         keys = [key for key, _ in pairs]
         raise JsonError(f"the key {next(key for key in keys if keys.count(key) > 1)!r:.80} stands twice in one object")
-    return found
+    return result
 
 
-def _refused(word: str) -> Any:
+def _refuse_constant(word: str) -> Any:
     raise JsonError(f"not valid JSON (the number {word})")

@@ -73,16 +73,16 @@ class WeightResolver:
         explicit = self.paths.get(name)
         if explicit is not None:
             if not explicit.is_file():
-                raise _unavailable(known, f"{explicit} is not a file", explicit)
-            return _verified(known, explicit)
+                raise _unavailable_error(known, f"{explicit} is not a file", explicit)
+            return _verify(known, explicit)
         for path in self._candidates(known):
             if path.is_file():
-                return _verified(known, path)
+                return _verify(known, path)
         if self.allow_download and known.url is not None:
             target = self.cache_folder / known.filename
             download(known.url, target, sha256=known.sha256, size=known.size)
-            return _verified(known, target)
-        raise _unavailable(known, f"the weights {known.filename} are missing")
+            return _verify(known, target)
+        raise _unavailable_error(known, f"the weights {known.filename} are missing")
 
     @property
     def cache_folder(self) -> Path:
@@ -97,8 +97,8 @@ class WeightResolver:
         yield hub / "hub" / "checkpoints" / known.filename
         for package, place in known.packages:
             # A top-level package is found without being imported: lpips imports torchvision.
-            found = importlib.util.find_spec(package)
-            for folder in (found.submodule_search_locations or ()) if found else ():
+            spec = importlib.util.find_spec(package)
+            for folder in (spec.submodule_search_locations or ()) if spec else ():
                 yield Path(folder) / place
 
 
@@ -125,17 +125,17 @@ def _home_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
 
 
-def _verified(known: WeightsFile, path: Path) -> ResolvedWeights:
+def _verify(known: WeightsFile, path: Path) -> ResolvedWeights:
     size = path.stat().st_size
     if known.size is not None and size != known.size:
-        raise _unavailable(known, f"a file of {size} bytes, but the published file has {known.size}", path)
+        raise _unavailable_error(known, f"a file of {size} bytes, but the published file has {known.size}", path)
     sha256 = file_sha256(path)
     if known.sha256 not in (None, sha256):
-        raise _unavailable(known, f"another file: its sha256 is {sha256}", path)
+        raise _unavailable_error(known, f"another file: its sha256 is {sha256}", path)
     return ResolvedWeights(known.name, path, sha256, pinned=known.sha256 is not None)
 
 
-def _unavailable(known: WeightsFile, problem: str, path: Path | None = None) -> WeightsUnavailableError:
+def _unavailable_error(known: WeightsFile, problem: str, path: Path | None = None) -> WeightsUnavailableError:
     size = f", {known.size} bytes" if known.size is not None else ""
     return WeightsUnavailableError(
         problem,

@@ -30,7 +30,7 @@ class WeightsFile:
     packages: tuple[tuple[str, str], ...] = ()
 
 
-def _heads(net: str, sha256: str, size: int) -> WeightsFile:
+def _lpips_heads(net: str, sha256: str, size: int) -> WeightsFile:
     in_torchmetrics = f"functional/image/lpips_models/{net}.pth"
     return WeightsFile(
         name=f"lpips-heads-{net}",
@@ -43,7 +43,7 @@ def _heads(net: str, sha256: str, size: int) -> WeightsFile:
     )
 
 
-def _shift_tolerant(net: str, sha256: str, size: int) -> WeightsFile:
+def _st_lpips(net: str, sha256: str, size: int) -> WeightsFile:
     filename = f"{net}_shift_tolerant.pth"
     return WeightsFile(
         name=f"st-lpips-{net}",
@@ -69,9 +69,9 @@ def _torchvision(name: str, filename: str, sha256: str, size: int | None, purpos
 
 
 _FILES = (
-    _heads("alex", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0", 6009),
-    _heads("vgg", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868", 7289),
-    _heads("squeeze", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76", 10811),
+    _lpips_heads("alex", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0", 6009),
+    _lpips_heads("vgg", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868", 7289),
+    _lpips_heads("squeeze", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76", 10811),
     _torchvision(
         "alexnet",
         "alexnet-owt-7be5be79.pth",
@@ -93,8 +93,8 @@ _FILES = (
         None,
         "lpips (squeeze)",
     ),
-    _shift_tolerant("alex", "b356b382f96010f77d085ee8343ecd9fd322d0a56e8de2b2d0549fafcad8b9ee", 9899296),
-    _shift_tolerant("vgg", "44597da68f49c1837c100ff52299050f274d102eb102e5837178c79be6f0e250", 58907298),
+    _st_lpips("alex", "b356b382f96010f77d085ee8343ecd9fd322d0a56e8de2b2d0549fafcad8b9ee", 9899296),
+    _st_lpips("vgg", "44597da68f49c1837c100ff52299050f274d102eb102e5837178c79be6f0e250", 58907298),
     WeightsFile(
         name="inception-fid",
         filename="pt_inception-2015-12-05-6726825d.pth",

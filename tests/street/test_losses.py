@@ -21,11 +21,11 @@ def plane(normal, distance, height=48, width=64):
 
 
 def test_colour_loss_is_the_mean_square_of_scored_pixels():
-    rendered, taken = torch.rand(5, 7, 3), torch.rand(5, 7, 3)
+    rendered, recorded = torch.rand(5, 7, 3), torch.rand(5, 7, 3)
     scored = torch.zeros(5, 7, dtype=torch.bool)
     scored[1:3, 2:6] = True
-    expected = (rendered - taken)[scored].square().mean()
-    torch.testing.assert_close(colour_loss(rendered, taken, scored), expected)
+    expected = (rendered - recorded)[scored].square().mean()
+    torch.testing.assert_close(colour_loss(rendered, recorded, scored), expected)
 
 
 def test_unscored_pixels_have_no_gradient():
@@ -38,24 +38,24 @@ def test_unscored_pixels_have_no_gradient():
 
 def test_structure_loss_treats_unscored_pixels_as_exact():
     torch.manual_seed(0)
-    taken = torch.rand(30, 40, 3)
+    recorded = torch.rand(30, 40, 3)
     scored = torch.zeros(30, 40, dtype=torch.bool)
     scored[8:22, 5:30] = True
-    rendered = (taken + 0.2 * torch.randn(30, 40, 3)).requires_grad_()
-    loss = structure_loss(rendered, taken, scored)
+    rendered = (recorded + 0.2 * torch.randn(30, 40, 3)).requires_grad_()
+    loss = structure_loss(rendered, recorded, scored)
     elsewhere = torch.where(scored[..., None], rendered.detach(), torch.rand(30, 40, 3))
-    torch.testing.assert_close(structure_loss(elsewhere, taken, scored), loss.detach())
-    filled = torch.where(scored[..., None], rendered.detach(), taken).numpy()
+    torch.testing.assert_close(structure_loss(elsewhere, recorded, scored), loss.detach())
+    filled = torch.where(scored[..., None], rendered.detach(), recorded).numpy()
     _, map_ = structural_similarity(
-        filled, taken.numpy(), channel_axis=2, data_range=1.0, gaussian_weights=True, sigma=1.5,
+        filled, recorded.numpy(), channel_axis=2, data_range=1.0, gaussian_weights=True, sigma=1.5,
         use_sample_covariance=False, full=True,
     )  # fmt: skip
     # Inside the border, where windows lie within the image.
     torch.testing.assert_close(loss.item(), 1.0 - float(map_.mean(2)[scored.numpy()].mean()), rtol=1e-3, atol=1e-4)
     loss.backward()
     assert not rendered.grad[~scored].any() and rendered.grad[scored].any()
-    assert structure_loss(taken, taken, scored).abs() < 1e-5
-    assert structure_loss(taken, taken, torch.zeros_like(scored)) == 1.0
+    assert structure_loss(recorded, recorded, scored).abs() < 1e-5
+    assert structure_loss(recorded, recorded, torch.zeros_like(scored)) == 1.0
 
 
 def test_depth_errors_are_shares_limited_to_one():
@@ -78,8 +78,8 @@ def test_plane_has_its_normal_and_no_curvature(normal):
     unit = torch.tensor(normal, dtype=torch.float64)
     unit = unit / unit.norm()
     depth = plane(unit, 8.0, height=20)
-    found = compute_normals(depth, K)
-    inner = found[1:-1, 1:-1]
+    result = compute_normals(depth, K)
+    inner = result[1:-1, 1:-1]
     torch.testing.assert_close(inner, (-unit).expand_as(inner), atol=1e-9, rtol=0.0)
     assert curvature(inner).abs().max() < 1e-15
 
@@ -103,9 +103,9 @@ def test_normals_of_a_sphere_point_from_its_centre():
     depth = torch.where(hit, (far - root.clamp_min(0).sqrt()) / square, 1.0)
     points = torch.stack((x * depth, y[:, None] * depth, depth), 2)
     points[..., 2] -= far
-    found = compute_normals(depth, K)
+    result = compute_normals(depth, K)
     inside = -functional.max_pool2d(-hit[None].double(), 3, 1, 1)[0] > 0.5
-    angles = torch.rad2deg(torch.arccos((found * points / radius).sum(2).clamp(-1, 1)))
+    angles = torch.rad2deg(torch.arccos((result * points / radius).sum(2).clamp(-1, 1)))
     assert inside.sum() > 50
     assert angles[inside].max() < 3.0
 
@@ -145,11 +145,11 @@ def test_normal_loss_matches_plain_torch(shape, share, dtype):
     expected = plain_normal_loss(exact, stereo, known, K)
     (3.0 * expected).backward()
     given = depth.to(dtype).requires_grad_()
-    found = normal_loss(given, stereo.to(dtype), known, K.to(dtype))
-    (3.0 * found).backward()
-    assert found.dtype == given.grad.dtype == dtype
+    result = normal_loss(given, stereo.to(dtype), known, K.to(dtype))
+    (3.0 * result).backward()
+    assert result.dtype == given.grad.dtype == dtype
     rough = 1e-4 if dtype == torch.float32 else 1e-9
-    torch.testing.assert_close(found.double(), expected, rtol=rough, atol=rough)
+    torch.testing.assert_close(result.double(), expected, rtol=rough, atol=rough)
     scale = float(exact.grad.abs().max())
     torch.testing.assert_close(given.grad.double(), exact.grad, rtol=0.0, atol=rough * scale + 1e-12)
 

@@ -42,10 +42,10 @@ def read_ply(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
 
 
 def test_ply_has_the_fields_that_viewers_expect(tmp_path: Path) -> None:
-    one = street()
+    trained_street = street()
     block = Block((0, 0), UTM)
     views = [view(UTM[0] + x, UTM[1], UTM[2] + 1.5) for x in (-20.0, 0.0, 20.0)]
-    exported = export_gaussians([(block, one)], views, select_latents)
+    exported = export_gaussians([(block, trained_street)], views, select_latents)
     size = write_ply(tmp_path / "street.ply", exported)
     lines, columns = read_ply(tmp_path / "street.ply")
     assert size == (tmp_path / "street.ply").stat().st_size
@@ -72,7 +72,7 @@ def test_pulled_in_sky_stays_behind_the_street() -> None:
     views = [view(100.0 * number, 0.5) for number in range(5)]
     near = export_gaussians(blocks, views, select_latents, degree=0, sky="clip", reach_m=150.0)
     whole = export_gaussians(blocks, views, select_latents, degree=0, sky="pull", reach_m=150.0)
-    street_ends, sky = (torch.linalg.norm(one.means[:, :2], dim=1).max() for one in (near, whole))
+    street_ends, sky = (torch.linalg.norm(trained_street.means[:, :2], dim=1).max() for trained_street in (near, whole))
     assert street_ends > 200.0 and sky >= street_ends
     outer = torch.linalg.norm(whole.means, dim=1)
     # No Gaussian of the sky lies within the street.
@@ -80,23 +80,28 @@ def test_pulled_in_sky_stays_behind_the_street() -> None:
 
 
 def test_view_independent_streets_are_exported_exactly() -> None:
-    one = street()
-    for network in (one.background.geometry, one.background.colour, one.ground.colour, one.sky.colour):
+    trained_street = street()
+    for network in (
+        trained_street.background.geometry,
+        trained_street.background.colour,
+        trained_street.ground.colour,
+        trained_street.sky.colour,
+    ):
         network.own.data[:, network.code : network.code + 3] = 0.0
     for degree in (0, 1, 3):
-        exported = export_gaussians([(A, one)], LINE, select_latents, degree=degree, sky="keep")
+        exported = export_gaussians([(A, trained_street)], LINE, select_latents, degree=degree, sky="keep")
         assert exported.spherical_harmonics.shape[1] == (degree + 1) ** 2
-        assert psnr_to_model_db(exported, [(A, one)], LINE[:4], select_latents) > 45.0
+        assert psnr_to_model_db(exported, [(A, trained_street)], LINE[:4], select_latents) > 45.0
 
 
 def test_spherical_harmonics_follow_view_dependent_colours() -> None:
-    one = street()
-    for network in (one.background.geometry,):
+    trained_street = street()
+    for network in (trained_street.background.geometry,):
         network.own.data[:, network.code : network.code + 3] = 0.0
     plain, full = (
         psnr_to_model_db(
-            export_gaussians([(A, one)], LINE, select_latents, degree=degree, sky="keep"),
-            [(A, one)],
+            export_gaussians([(A, trained_street)], LINE, select_latents, degree=degree, sky="keep"),
+            [(A, trained_street)],
             LINE[1::2],
             select_latents,
         )
@@ -106,9 +111,9 @@ def test_spherical_harmonics_follow_view_dependent_colours() -> None:
 
 
 def test_pulled_in_sky_renders_the_same_from_the_middle() -> None:
-    one = street()
+    trained_street = street()
     kept, pulled, clipped = (
-        export_gaussians([(A, one)], LINE, select_latents, sky=sky) for sky in ("keep", "pull", "clip")
+        export_gaussians([(A, trained_street)], LINE, select_latents, sky=sky) for sky in ("keep", "pull", "clip")
     )
     assert kept.means.norm(dim=1).max() > 290.0
     assert pulled.means.norm(dim=1).max() < 150.1 and len(pulled) == len(kept)
@@ -118,9 +123,9 @@ def test_pulled_in_sky_renders_the_same_from_the_middle() -> None:
 
 
 def test_blocks_are_exported_as_one_street() -> None:
-    one = street()
-    both = [(A, one), (B, shifted(one, np.array([-30.0, 0.0, 0.0])))]
-    for node in (one, both[1][1]):
+    trained_street = street()
+    both = [(A, trained_street), (B, shifted(trained_street, np.array([-30.0, 0.0, 0.0])))]
+    for node in (trained_street, both[1][1]):
         for network in (node.background.geometry, node.background.colour, node.ground.colour, node.sky.colour):
             network.own.data[:, network.code : network.code + 3] = 0.0
     views = [view(x, 0.5) for x in (-20.0, -10.0, -5.0)]
@@ -136,8 +141,8 @@ def test_export_without_views_is_refused() -> None:
 
 
 def test_distant_export_origin_renders_the_same() -> None:
-    one = street()
-    near = export_gaussians([(A, one)], LINE, select_latents)
+    trained_street = street()
+    near = export_gaussians([(A, trained_street)], LINE, select_latents)
     far = ExportedGaussians(
         near.means, near.quats, near.log_scales, near.logits, near.spherical_harmonics, np.array(UTM)
     )

@@ -18,21 +18,24 @@ BLOCK = Block((1, 2), (441_000.123456789, 4_475_000.1, 612.7))
 
 
 def test_stored_street_is_restored(tmp_path: Path) -> None:
-    one = street()
-    size = save_block(tmp_path / "model.safetensors", BLOCK, one, about={"seed": 3})
+    trained_street = street()
+    size = save_block(tmp_path / "model.safetensors", BLOCK, trained_street, about={"seed": 3})
     assert size == (tmp_path / "model.safetensors").stat().st_size
     block, other, about = load_block(tmp_path / "model.safetensors")
     assert (block, about) == (BLOCK, {"seed": 3})
-    assert other.appearance.sources == one.appearance.sources
-    assert other.background.radius_m == one.background.radius_m
-    for (name, ours), (again, theirs) in zip(one.named_parameters(), other.named_parameters(), strict=True):
+    assert other.appearance.sources == trained_street.appearance.sources
+    assert other.background.radius_m == trained_street.background.radius_m
+    for (name, ours), (again, theirs) in zip(trained_street.named_parameters(), other.named_parameters(), strict=True):
         assert name == again and torch.equal(ours, theirs)
 
 
 @pytest.mark.parametrize(("half", "anchor", "plain"), [(False, 284, 108), (True, 148, 60)])
 def test_stored_size_is_that_of_the_numbers(tmp_path: Path, half: bool, anchor: int, plain: int) -> None:
     few, many = street(100), street(1100)
-    sizes = [save_block(tmp_path / f"{len(one.background)}", BLOCK, one, half=half) for one in (few, many)]
+    sizes = [
+        save_block(tmp_path / f"{len(trained_street.background)}", BLOCK, trained_street, half=half)
+        for trained_street in (few, many)
+    ]
     # Offsets in the header have more digits.
     assert 0 <= sizes[1] - sizes[0] - 1000 * anchor <= 128
     more = street(100)
@@ -42,24 +45,24 @@ def test_stored_size_is_that_of_the_numbers(tmp_path: Path, half: bool, anchor: 
 
 
 def test_half_precision_hardly_changes_a_render(tmp_path: Path) -> None:
-    one = street()
-    save_block(tmp_path / "half", BLOCK, one, half=True)
+    trained_street = street()
+    save_block(tmp_path / "half", BLOCK, trained_street, half=True)
     _, other, _ = load_block(tmp_path / "half")
     viewpoint = to_viewpoint(view(-25.0), np.zeros(3))
     with torch.no_grad():
-        renders = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (one, other)]
+        renders = [each(viewpoint, each.appearance(SOURCES[0])).rgb.clamp(0, 1) for each in (trained_street, other)]
     ours, theirs = (image.mul(255.0).round().byte().numpy() for image in renders)
     assert psnr(ours, theirs) > 45.0
 
 
 def test_numbers_that_cannot_be_stored_are_refused(tmp_path: Path) -> None:
-    one = street()
-    one.background.codes.data[0, 0] = 1e6
+    trained_street = street()
+    trained_street.background.codes.data[0, 0] = 1e6
     with pytest.raises(DatasetError, match="too large for half precision"):
-        save_block(tmp_path / "m", BLOCK, one, half=True)
-    one.background.codes.data[0, 0] = torch.nan
+        save_block(tmp_path / "m", BLOCK, trained_street, half=True)
+    trained_street.background.codes.data[0, 0] = torch.nan
     with pytest.raises(DatasetError, match=r"background\.codes: a number is not finite"):
-        save_block(tmp_path / "m", BLOCK, one)
+        save_block(tmp_path / "m", BLOCK, trained_street)
     assert not (tmp_path / "m").exists()
 
 
@@ -80,10 +83,10 @@ def test_a_traversal_adds_one_latent_and_one_for_each_camera(tmp_path: Path) -> 
     """Memory hardly grows with the number of traversals, in contrast to a set of colours for each traversal."""
     sizes = {}
     for traversals in (1, 2, 101):
-        one = street()
+        trained_street = street()
         sources = [Source(f"s.{number:03}.0", camera) for number in range(traversals) for camera in ("front", "rear")]
-        one.appearance = AppearanceLatents(sources, 8)
-        sizes[traversals] = save_block(tmp_path / str(traversals), BLOCK, one)
+        trained_street.appearance = AppearanceLatents(sources, 8)
+        sizes[traversals] = save_block(tmp_path / str(traversals), BLOCK, trained_street)
     # Three latents of 8 numbers; the header has the names of the two sources.
     each = (sizes[101] - sizes[1]) / 100
     assert 3 * 8 * 4 <= each <= 3 * 8 * 4 + 80

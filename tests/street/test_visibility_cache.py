@@ -18,47 +18,47 @@ def rows(*numbers):
 
 
 def test_hidden_rows_are_skipped_until_the_fourth_visit():
-    sightings, numbers, seen = VisibilityCache(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
-    assert [one.tolist() for one in sightings.select_rows(HERE, seen, numbers)] == [[1, 4, 19], [0, 2]]
+    cache, numbers, visible = VisibilityCache(), [torch.arange(20), torch.arange(3)], [rows(1, 4, 19), rows(0, 2)]
+    assert [one.tolist() for one in cache.select_rows(HERE, visible, numbers)] == [[1, 4, 19], [0, 2]]
     for _ in range(2):
         for visit in range(4):
             full = visit == 0
-            kept = sightings.select_rows(HERE, seen, numbers)
+            kept = cache.select_rows(HERE, visible, numbers)
             assert [one.tolist() for one in kept] == ([[1, 4, 19], [0, 2]] if full else [[4], []])
-            assert [len(one) for one in sightings.select_rows(THERE, seen, numbers)] == [3, 2]
-            sightings.record(HERE, [rows(4), rows()], numbers)
+            assert [len(one) for one in cache.select_rows(THERE, visible, numbers)] == [3, 2]
+            cache.record(HERE, [rows(4), rows()], numbers)
 
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 16])
 def test_new_rows_are_never_skipped(count):
-    sightings = VisibilityCache()
-    sightings.record(HERE, [rows()], [torch.arange(count)])
+    cache = VisibilityCache()
+    cache.record(HERE, [rows()], [torch.arange(count)])
     kept = torch.tensor([0, *range(count, count + 20)])
-    (found,) = sightings.select_rows(HERE, [torch.arange(len(kept))], [kept])
+    (found,) = cache.select_rows(HERE, [torch.arange(len(kept))], [kept])
     assert found.tolist() == list(range(1, 21))
 
 
 def test_rows_keep_their_visibility_when_others_are_removed():
-    sightings = VisibilityCache()
-    sightings.record(HERE, [rows(2, 5)], [torch.arange(8)])
-    (found,) = sightings.select_rows(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
+    cache = VisibilityCache()
+    cache.record(HERE, [rows(2, 5)], [torch.arange(8)])
+    (found,) = cache.select_rows(HERE, [rows(0, 1, 2, 3)], [rows(1, 2, 5, 9)])
     assert found.tolist() == [1, 2, 3]
 
 
 def test_nodes_may_be_empty():
-    sightings = VisibilityCache()
-    sightings.record(HERE, [rows()], [rows()])
-    assert sightings.select_rows(HERE, [rows()], [rows()])[0].tolist() == []
-    assert sightings.select_rows(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
+    cache = VisibilityCache()
+    cache.record(HERE, [rows()], [rows()])
+    assert cache.select_rows(HERE, [rows()], [rows()])[0].tolist() == []
+    assert cache.select_rows(HERE, [rows(0)], [rows(0)])[0].tolist() == [0]
 
 
 def test_visibility_cache_stays_within_its_byte_limit(monkeypatch):
     monkeypatch.setattr(module, "MAX_BYTES", 2)
-    sightings, numbers = VisibilityCache(), [torch.arange(8)]
+    cache, numbers = VisibilityCache(), [torch.arange(8)]
     places = [to_viewpoint(view(float(x)), np.zeros(3)) for x in range(5)]
     for place in places:
-        sightings.record(place, [rows()], numbers)
-    assert [len(sightings.select_rows(place, [rows(0)], numbers)[0]) for place in places] == [0, 0, 1, 1, 1]
+        cache.record(place, [rows()], numbers)
+    assert [len(cache.select_rows(place, [rows(0)], numbers)[0]) for place in places] == [0, 0, 1, 1, 1]
 
 
 def test_restored_cache_continues_exactly():
@@ -94,7 +94,7 @@ def walled():
 def test_skipping_hidden_rows_does_not_change_a_step():
     one, image = walled(), Painted()(views(1)[0])
     before = {name: table.clone() for name, table in one.state().items()}
-    seen = len(one.street.background.visible_ids(image.viewpoint))
+    visible = len(one.street.background.visible_ids(image.viewpoint))
     found = []
     for _ in range(2):
         losses = one.step(image, 0.0).losses
@@ -102,7 +102,7 @@ def test_skipping_hidden_rows_does_not_change_a_step():
         found.append((losses, {name: table.detach().clone() for name, table in one.street.named_parameters()}))
         known = {name: table.clone() for name, table in one.state().items() if name.startswith("sightings.")}
         one.restore({**before, **known})
-    assert 0 < len(one.visible_rows(image.viewpoint).background.ids) < 0.8 * seen
+    assert 0 < len(one.visible_rows(image.viewpoint).background.ids) < 0.8 * visible
     (losses, tables), (other_losses, other_tables) = found
     assert losses == pytest.approx(other_losses, rel=1e-5)
     for name, table in tables.items():

@@ -1,4 +1,4 @@
-"""Draw what `train_lund.py` printed: ``python examples/curve.py CSV PNG``."""
+"""Plot the table of `train_lund.py`: ``python examples/curve.py CSV PNG``."""
 
 import csv
 import sys
@@ -13,8 +13,8 @@ with Path(sys.argv[1]).open() as file:
     rows = list(csv.DictReader(file))
 columns = {name: [float(row[name]) for row in rows] for name in rows[0]}
 figure, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
-axes.plot(columns["step"], columns["train_psnr_db"], "C0", label="photos trained on")
-axes.plot(columns["step"], columns["test_psnr_db"], "C1", label="photos held out")
+axes.plot(columns["step"], columns["train_psnr_db"], "C0", label="training photos")
+axes.plot(columns["step"], columns["test_psnr_db"], "C1", label="held-out photos")
 axes.set(xlabel="step", ylabel="PSNR (dB)")
 axes.legend(loc="lower right")
 axes.grid(alpha=0.3)

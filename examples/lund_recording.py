@@ -27,8 +27,8 @@ from mirror.geometry.geodesy import ecef_R_enu, ecef_to_geodetic, geodetic_to_ec
 from mirror.geometry.quaternions import quaternion_from_matrix
 
 HEIGHT_M = 1.6  # of the camera above the ground: it was held in a hand
-START_NS = 1_400_000_000_000_000_000  # the photos tell no time: one a second, or fewer where they are far apart
-SPEED_MPS, HALF_ACCELERATION_MPS2 = 60.0, 5.0  # from photo to photo, at most: ingest takes what is more for outliers
+START_NS = 1_400_000_000_000_000_000  # the photos have no times: one per second, or fewer where they are far apart
+SPEED_MPS, HALF_ACCELERATION_MPS2 = 60.0, 5.0  # greatest values between photos: ingest treats larger ones as outliers
 EGO_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 GPS = 34853
 CAMERA = "front_wide"
@@ -49,15 +49,15 @@ LENSES: dict[str, tuple[str, list[str]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Where the cameras of N photos stood, in metres.
+    """The poses of N photos in metres.
 
     Attributes:
-        images: of the model.
-        frame: as recording.json has it.
-        positions: columns of the poses' table, by name.
+        images: images of the model.
+        frame: the frame in recording.json.
+        positions: columns of the table of poses, by name.
         world_R_ego: (N, 3, 3).
-        metres_per_unit: of COLMAP's units.
-        said: what else there is to tell.
+        metres_per_unit: metres per unit of the model.
+        summary: text that is printed at the end.
     """
 
     images: list[pycolmap.Image]
@@ -65,21 +65,21 @@ class Walk:
     positions: dict[str, Float64]
     world_R_ego: Float64
     metres_per_unit: float
-    said: str
+    summary: str
 
-    def of(self, some: Int64) -> "Walk":
-        """Some of the photos, by number."""
-        positions = {name: column[some] for name, column in self.positions.items()}
+    def select(self, rows: Int64) -> "Walk":
+        """Select photos by index."""
+        positions = {name: column[rows] for name, column in self.positions.items()}
         return replace(
             self,
-            images=[self.images[number] for number in some],
+            images=[self.images[number] for number in rows],
             positions=positions,
-            world_R_ego=self.world_R_ego[some],
+            world_R_ego=self.world_R_ego[rows],
         )
 
 
-def registered(folder: Path) -> tuple[pycolmap.Reconstruction, list[pycolmap.Image]]:
-    """The model, and those of its images that have a pose and a photo of their camera's size, by name."""
+def read_model(folder: Path) -> tuple[pycolmap.Reconstruction, list[pycolmap.Image]]:
+    """Read the model and its images with a pose, by name; check that each has a photo of its camera's size."""
     try:
         model = pycolmap.Reconstruction(str(folder / "colmap"))
     except (ValueError, RuntimeError) as error:
@@ -119,8 +119,8 @@ def registered(folder: Path) -> tuple[pycolmap.Reconstruction, list[pycolmap.Ima
     return model, images
 
 
-def places(photos: list[Path]) -> Float64:
-    """(N, 3) longitude, latitude and height as cameras wrote them; NaN of photos without, 0 for a height alone."""
+def read_gps(photos: list[Path]) -> Float64:
+    """Read longitude, latitude and height (N, 3) from EXIF data; NaN without a position, height 0 without a height."""
     rows = []
     for photo in photos:
         tags = Image.open(photo).getexif().get_ifd(GPS)
@@ -136,8 +136,8 @@ def places(photos: list[Path]) -> Float64:
     return table
 
 
-def level_of(folder: Path, rotations: Float64) -> Float64:
-    """(3, 3) from COLMAP's axes to some with z up: up is the mean of what is up in the photos (N, 3, 3)."""
+def compute_level_rotation(folder: Path, rotations: Float64) -> Float64:
+    """Compute a rotation (3, 3) from COLMAP's axes to axes with z up, from the mean up direction of the photos."""
     up = -rotations[:, :, 1].mean(axis=0)
     if np.linalg.norm(up) < 0.5:
         raise UsageError(
@@ -149,8 +149,8 @@ def level_of(folder: Path, rotations: Float64) -> Float64:
     return np.stack([x, np.cross(up, x), up])
 
 
-def turn_and_scale(folder: Path, here: Float64, there: Float64) -> tuple[Float64, float]:
-    """Of level coordinates (N, 2) to east and north (N, 2): (3, 3) about z, and metres a unit."""
+def fit_turn_and_scale(folder: Path, here: Float64, there: Float64) -> tuple[Float64, float]:
+    """Fit level coordinates (N, 2) to east and north (N, 2): a rotation about z (3, 3), and metres per unit."""
     spread = float(np.linalg.norm(np.ptp(there, axis=0))) if len(there) else 0.0
     if spread < 2.0 or not np.ptp(here, axis=0).any():
         raise UsageError(
@@ -159,19 +159,19 @@ def turn_and_scale(folder: Path, here: Float64, there: Float64) -> tuple[Float64
             expected="2 or more, over at least 2 m, for north and metres",
             remedy="--metres-per-unit NUMBER: metres a unit of the model; the recording is then in a local frame",
         )
-    # a turn and a scale of the plane are one complex number
-    moved, wanted = ((points - points.mean(axis=0)) @ [1, 1j] for points in (here, there))
-    factor = np.vdot(moved, wanted) / np.vdot(moved, moved)
+    # a rotation and a scale of the plane are one complex number
+    source, target = ((points - points.mean(axis=0)) @ [1, 1j] for points in (here, there))
+    factor = np.vdot(source, target) / np.vdot(source, source)
     turn = np.angle(factor)
     matrix = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     return matrix, float(abs(factor))
 
 
-def walk_of(folder: Path, images: list[pycolmap.Image], metres_per_unit: float | None) -> Walk:
-    """Poses in metres: east, north and up of the places in EXIF data, or local with the metres that are given."""
+def compute_walk(folder: Path, images: list[pycolmap.Image], metres_per_unit: float | None) -> Walk:
+    """Compute poses in metres, geodetic from the positions in EXIF data, or local with the given metres per unit."""
     rotations = np.stack([image.cam_from_world().rotation.matrix().T for image in images])
     centres = np.stack([image.projection_center() for image in images])
-    level = level_of(folder, rotations)
+    level = compute_level_rotation(folder, rotations)
     if metres_per_unit is not None:
         if not 0.0 < metres_per_unit < np.inf:
             raise UsageError(f"{metres_per_unit}", place="--metres-per-unit", expected="a number above 0")
@@ -182,26 +182,26 @@ def walk_of(folder: Path, images: list[pycolmap.Image], metres_per_unit: float |
         return Walk(
             images, frame, columns, world_R_ego, metres_per_unit, "local frame: its origin is the middle of the photos"
         )
-    gps = places([folder / "images" / image.name for image in images])
+    gps = read_gps([folder / "images" / image.name for image in images])
     known = np.isfinite(gps[:, 0])
     middle = gps[known].mean(axis=0) if known.any() else np.zeros(3)
     origin, ecef_R_place = geodetic_to_ecef(*middle), ecef_R_enu(*middle[:2])
     metric = (geodetic_to_ecef(*gps[known].T) - origin) @ ecef_R_place
     flat = centres @ level.T
-    turn, scale = turn_and_scale(folder, flat[known, :2], metric[:, :2])
+    turn, scale = fit_turn_and_scale(folder, flat[known, :2], metric[:, :2])
     enu = scale * (flat - flat[known].mean(axis=0)) @ turn.T + [*metric[:, :2].mean(axis=0), 0.0]
-    # the vehicle is whoever walks: its frame stands under the camera, and tilts as the camera does
+    # the vehicle is the person who walks: its frame is on the ground under the camera and tilts with the camera
     world_R_ego = turn @ level @ rotations @ EGO_R_CAMERA.T
     geodetic = ecef_to_geodetic(origin + (enu - HEIGHT_M * world_R_ego[:, :, 2]) @ ecef_R_place.T)
     off = np.linalg.norm(enu[known, :2] - metric[:, :2], axis=1).max()
-    said = f"{off:.0f} m at most from where the EXIF data of {known.sum()} photos says\n"
-    said += f"the middle: --roi {middle[0]:.6f},{middle[1]:.6f}"
+    summary = f"{off:.0f} m at most from where the EXIF data of {known.sum()} photos says\n"
+    summary += f"the middle: --roi {middle[0]:.6f},{middle[1]:.6f}"
     columns = dict(zip(("longitude_deg", "latitude_deg", "height_m"), geodetic))
-    return Walk(images, {"kind": "wgs84"}, columns, world_R_ego, scale, said)
+    return Walk(images, {"kind": "wgs84"}, columns, world_R_ego, scale, summary)
 
 
-def calibrations(lenses: list[pycolmap.Camera], stamps: list[int]) -> list[dict[str, Any]]:
-    """The lens of each photo (N), as one calibration for every run of photos of one camera."""
+def make_calibrations(lenses: list[pycolmap.Camera], stamps: list[int]) -> list[dict[str, Any]]:
+    """Make the rows of calibrations from the lens of each photo: one row per run of photos of one camera."""
     begins = [place for place, lens in enumerate(lenses) if place == 0 or lens.camera_id != lenses[place - 1].camera_id]
     rows: list[dict[str, Any]] = []
     for begin, end in zip(begins, [*begins[1:], len(lenses)]):
@@ -220,17 +220,17 @@ def calibrations(lenses: list[pycolmap.Camera], stamps: list[int]) -> list[dict[
     return rows
 
 
-def seconds_a_photo(centres_m: Float64) -> int:
-    """Whole seconds between photos taken at (N, 3) one after the other, so that ingest believes the motion."""
+def compute_interval_s(centres_m: Float64) -> int:
+    """Compute whole seconds between photos at positions (N, 3), so that the motion stays within ingest's limits."""
     steps = np.linalg.norm(np.diff(centres_m, axis=0), axis=1)
     turns = np.linalg.norm(centres_m[1:-1] - 0.5 * (centres_m[:-2] + centres_m[2:]), axis=1)
     least = max(steps.max(initial=0.0) / SPEED_MPS, np.sqrt(turns.max(initial=0.0) / HALF_ACCELERATION_MPS2))
     return max(1, int(np.ceil(least)))
 
 
-def write(folder: Path, out: Path, drive: str, model: pycolmap.Reconstruction, walk: Walk) -> int:
-    """Write photos of one size as a recording; returns the seconds from photo to photo."""
-    seconds = seconds_a_photo(walk.metres_per_unit * np.stack([image.projection_center() for image in walk.images]))
+def write_recording(folder: Path, out: Path, drive: str, model: pycolmap.Reconstruction, walk: Walk) -> int:
+    """Write photos of one size as a recording; return the seconds between photos."""
+    seconds = compute_interval_s(walk.metres_per_unit * np.stack([image.projection_center() for image in walk.images]))
     stamps = [START_NS + number * seconds * 1_000_000_000 for number in range(len(walk.images))]
     photos = out / "images" / CAMERA
     photos.mkdir(parents=True)
@@ -243,7 +243,7 @@ def write(folder: Path, out: Path, drive: str, model: pycolmap.Reconstruction, w
             table.writerow([stamp, *(column[number] for column in walk.positions.values()), *quaternion])
             suffix = SUFFIXES[Path(image.name).suffix.lower()]
             shutil.copyfile(folder / "images" / image.name, photos / f"{stamp}{suffix}")
-    lenses = calibrations([model.cameras[image.camera_id] for image in walk.images], stamps)
+    lenses = make_calibrations([model.cameras[image.camera_id] for image in walk.images], stamps)
     (out / "calibrations" / "refined.json").write_text(json.dumps(lenses, indent=1))
     recording = {
         "format": "mirror-folder", "version": "1.0", "drive_id": drive, "vehicle_id": "walker",
@@ -257,23 +257,25 @@ def write(folder: Path, out: Path, drive: str, model: pycolmap.Reconstruction, w
 
 
 def main(folder: Path, out: Path, metres_per_unit: float | None = None) -> None:
-    """Write the recording, or of photos of several sizes one each, and say where they lie."""
+    """Write one recording per photo size, and print their folders."""
     if out.exists():
         raise UsageError("is there already", file=out, expected="a new folder")
-    model, images = registered(folder)
-    walk = walk_of(folder, images, metres_per_unit)
+    model, images = read_model(folder)
+    walk = compute_walk(folder, images, metres_per_unit)
     lenses = [model.cameras[image.camera_id] for image in images]
     sizes = np.array([f"{lens.width}x{lens.height}" for lens in lenses])
     part = out.with_name(out.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
     for size in np.unique(sizes):
-        own = walk.of(np.flatnonzero(sizes == size))
+        own = walk.select(np.flatnonzero(sizes == size))
         whole = len(own.images) == len(images)
-        seconds = write(folder, part if whole else part / size, "lund" if whole else f"lund_{size}", model, own)
+        seconds = write_recording(
+            folder, part if whole else part / size, "lund" if whole else f"lund_{size}", model, own
+        )
         kinds = len({image.camera_id for image in own.images})
         print(f"{out if whole else out / size}: {len(own.images)} photos, {kinds} lens(es), one every {seconds} s")
     part.rename(out)
-    print(f"{walk.metres_per_unit:.1f} m a unit of COLMAP's, {walk.said}")
+    print(f"{walk.metres_per_unit:.1f} m a unit of COLMAP's, {walk.summary}")
 
 
 if __name__ == "__main__":

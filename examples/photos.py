@@ -1,4 +1,4 @@
-"""What `train_lund.py` fits to: photos with the cameras that COLMAP found, undistorted and made smaller."""
+"""Photos and cameras for `train_lund.py`: reads a COLMAP model, undistorts and scales the photos."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Photos of one size, by name.
+    """Photos of one size, in order of their names.
 
     Attributes:
-        names: of the files.
-        pictures: (P, H, W, 3) in 0..1.
+        names: file names.
+        images: (P, H, W, 3) in 0..1.
         viewmats: (P, 4, 4) camera from world.
-        Ks: (P, 3, 3) pixels.
-        points: (N, 3) that COLMAP triangulated.
-        colors: (N, 3) of the points, in 0..1.
-        extent: the largest distance of a camera from their middle.
+        Ks: (P, 3, 3) intrinsics, pixels.
+        points: (N, 3) triangulated by COLMAP.
+        colors: (N, 3) colours of the points, in 0..1.
+        extent: largest distance of a camera from the mean position.
     """
 
     names: list[str]
-    pictures: Tensor
+    images: Tensor
     viewmats: Tensor
     Ks: Tensor
     points: Tensor
@@ -46,32 +46,32 @@ class Photos:
 
     @property
     def width(self) -> int:
-        """Pixels."""
-        return self.pictures.shape[2]
+        """Width, pixels."""
+        return self.images.shape[2]
 
     @property
     def height(self) -> int:
-        """Pixels."""
-        return self.pictures.shape[1]
+        """Height, pixels."""
+        return self.images.shape[1]
 
     @property
     def test(self) -> list[int]:
-        """Every eighth photo: held out."""
+        """Indices of the held-out photos: every eighth."""
         return list(range(7, len(self.names), 8))
 
     @property
     def train(self) -> list[int]:
-        """All others."""
+        """Indices of the training photos."""
         return [index for index in range(len(self.names)) if index not in self.test]
 
 
 class Progress:
-    """Prints a table of PSNR by step, and keeps pictures of the photos held out.
+    """Prints a table of PSNR by step, and saves renders of the held-out photos.
 
     Args:
-        photos: of which some are held out.
-        render: picture (H, W, 3), and more, of a photo's index.
-        out: folder of the pictures and ``curve.csv``.
+        photos: the photos.
+        render: renders the image (H, W, 3) of a photo's index; it may return more values.
+        out: folder of the renders and ``curve.csv``.
     """
 
     def __init__(self, photos: Photos, render: Callable[[int], tuple[Tensor, Any]], out: Path) -> None:
@@ -81,24 +81,24 @@ class Progress:
         self._print("step,seconds,gaussians,train_psnr_db,test_psnr_db", "w")
 
     def report(self, step: int, gaussians: int) -> None:
-        """Add a line: the means over the photos that are trained on, and over those that are not."""
+        """Print the mean PSNR over the training photos and over the held-out photos."""
         seconds = time.perf_counter() - self._begin
         train, test = (sum(map(self._psnr, some)) / len(some) for some in (self._photos.train, self._photos.test))
         self._print(f"{step},{seconds:.0f},{gaussians},{train:.2f},{test:.2f}", "a")
 
     def save(self) -> None:
-        """Write the pictures of the photos held out, and say how good each is."""
+        """Save the renders of the held-out photos, and print their PSNR."""
         for index in self._photos.test:
-            picture = (self._picture(index) * 255).round().byte().numpy()
-            cv2.imwrite(str(self._out / self._photos.names[index]), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            image = (self._render_image(index) * 255).round().byte().numpy()
+            cv2.imwrite(str(self._out / self._photos.names[index]), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
             print(f"{self._photos.names[index]}: {self._psnr(index):.2f} dB")
 
     def _psnr(self, index: int) -> float:
-        wrong = (self._picture(index) - self._photos.pictures[index]).square().mean()
-        return float(-10.0 * torch.log10(wrong))
+        error = (self._render_image(index) - self._photos.images[index]).square().mean()
+        return float(-10.0 * torch.log10(error))
 
     @torch.no_grad()
-    def _picture(self, index: int) -> Tensor:
+    def _render_image(self, index: int) -> Tensor:
         return self._render(index)[0].clamp(0.0, 1.0)
 
     def _print(self, line: str, mode: str) -> None:
@@ -108,7 +108,7 @@ class Progress:
 
 
 def load(folder: Path, width: int) -> Photos:
-    """Read ``images/`` and ``colmap/`` of a folder; photos become `width` pixels wide and free of distortion."""
+    """Read ``images/`` and ``colmap/`` of a folder; undistort the photos and scale them to `width` pixels."""
     model = pycolmap.Reconstruction(str(folder / "colmap"))
     images = sorted(model.images.values(), key=lambda image: image.name)
     kinds = {
@@ -121,20 +121,20 @@ def load(folder: Path, width: int) -> Photos:
             expected="SIMPLE_RADIAL cameras of one size",
             remedy="let COLMAP fit that model to photos of one size, or undistort them",
         )
-    pictures, viewmats, cameras = [], [], []
+    pixels, viewmats, cameras = [], [], []
     for image in images:
         lens = model.cameras[image.camera_id]
         photo = cv2.imread(str(folder / "images" / image.name))
-        straight = cv2.undistort(photo, lens.calibration_matrix(), np.array([lens.params[3], 0.0, 0.0, 0.0]))
+        undistorted = cv2.undistort(photo, lens.calibration_matrix(), np.array([lens.params[3], 0.0, 0.0, 0.0]))
         size = (width, round(width * lens.height / lens.width))
-        pictures.append(cv2.cvtColor(cv2.resize(straight, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB))
+        pixels.append(cv2.cvtColor(cv2.resize(undistorted, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB))
         viewmats.append(np.vstack([image.cam_from_world().matrix(), [0.0, 0.0, 0.0, 1.0]]))
         cameras.append(np.diag([size[0] / lens.width, size[1] / lens.height, 1.0]) @ lens.calibration_matrix())
     centres = np.stack([image.projection_center() for image in images])
     points = model.points3D.values()
     return Photos(
         [image.name for image in images],
-        torch.from_numpy(np.stack(pictures)).float() / 255.0,
+        torch.from_numpy(np.stack(pixels)).float() / 255.0,
         torch.from_numpy(np.stack(viewmats)).float(),
         torch.from_numpy(np.stack(cameras)).float(),
         torch.from_numpy(np.stack([point.xyz for point in points])).float(),
@@ -144,9 +144,9 @@ def load(folder: Path, width: int) -> Photos:
 
 
 def start(photos: Photos, steps: int) -> tuple[dict[str, Parameter], dict[str, Adam], ExponentialLR]:
-    """Gaussians at the points, as large as the distance to the three nearest, and 3DGS's optimizers."""
-    near = torch.cdist(photos.points, photos.points).topk(4, largest=False).values[:, 1:]
-    size = near.square().mean(dim=1).sqrt().clamp_min(1e-4).log()
+    """Make Gaussians at the points, as large as the distance to the three nearest points, and 3DGS's optimizers."""
+    nearest = torch.cdist(photos.points, photos.points).topk(4, largest=False).values[:, 1:]
+    size = nearest.square().mean(dim=1).sqrt().clamp_min(1e-4).log()
     count = len(photos.points)
     values = {
         "means": (photos.points, 1.6e-4 * photos.extent),
@@ -161,14 +161,14 @@ def start(photos: Photos, steps: int) -> tuple[dict[str, Parameter], dict[str, A
     return splats, optimizers, ExponentialLR(optimizers["means"], 0.01 ** (1 / steps))
 
 
-def difference(one: Tensor, other: Tensor) -> Tensor:
-    """3DGS's loss of two pictures (H, W, 3): 0.8 times the mean difference, 0.2 times one less their SSIM."""
+def compute_loss(first: Tensor, second: Tensor) -> Tensor:
+    """Compute 3DGS's loss of two images (H, W, 3): 0.8 L1 + 0.2 (1 - SSIM)."""
     window = torch.softmax(-(torch.arange(11) - 5.0).square() / (2 * 1.5**2), dim=0)
-    maps = torch.cat([one, other, one * one, other * other, one * other], dim=-1)  # (H, W, 15)
+    maps = torch.cat([first, second, first * first, second * second, first * second], dim=-1)  # (H, W, 15)
     maps = maps.permute(2, 0, 1)[None]  # a view: torch is fast with channels last, and slow without
     for shape in ((1, 1, 1, 11), (1, 1, 11, 1)):
         maps = conv2d(maps, window.view(shape).repeat(15, 1, 1, 1), groups=15)
     ma, mb, aa, bb, ab = maps[0].split(3)
     ssim = (2 * ma * mb + 1e-4) * (2 * (ab - ma * mb) + 9e-4)
     ssim = ssim / ((ma * ma + mb * mb + 1e-4) * (aa - ma * ma + bb - mb * mb + 9e-4))
-    return 0.8 * (one - other).abs().mean() + 0.2 * (1 - ssim.mean())
+    return 0.8 * (first - second).abs().mean() + 0.2 * (1 - ssim.mean())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 from gsplat import DefaultStrategy
-from photos import Progress, difference, load, start
+from photos import Progress, compute_loss, load, start
 
 from hybridworldsim.rasterizer import rasterization  # the line that a gsplat user changes
 
@@ -14,24 +14,24 @@ steps, photos = 3000, load(Path(sys.argv[1]), width=512)
 splats, optimizers, decay = start(photos, steps)
 strategy = DefaultStrategy(refine_start_iter=200, refine_stop_iter=1000)
 strategy.check_sanity(splats, optimizers)
-state = strategy.initialize_state(scene_scale=0.1 * photos.extent)  # a street is longer than what stands in it
+state = strategy.initialize_state(scene_scale=0.1 * photos.extent)  # a street is longer than its objects
 
 
 def render(index: int, degree: int = 3) -> tuple[torch.Tensor, dict]:
-    """Picture (height, width, 3) of a photo's camera, and what the strategy reads."""
-    pictures, _, meta = rasterization(
+    """Render the image (height, width, 3) of a photo's camera; also return the meta for the strategy."""
+    images, _, meta = rasterization(
         splats["means"], splats["quats"], splats["scales"].exp(), splats["opacities"].sigmoid(),
         torch.cat([splats["sh0"], splats["shN"]], 1), photos.viewmats[[index]], photos.Ks[[index]],
         photos.width, photos.height, sh_degree=degree, near_plane=0.2, packed=False)  # fmt: skip
-    return pictures[0], meta
+    return images[0], meta
 
 
 progress = Progress(photos, render, Path(sys.argv[2]))
 for step in range(steps + 1):
     index = photos.train[int(torch.randint(len(photos.train), ()))]
-    picture, meta = render(index, min(4 * step // steps, 3))
+    image, meta = render(index, min(4 * step // steps, 3))
     strategy.step_pre_backward(splats, optimizers, state, step, meta)
-    difference(picture, photos.pictures[index]).backward()
+    compute_loss(image, photos.images[index]).backward()
     for optimizer in optimizers.values():
         optimizer.step()
         optimizer.zero_grad()

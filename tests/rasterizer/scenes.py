@@ -23,7 +23,7 @@ def cameras(count: int = 1, width: int = WIDTH, height: int = HEIGHT) -> dict[st
 
 
 def gaussians(count: int = 40, seed: int = 0, channels: int = 3) -> dict[str, Tensor]:
-    """Gaussians of all shapes; some are beside the picture or behind the camera."""
+    """Gaussians of all shapes; some are beside the image or behind the camera."""
     random = torch.Generator().manual_seed(seed)
     means = torch.randn(count, 3, generator=random) * torch.tensor([2.0, 1.0, 2.0]) + torch.tensor([0.0, 0.0, 4.0])
     return {
@@ -56,6 +56,6 @@ def with_gradients(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
     return arguments | {name: arguments[name].detach().clone().requires_grad_() for name in names}
 
 
-def merged(*parts: dict[str, Tensor]) -> dict[str, Tensor]:
+def concatenate(*parts: dict[str, Tensor]) -> dict[str, Tensor]:
     """Gaussians one after the other."""
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}

@@ -47,7 +47,7 @@ def project_small(
     return project(means, quats, scales, opacities, camera, intrinsics, *size, **{**defaults, **options})
 
 
-def picture(
+def render_image(
     scene: dict[str, Tensor], features: Tensor, *, preset: Preset = PRESET, tile_size: int = 16, **options: Any
 ) -> tuple[Tensor, Tensor, ProjectedGaussians]:
     """Image, alpha and what was projected."""

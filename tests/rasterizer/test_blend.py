@@ -1,4 +1,4 @@
-"""Blending on the CPU, against the reference in float64: pictures, gradients, threads, what breaks others."""
+"""Blending on the CPU, against the reference in float64: images, gradients, threads, what breaks others."""
 
 import sys
 
@@ -76,7 +76,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_pictures_and_gradients_are_the_reference_s(case):
+def test_images_and_gradients_are_the_reference_s(case):
     arguments = CASES[case]
     seen, opacities, (true, gradients), (ours, found) = both(**arguments)
     marks = find_rounding_marks(
@@ -90,7 +90,7 @@ def test_pictures_and_gradients_are_the_reference_s(case):
             assert (mine - wanted).norm() <= (1e-3 if case == "needles" else 2e-5) * wanted.norm()
 
 
-def test_slices_of_depth_do_not_change_a_picture(monkeypatch):
+def test_slices_of_depth_do_not_change_an_image(monkeypatch):
     seen, opacities = projected(3000, 90, 60, size=0.2)
     features = torch.rand(len(opacities), 3)
     weights = torch.randn(60, 90, 3), torch.randn(60, 90)
@@ -130,7 +130,7 @@ def test_what_is_hidden_is_neither_paired_nor_looked_at():
     assert counts["pairs"] < 0.6 * len(opacities) * 12
 
 
-def test_a_picture_or_an_alpha_that_no_loss_reads_has_no_part_in_the_gradients():
+def test_an_image_or_an_alpha_that_no_loss_reads_has_no_part_in_the_gradients():
     seen, opacities = projected(50, 40, 24)
     features = torch.rand(len(opacities), 3, dtype=torch.float64)
     for pick in (0, 1):
@@ -178,7 +178,7 @@ def test_a_pixel_is_blended_to_the_cap_and_no_gradient_passes_there():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_nothing_to_see_is_an_empty_picture(count):
+def test_nothing_to_see_is_an_empty_image(count):
     seen, opacities = projected(count, 30, 20, size=1e-9)
     opacities = opacities * 0.0
     features = torch.ones(len(opacities), 3)

@@ -18,7 +18,7 @@ from tests.rasterizer.scenes import scene
 @pytest.fixture
 def gsplat(monkeypatch):
     """A gsplat that says what it was called with; on the CPU, where none is needed to be."""
-    fake = SimpleNamespace(__version__="1.5.3", rasterization=lambda **told: ("pictures", "alphas", told))
+    fake = SimpleNamespace(__version__="1.5.3", rasterization=lambda **received: ("images", "alphas", received))
     monkeypatch.setitem(sys.modules, "gsplat", fake)
     # the package has a function of this module's name
     module = sys.modules["hybridworldsim.rasterizer.rasterization"]
@@ -39,22 +39,22 @@ def test_the_backend_is_where_the_tensors_are():
 
 def test_gsplat_is_called_with_what_it_was_given(gsplat):
     arguments = scene(views=2) | {"radius_clip": 2.0, "render_mode": "RGB+ED", "packed": False, "absgrad": True}
-    images, alphas, told = rasterization(**arguments, backend="cuda")
-    assert (images, alphas) == ("pictures", "alphas")
-    assert all(told[name] is value for name, value in arguments.items())
+    images, alphas, received = rasterization(**arguments, backend="cuda")
+    assert (images, alphas) == ("images", "alphas")
+    assert all(received[name] is value for name, value in arguments.items())
     # arguments that older releases lack are not passed as long as they say nothing
-    assert not {"camera_model", "segmented", "with_ut", "radial_coeffs", "covars", "backend", "preset"} & set(told)
+    assert not {"camera_model", "segmented", "with_ut", "radial_coeffs", "covars", "backend", "preset"} & set(received)
 
 
 def test_depth_alone_has_colours_to_pass(gsplat):
-    _, _, told = rasterization(**scene() | {"colors": None, "render_mode": "D"}, backend="cuda")
-    assert told["colors"].shape == (40, 1)
+    _, _, received = rasterization(**scene() | {"colors": None, "render_mode": "D"}, backend="cuda")
+    assert received["colors"].shape == (40, 1)
 
 
 def test_lenses_reach_gsplat(gsplat):
     lens = {"radial_coeffs": torch.zeros(1, 4), "with_ut": True, "camera_model": "fisheye", "packed": False}
-    _, _, told = rasterization(**scene(), **lens, backend="cuda")
-    assert all(told[name] is value for name, value in lens.items())
+    _, _, received = rasterization(**scene(), **lens, backend="cuda")
+    assert all(received[name] is value for name, value in lens.items())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A picture that gsplat rendered on CUDA (brush's `tiny_case`: four Gaussians, SH 3)."""
+"""An image that gsplat rendered on CUDA (brush's `tiny_case`: four Gaussians, SH 3)."""
 
 import json
 from pathlib import Path
@@ -44,8 +44,8 @@ def test_the_golden_case_is_rendered(real_data, preset, backend):
         near_plane=0.01, far_plane=1e12, radius_clip=0.0, preset=preset, antialiased=False, lens=None,
     )  # fmt: skip
     colours = (backend.spherical_harmonics(3, case["means"] - position, case["coeffs"]) + 0.5).clamp(min=0.0)
-    picture = backend.blend(
+    image = backend.blend(
         seen, colours[seen.ids], opacities[seen.ids], width, height, preset=preset, tile_size=16, absgrad=False
     )
-    ours = torch.cat([picture.image, picture.alpha[..., None]], dim=-1)
+    ours = torch.cat([image.image, image.alpha[..., None]], dim=-1)
     assert (ours - case["out_img"]).abs().max() <= 2e-6

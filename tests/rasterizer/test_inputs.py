@@ -189,10 +189,10 @@ def test_what_gsplat_has_and_we_have_not_is_never_ignored(name, value):
 
 def test_arguments_of_gsplat_that_change_no_result_change_none():
     plain, _, _ = rasterization(**scene(), backend="reference")
-    told, _, _ = rasterization(
+    received, _, _ = rasterization(
         **scene(), backend="reference", channel_chunk=1, segmented=True, rolling_shutter=_Shutter.GLOBAL
     )
-    assert torch.equal(plain, told)
+    assert torch.equal(plain, received)
 
 
 def test_colours_are_needed_unless_depth_alone_is_asked_for():

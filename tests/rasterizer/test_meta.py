@@ -118,7 +118,7 @@ def test_a_camera_that_the_loss_leaves_out_has_no_absolute_gradient(backend):
 
 
 @both_backends
-def test_gradients_of_means2d_are_those_of_a_shift_of_the_picture(backend):
+def test_gradients_of_means2d_are_those_of_a_shift_of_the_image(backend):
     # moving all means by one pixel moves the principal point
     arguments = with_gradients(scene(), "means")
     image, _, meta = rasterization(**arguments, backend=backend)

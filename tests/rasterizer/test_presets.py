@@ -7,7 +7,7 @@ import torch
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, get_preset
 from mirror.errors import UsageError
-from tests.rasterizer.small import picture, project_small
+from tests.rasterizer.small import project_small, render_image
 
 OLD, MIDDLE, NEW = (PRESETS[name] for name in ("gsplat-1.3", "gsplat-1.5", "gsplat-1.6"))
 SIZE = 64
@@ -25,7 +25,7 @@ def _one(scale: float, opacity: float, z: float = 4.0) -> dict[str, torch.Tensor
 
 def _alpha(scene, preset, **options):
     features = torch.ones(1, 1, dtype=torch.float64)
-    return picture(scene, features, preset=preset, K=K, width=SIZE, height=SIZE, **options)[1]
+    return render_image(scene, features, preset=preset, K=K, width=SIZE, height=SIZE, **options)[1]
 
 
 def test_preset_of_an_unknown_name_names_those_there_are():

@@ -19,8 +19,8 @@ from tests.rasterizer.scenes import (
     WIDTH,
     both_backends,
     cameras,
+    concatenate,
     gaussians,
-    merged,
     one,
     scene,
     with_gradients,
@@ -60,7 +60,7 @@ def test_the_nearer_of_two_is_in_front_whichever_comes_first(backend):
     first, second = _alpha(2.0, 0.2, 0.5), _alpha(4.0, 0.5, 0.75)
     expected = first + (1.0 - first) * second * 0.5
     for order in ((near, far), (far, near)):
-        image, alpha, _ = rasterization(**_double(merged(*order) | cameras()), backend=backend)
+        image, alpha, _ = rasterization(**_double(concatenate(*order) | cameras()), backend=backend)
         torch.testing.assert_close(image[0, ..., 0].double(), expected, rtol=0, atol=3e-6)
         torch.testing.assert_close(alpha[0, ..., 0].double(), 1 - (1 - first) * (1 - second), rtol=0, atol=3e-6)
 

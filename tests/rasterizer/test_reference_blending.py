@@ -7,7 +7,7 @@ import torch
 
 from hybridworldsim.rasterizer.presets import ALPHA_MIN, PRESETS, TRANSMITTANCE_STOP
 from hybridworldsim.rasterizer.reference import blend
-from tests.rasterizer.small import HEIGHT, PRESET, WIDTH, gaussians, picture, project_small
+from tests.rasterizer.small import HEIGHT, PRESET, WIDTH, gaussians, project_small, render_image
 
 
 def _blend(seen, features, opacities, width=WIDTH, height=HEIGHT, absgrad=False, preset=PRESET, tile_size=16):
@@ -85,7 +85,7 @@ def test_the_whole_path_passes_gradcheck():
     names = list(scene)
 
     def outputs(features, *parts):
-        image, alpha, _ = picture(dict(zip(names, parts)), features, antialiased=True)
+        image, alpha, _ = render_image(dict(zip(names, parts)), features, antialiased=True)
         return image.sum((0, 1)), alpha.sum()
 
     features = torch.rand(3, 2, generator=torch.Generator().manual_seed(14), dtype=torch.float64)
@@ -107,18 +107,18 @@ def test_absolute_gradients_are_the_sum_over_pixels_of_each_pixels():
         assert torch.allclose(seen.means2d.absgrad, expected, rtol=1e-12)
 
 
-def test_an_empty_picture_still_has_a_gradient():
+def test_an_empty_image_still_has_a_gradient():
     scene = {name: value.requires_grad_() for name, value in gaussians(0).items()}
     features = torch.zeros(0, 3, dtype=torch.float64, requires_grad=True)
-    image, alpha, _ = picture(scene, features)
+    image, alpha, _ = render_image(scene, features)
     assert image.shape == (HEIGHT, WIDTH, 3)
     (image.sum() + alpha.sum()).backward()
     assert features.grad.shape == (0, 3)
     assert scene["means"].grad.shape == (0, 3)
 
 
-def test_a_picture_of_one_pixel():
-    image, alpha, _ = picture(gaussians(4, seed=16), torch.ones(4, 3, dtype=torch.float64), width=1, height=1)
+def test_an_image_of_one_pixel():
+    image, alpha, _ = render_image(gaussians(4, seed=16), torch.ones(4, 3, dtype=torch.float64), width=1, height=1)
     assert image.shape == (1, 1, 3)
     assert torch.allclose(image[0, 0], alpha[0, 0].expand(3))
 
@@ -127,7 +127,7 @@ def test_equal_depths_blend_by_index():
     scene = gaussians(2, seed=17)
     scene["means"] = torch.tensor([[0.0, 0.0, 3.0], [0.0, 0.0, 3.0 + 1e-9]], dtype=torch.float64).flip(0)
     features = torch.eye(2, dtype=torch.float64)
-    image, _, _ = picture(scene, features)
+    image, _, _ = render_image(scene, features)
     seen = project_small(**scene)
     expected, _ = _scalar(seen, features, scene["opacities"], WIDTH, HEIGHT, PRESET.alpha_max)
     assert torch.allclose(image, expected, rtol=0, atol=1e-14)
@@ -137,7 +137,7 @@ def test_equal_depths_blend_by_index():
 def test_a_thousand_opaque_splats_on_one_pixel_end_it():
     scene = {name: value[:1].expand(1000, *value.shape[1:]).clone() for name, value in gaussians(1).items()}
     scene["opacities"] = torch.ones(1000, dtype=torch.float64, requires_grad=True)
-    image, alpha, _ = picture(scene, torch.ones(1000, 1, dtype=torch.float64))
+    image, alpha, _ = render_image(scene, torch.ones(1000, 1, dtype=torch.float64))
     assert alpha.max() < 1.0 - TRANSMITTANCE_STOP
     image.sum().backward()
     assert scene["opacities"].grad.isfinite().all()

@@ -5,7 +5,7 @@ import torch
 
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.presets import PRESETS
-from tests.rasterizer.small import WIDTH, K, gaussians, picture, project_small
+from tests.rasterizer.small import WIDTH, K, gaussians, project_small, render_image
 
 FISHEYE = Lens(model="fisheye", radial_coeffs=(0.05, -0.01, 0.002, -0.0005))
 BROWN = Lens(
@@ -120,7 +120,7 @@ def _degenerate_cases():
 
 @pytest.mark.parametrize("lens", [None, FISHEYE, BROWN], ids=["pinhole", "fisheye", "brown_conrady"])
 @pytest.mark.parametrize("change", [pytest.param(change, id=name) for name, change in _degenerate_cases()])
-def test_no_input_makes_the_picture_or_a_gradient_nan(change, lens):
+def test_no_input_makes_the_image_or_a_gradient_nan(change, lens):
     for preset in PRESETS.values():
         for antialiased in (False, True) if lens is None else (False,):
             scene = gaussians(3, seed=6)
@@ -129,7 +129,7 @@ def test_no_input_makes_the_picture_or_a_gradient_nan(change, lens):
             scene = {field: value.requires_grad_() for field, value in scene.items()}
             features = torch.ones(3, 2, dtype=torch.float64, requires_grad=True)
             viewmat = torch.eye(4, dtype=torch.float64, requires_grad=True)
-            image, alpha, _ = picture(
+            image, alpha, _ = render_image(
                 scene, features, preset=preset, antialiased=antialiased, near_plane=0.0, lens=lens,
                 viewmat=viewmat,
             )  # fmt: skip
@@ -151,7 +151,7 @@ def test_a_million_metres_away_from_the_origin_is_the_same_in_float64():
     assert torch.allclose(near.means2d, away.means2d, rtol=0, atol=1e-7)
 
 
-def test_the_slope_is_held_beside_the_picture():
+def test_the_slope_is_held_beside_the_image():
     """The limits are gsplat's: 0.3 of half the field of view beyond each border, by the principal point."""
     beyond = float((WIDTH - K[0, 2]) / K[0, 0] + 0.3 * 0.5 * WIDTH / K[0, 0])
     scene = gaussians(1)

@@ -31,14 +31,14 @@ def test_unmarked_pixels_stay_where_they_are_when_inputs_are_rounded():
     assert (jump[~marked] == 0.0).all()
     assert (jump[marked] > 0.0).all()
 
-    def image(opacities):
-        picture = blend(seen, features, opacities, WIDTH, HEIGHT, preset=PRESET, tile_size=16, absgrad=False)
-        return torch.cat([picture.image, picture.alpha[..., None]], dim=-1)
+    def render_image(opacities):
+        image = blend(seen, features, opacities, WIDTH, HEIGHT, preset=PRESET, tile_size=16, absgrad=False)
+        return torch.cat([image.image, image.alpha[..., None]], dim=-1)
 
-    exact, flipped = image(opacities), False
+    exact, flipped = render_image(opacities), False
     rounding = 1e-5
     for sign in (-1.0, 1.0):
-        change = (image(opacities * (1.0 + sign * rounding)) - exact).abs().amax(-1)
+        change = (render_image(opacities * (1.0 + sign * rounding)) - exact).abs().amax(-1)
         assert change[~marked].max() < 5 * rounding
         assert (change <= jump + 5 * rounding).all()
         flipped |= bool(change.max() > 1e-4)

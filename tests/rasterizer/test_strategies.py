@@ -18,8 +18,8 @@ def _target():
         return rasterization(**drawn)[0]
 
 
-def _fit(strategy, state, steps, *, absgrad=False, views=slice(None), **told):
-    """Fit few Gaussians to a picture of more; the losses, and how many there were."""
+def _fit(strategy, state, steps, *, absgrad=False, views=slice(None), **received):
+    """Fit few Gaussians to an image of more; the losses, and how many there were."""
     drawn = gaussians(15, seed=9)
     rates = {"means": 0.02, "quats": 0.02, "scales": 0.02, "opacities": 0.05, "colors": 0.05}
     drawn["scales"], drawn["opacities"] = drawn["scales"].log(), torch.logit(drawn["opacities"].clamp(0.1, 0.9))
@@ -38,13 +38,13 @@ def _fit(strategy, state, steps, *, absgrad=False, views=slice(None), **told):
             params["colors"],
             **camera,
             absgrad=absgrad,
-            packed=told.get("packed", True),
+            packed=received.get("packed", True),
         )
         loss = (image - target).abs().mean()
         if hasattr(strategy, "step_pre_backward"):
             strategy.step_pre_backward(params, optimizers, state, step, meta)
         loss.backward()
-        strategy.step_post_backward(params, optimizers, state, step, meta, **told)
+        strategy.step_post_backward(params, optimizers, state, step, meta, **received)
         for optimizer in optimizers.values():
             optimizer.step()
             optimizer.zero_grad()

@@ -109,9 +109,6 @@ ALLOWED = (
     (f"{_FLOORS}/mean_color/submission.py", "pictures"),  # the text of a submission's manifest
     (f"{_FLOORS}/nearest_frame/submission.py", "picture"),
     (f"{_FLOORS}/nearest_frame/submission.py", "pictures"),
-    ("mean_color/submission.py", "pictures"),  # the text of a submission's manifest
-    ("nearest_frame/submission.py", "picture"),
-    ("nearest_frame/submission.py", "pictures"),
     ("benchmarks/studies/static_reconstruction/README.md", "rivals"),  # a row of published records
     ("benchmarks/studies/static_reconstruction/choices.py", "rivals"),
     ("benchmarks/studies/static_reconstruction/declaration.py", "pictures"),  # a key of the hashed declaration

@@ -94,18 +94,6 @@ ALLOWED = (
     ("baselines/hybridworldsim/methods/static.py", "pictures"),  # a key of run.json and of mirror reconstruct --json
     ("baselines/hybridworldsim/model/visibility_cache.py", "pictures"),  # a key of checkpoints
     ("baselines/hybridworldsim/training/run/folder.py", "pictures"),  # a key of run.json and a folder of a run
-    (
-        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mean_color/submission.py",
-        "pictures",
-    ),  # the text of a submission's manifest
-    (
-        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py",
-        "picture",
-    ),
-    (
-        "baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/mirror_baselines/nearest_frame/submission.py",
-        "pictures",
-    ),
     (f"{_FLOORS}/mean_color/submission.py", "pictures"),  # the text of a submission's manifest
     (f"{_FLOORS}/nearest_frame/submission.py", "picture"),
     (f"{_FLOORS}/nearest_frame/submission.py", "pictures"),

@@ -1,4 +1,4 @@
-"""A dataset as the rules see it: everything that can be read, and why the rest could not."""
+"""A dataset for the rules: everything that can be read, and the errors of unreadable files."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class DatasetView:
 
     @cached_property
     def index_inputs(self) -> Inputs | None:
-        """What an index would be derived from; None: not whole, for which other rules look."""
+        """The inputs of an index; None: a file is missing or broken, which other rules report."""
         try:
             return read_inputs(self.store)
         except MirrorError:
@@ -184,7 +184,7 @@ class DatasetView:
 
     @cached_property
     def candidates(self) -> Candidates:
-        """The traversals as splits see them."""
+        """The traversals as candidates of splits."""
         found = {
             key: Candidate(
                 traversal_id=key,
@@ -204,7 +204,7 @@ class DatasetView:
 
     @cached_property
     def ties(self) -> Sequence[Tie]:
-        """What ties traversals together, scenes included."""
+        """Ties between traversals, including those of scenes."""
         return find_ties(self.candidates, by_scene=True)
 
     def folders(self, name: str) -> list[Path]:
@@ -219,7 +219,7 @@ class DatasetView:
         return [layer for kind in kinds for layer in self.folders(self.name(kind))]
 
     def folders_with_manifest(self) -> Iterator[Path]:
-        """Folders that have a manifest when they are complete, but for the index."""
+        """Folders that have a manifest when they are complete, except the index."""
         yield from self.folders("drives")
         for folder in self.folders("traversals"):
             yield folder / "recorded"
@@ -252,7 +252,7 @@ class DatasetView:
         except SchemaError as error:
             self.problems[self.name(path)] = error
         except DatasetError:
-            # A missing file is what the manifest's rules look for.
+            # The rules of manifests report missing files.
             pass
         return None
 

@@ -1,4 +1,4 @@
-"""What a rule finds, how much that matters and what finding it costs."""
+"""Findings of rules, their severity, and the cost of a rule."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import IntEnum, StrEnum
 
 
 class Severity(StrEnum):
-    """How much a finding matters: an error makes the dataset wrong, a warning doubtful; an info is worth knowing."""
+    """Severity of a finding: with an error the dataset is wrong, with a warning doubtful; an info is only a note."""
 
     ERROR = "error"
     WARNING = "warning"

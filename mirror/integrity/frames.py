@@ -1,4 +1,4 @@
-"""Which images of a scene make up frames."""
+"""The assignment of a scene's images to frames."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mirror.integrity.rows import Rows
 
 @dataclass(frozen=True)
 class Frames:
-    """Columns over the recorded images, and over the traversals.
+    """Columns of the N recorded images and of the traversals.
 
     Attributes:
-        is_reference: (N,) taken by the rig's reference camera.
-        framed: (N,) belongs to a frame that has an image of the reference camera.
-        reference_ns: (N,) stamp of that image; 0 where there is none.
+        is_reference: (N,) True for images of the rig's reference camera.
+        framed: (N,) True for images in a frame with an image of the reference camera.
+        reference_ns: (N,) timestamp of that image; 0 where there is none.
         has_reference: (traversals,) True where the reference camera has images.
-        period_s: (traversals,) its period; infinite where it has fewer than two images.
+        period_s: (traversals,) period of the reference camera; infinite with fewer than two images.
     """
 
     is_reference: Bool
@@ -31,11 +31,11 @@ class Frames:
 
 
 def assign_frames(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
-    """The frames of recorded images, as their table has them.
+    """Assign recorded images to frames by the column ``frame_index``.
 
     Args:
-        images: one file a traversal.
-        reference_cameras: of each traversal's rig.
+        images: images of the scene, one file for each traversal.
+        reference_cameras: reference camera of each traversal's rig; None: no rig.
     """
     codes, words = images.words("camera")
     position = {word: code for code, word in enumerate(words)}

@@ -1,4 +1,4 @@
-"""The files behind images: their sizes and ends, and what is in them; each file is opened once for all rules."""
+"""The files of images: sizes, end markers and contents. Each file is opened once for all rules."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """What the file system says.
+    """Sizes and end markers of the files of N images.
 
     Attributes:
-        size: (N,) bytes of the image's file; `MISSING`, or `LEAVES_DATASET`: its uri leads out of the dataset.
-        ended: (N,) True if a still's bytes end as its codec asks; True for videos and where that cannot be seen.
+        size: (N,) size of the file in bytes; `MISSING`; or `LEAVES_DATASET`: its uri leads out of the dataset.
+        ended: (N,) True if a JPEG or PNG has its end marker; True for videos and unreadable files.
     """
 
     size: Int64
@@ -43,14 +43,14 @@ class ImageFiles:
 
 @dataclass(frozen=True)
 class ImageContents:
-    """What is in the files; where a file is missing or short, everything is as it should be: other rules see that.
+    """Contents of the files of N images. Missing and short files count as correct: other rules report them.
 
     Attributes:
-        same_bytes: (N,) False if the bytes have another SHA-256 than the table says.
+        same_bytes: (N,) False if the SHA-256 of the bytes differs from the one in the table.
         decodes: (N,) False if the image cannot be decoded.
-        width_px: (N,) of the decoded image; 0 where it was not decoded.
-        height_px: (N,) of the decoded image.
-        spread: (N,) difference of its brightest and darkest value in 256; 255 where it was not decoded.
+        width_px: (N,) width of the decoded image; 0 where it was not decoded.
+        height_px: (N,) height of the decoded image.
+        spread: (N,) difference between its largest and smallest value; 255 where it was not decoded.
     """
 
     same_bytes: Bool
@@ -61,7 +61,7 @@ class ImageContents:
 
 
 class ImageFileReader:
-    """Reads the files of images, several at once.
+    """Reads the files of images with several threads.
 
     Args:
         images: the images.
@@ -82,17 +82,17 @@ class ImageFileReader:
         self._lock = Lock()
 
     def files(self) -> ImageFiles:
-        """Sizes and ends of the files."""
+        """Read the sizes and end markers of the files."""
         found = self._each(self._file)
         return ImageFiles(
             np.array([size for size, _ in found], np.int64), np.array([ended for _, ended in found], np.bool_)
         )
 
     def contents(self, files: ImageFiles) -> ImageContents:
-        """Hashes, sizes and spread of the images.
+        """Decode the images and compute their hashes, sizes and spreads.
 
         Args:
-            files: what `files` answered: a file that is too short is not read.
+            files: result of `files`; a file that is too short is not read.
         """
         size = files.size.tolist()
         read = [self._whole(row, size[row]) for row in range(len(size))]
@@ -101,7 +101,7 @@ class ImageFileReader:
         return ImageContents(found[:, 0] > 0, found[:, 1] > 0, found[:, 2], found[:, 3], found[:, 4])
 
     def _each(self, read: Callable[[int], Answer]) -> list[Answer]:
-        # A task for each image would cost more than looking at its file.
+        # A task for each image would cost more than reading its file.
         chunks = [range(start, min(start + _CHUNK, len(self._uri))) for start in range(0, len(self._uri), _CHUNK)]
         with thread_pool(usable_cores()) as pool:
             return [answer for part in pool.map(lambda rows: [read(row) for row in rows], chunks) for answer in part]
@@ -139,7 +139,7 @@ class ImageFileReader:
         return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
 
     def _whole(self, row: int, size: int) -> bool:
-        """Whether a file of that size has all of an image's bytes."""
+        """Whether a file of that size holds all bytes of an image."""
         offset, length = int(self._offset[row]), int(self._length[row])
         return offset >= 0 and length > 0 and size >= offset + length
 
@@ -158,6 +158,6 @@ def leaves_dataset(uri: str) -> bool:
 
 
 def _spread(pixels: UInt8) -> int:
-    """Difference of the brightest and darkest value; every fourth row and column tell."""
+    """Difference between the largest and smallest value in every fourth row and column."""
     some = pixels[::4, ::4]
     return int(some.max()) - int(some.min())

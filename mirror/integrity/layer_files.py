@@ -1,4 +1,4 @@
-"""The files behind rows of layers, masks and depth maps alike: whether they are there, and of a recorded image."""
+"""Checks of the files of layers (masks and depth maps): existence, size, hash, and the recorded image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mirror.integrity.scene_view import SceneView
 
 
 def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
-    """Rows whose file is missing, or has another size than they say."""
+    """Find rows with a missing file, or with a file of another size."""
     length = rows.integers("byte_length")
     places = [_place(view, uri) for uri in rows.data.column("uri").to_pylist()]
     size = np.array([-1 if place is None else place.stat().st_size for place in places], np.int64)
@@ -29,7 +29,7 @@ def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
 
 
 def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
-    """Rows whose file is there with the right size, but has other bytes than they say."""
+    """Find rows with a file of the right size but another hash."""
     other = np.zeros(len(rows), np.bool_)
     length, sha256 = rows.integers("byte_length"), rows.data.column("sha256").to_pylist()
     for row, uri in enumerate(rows.data.column("uri").to_pylist()):
@@ -40,7 +40,7 @@ def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
 
 
 def rows_without_image(view: SceneView, rows: Rows) -> Iterator[Finding]:
-    """Rows of an image that was never recorded."""
+    """Find rows for an image that was never recorded."""
     images = view.images
     codes, names = images.words("camera")
     code_of = {name: code for code, name in enumerate(names)}

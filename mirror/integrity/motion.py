@@ -1,4 +1,4 @@
-"""How the vehicle moves from pose to pose, in columns over all files of poses."""
+"""Motion of the vehicle between poses, as columns over all files of poses."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _UNIT_TOLERANCE = 1e-6
 
 
 class Motion:
-    """Columns derived from poses; a value that needs what is missing or broken is NaN, and compares as false.
+    """Columns derived from N poses. A value that cannot be computed is NaN, which compares as false.
 
     Args:
-        poses: of any number of files.
+        poses: poses of any number of files.
     """
 
     def __init__(self, poses: Rows) -> None:
@@ -26,40 +26,40 @@ class Motion:
 
     @cached_property
     def position(self) -> Float64:
-        """(N, 3) in the world."""
+        """(N, 3) positions in the world frame, in metres."""
         return np.column_stack([self.poses.floats(name) for name in _POSITION])
 
     @cached_property
     def rotation(self) -> Float64:
-        """(N, 4) as stored."""
+        """(N, 4) stored quaternions."""
         return np.column_stack([self.poses.floats(name) for name in _ROTATION])
 
     @cached_property
     def unit(self) -> Bool:
-        """(N,) True where the rotation is of unit length, to a millionth."""
+        """(N,) True where the quaternion has unit length, to 1e-6."""
         return np.asarray(np.abs(np.linalg.norm(self.rotation, axis=1) - 1.0) <= _UNIT_TOLERANCE)
 
     @cached_property
     def step_s(self) -> Float64:
-        """(N,) time since the pose above; NaN where there is none, or where time does not go forward."""
+        """(N,) time since the previous pose; NaN for the first pose, and where time does not increase."""
         stamps = self.poses.integers("timestamp_ns")
         seconds = np.diff(stamps, prepend=stamps[:1]) * 1e-9
         return np.where(self.poses.same_file & (seconds > 0), seconds, np.nan)
 
     @cached_property
     def step_m(self) -> Float64:
-        """(N, 3) way since the pose above."""
+        """(N, 3) displacement since the previous pose, in metres."""
         way = np.diff(self.position, axis=0, prepend=self.position[:1])
         return np.where(self.poses.same_file[:, None], way, np.nan)
 
     @cached_property
     def distance_m(self) -> Float64:
-        """(N,) horizontal distance from the pose above."""
+        """(N,) horizontal distance from the previous pose."""
         return np.asarray(np.hypot(self.step_m[:, 0], self.step_m[:, 1]))
 
     @cached_property
     def speed_mps(self) -> Float64:
-        """(N,) horizontal speed since the pose above."""
+        """(N,) horizontal speed since the previous pose."""
         return self.distance_m / self.step_s
 
     def forward(self) -> Float64:

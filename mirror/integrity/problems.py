@@ -1,4 +1,4 @@
-"""Findings of files that could not be read."""
+"""Findings for unreadable files."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from mirror.integrity.finding import Finding
 
 
 def unread(problems: Mapping[str, MirrorError], belongs: Callable[[str], bool]) -> Iterator[Finding]:
-    """A finding for each problem with a file of that kind.
+    """Yield a finding for each unreadable file of a kind.
 
     Args:
-        problems: why a file could not be read, by file.
-        belongs: which files are meant.
+        problems: error of each unreadable file, by file.
+        belongs: whether a file is of that kind.
     """
     for file, error in sorted(problems.items()):
         if belongs(file):

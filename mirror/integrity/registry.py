@@ -1,4 +1,4 @@
-"""All rules, of all groups; rules can be selected by id or group."""
+"""The registry of all rules; rules are selected by id or group."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from mirror.integrity.rule import Rule, declared
 
 @cache
 def rules() -> dict[str, Rule]:
-    """Every rule by id, in order."""
+    """All rules by id, sorted."""
     for module in walk_packages(package.__path__, f"{package.__name__}."):
         import_module(module.name)
     return declared()
 
 
 def selected(only: Iterable[str] = (), skip: Iterable[str] = (), cost: Cost = Cost.FILES) -> list[Rule]:
-    """The rules to run.
+    """Select the rules to run.
 
     Args:
-        only: ids, or the letters of groups; these run whatever they cost. Empty: all that cost no more than ``cost``.
-        skip: ids, or the letters of groups, that do not run.
-        cost: the dearest that run.
+        only: ids, or letters of groups; these run whatever they cost. Empty: all rules up to ``cost``.
+        skip: ids, or letters of groups, that do not run.
+        cost: the most expensive kind of rule that runs.
 
     Raises:
-        UsageError: there is no such rule.
+        UsageError: a rule or group does not exist.
     """
     wanted, unwanted = _named(only), _named(skip)
     chosen = [rule for rule in rules().values() if rule.rule_id in wanted or (not wanted and rule.cost <= cost)]

@@ -1,4 +1,4 @@
-"""Rows of one table over many files, as numpy columns that remember where each row stands."""
+"""Rows of one table from many files, as numpy columns with the file and position of each row."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Part = tuple[str, int, pa.Table]
 
 
 class Rows:
-    """The rows of files of one table, one file behind the other.
+    """The N rows of the files of one table, concatenated.
 
     Args:
-        table: the specification.
-        parts: the files.
+        table: specification of the table.
+        parts: the files with their rows.
 
     Attributes:
-        parts: the files.
-        files: the files' names.
-        owner: (N,) which file each row is of.
-        traversal: (N,) which traversal each row is of.
-        row: (N,) position within the file.
+        parts: the files with their rows.
+        files: names of the files.
+        owner: (N,) number of each row's file.
+        traversal: (N,) number of each row's traversal.
+        row: (N,) position in the file.
     """
 
     def __init__(self, table: Table, parts: Sequence[Part]) -> None:
@@ -51,23 +51,23 @@ class Rows:
         return len(self.owner)
 
     def floats(self, name: str) -> Float64:
-        """A column (N,), NaN where null."""
+        """A column of floats (N,), NaN where null."""
         if name not in self._floats:
             self._floats[name] = floats_or_nan(self.data.column(name))
         return self._floats[name]
 
     def integers(self, name: str) -> Int64:
-        """A column (N,), 0 where null."""
+        """A column of integers (N,), 0 where null."""
         if name not in self._integers:
             self._integers[name] = integers_or_zero(self.data.column(name)).astype(np.int64, copy=False)
         return self._integers[name]
 
     def known(self, name: str) -> Bool:
-        """Where (N,) a column is not null."""
+        """Mask (N,) of the rows in which a column is not null."""
         return is_valid(self.data.column(name))
 
     def words(self, name: str) -> tuple[Int64, list[str]]:
-        """Codes (N,) of a column of strings, -1 where null, and what they stand for, sorted."""
+        """Codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes number."""
         if name not in self._words:
             column = self.data.column(name)
             if not pa.types.is_dictionary(column.type):
@@ -91,11 +91,11 @@ class Rows:
 
     @cached_property
     def same_file(self) -> Bool:
-        """(N,) True where the row before is of the same file."""
+        """(N,) True where the previous row is in the same file."""
         return np.concatenate([[False], self.owner[1:] == self.owner[:-1]]) if len(self) else np.empty(0, np.bool_)
 
     def same_group(self, *names: str) -> Bool:
-        """(N,) True where the row before is of the same file and has the same words in some columns."""
+        """(N,) True where the previous row is in the same file and has the same strings in some columns."""
         same = self.same_file.copy()
         for name in names:
             codes = self.words(name)[0]
@@ -103,17 +103,17 @@ class Rows:
         return same
 
     def runs(self, *names: str) -> Int64:
-        """Bounds (R + 1,) of the runs of such rows."""
+        """Bounds (R + 1,) of the R runs of rows that `same_group` joins."""
         return np.append(np.flatnonzero(~self.same_group(*names)), len(self)).astype(np.int64)
 
     def slices(self) -> Iterator[tuple[str, int, slice]]:
-        """Each file, the number of its traversal, and its rows."""
+        """Yield each file, the number of its traversal, and its rows."""
         bounds = self.starts.tolist()
         for (file, number, _), start, stop in zip(self.parts, bounds[:-1], bounds[1:]):
             yield file, number, slice(start, stop)
 
     def key_columns(self) -> list[tuple[Int64, Bool]]:
-        """The columns that order the table, as integers (N,) in the same order, and where they are not null."""
+        """The sort columns of the table as integers (N,) of the same order, and masks (N,) of their values."""
         columns = []
         for name in self.table.sorted_by:
             whole = pa.types.is_integer(self.table.schema.field(name).type)
@@ -121,17 +121,17 @@ class Rows:
         return columns
 
     def place(self, row: int) -> str:
-        """The row's number and keys, for a message."""
+        """The number and keys of a row, for a message."""
         keys = [name for name in self.table.sorted_by if self.data.column(name)[row].is_valid]
         return ", ".join([f"row {self.row[row]}", *(f"{name} {self.data.column(name)[row].as_py()}" for name in keys)])
 
     def findings(self, bad: Bool, message: Callable[[int], str], *, worst: Float64 | None = None) -> Iterator[Finding]:
-        """A finding for each file with bad rows: the first of them, or the worst, and how many there are.
+        """Yield a finding for each file with bad rows. It names the first or worst of them, and their number.
 
         Args:
-            bad: (N,) the rows.
-            message: what is wrong with one of them.
-            worst: (N,) how bad they are; None: the first is named.
+            bad: (N,) mask of the bad rows.
+            message: describes the fault of a row.
+            worst: (N,) size of the fault, to name the worst row; None: the first row is named.
         """
         hits = np.flatnonzero(bad)
         owners, first, counts = np.unique(self.owner[hits], return_index=True, return_counts=True)

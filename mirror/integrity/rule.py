@@ -1,4 +1,4 @@
-"""What a rule is, what it finds, and how it is declared."""
+"""The definition and declaration of integrity rules."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ GROUPS: Final = {
     "DEP": "depth maps",
     "DS": "the dataset's documents, folders and ids",
     "FIL": "the files that manifests list",
-    "GEO": "places on the globe, and the world that hangs on them",
-    "IDX": "the index, which is derived from everything else",
+    "GEO": "geographic positions, and the world frame derived from them",
+    "IDX": "the index, which is derived from all other files",
     "IMG": "images, their rows, files and pixels",
     "LED": "the ledgers of passes, accepted and refused",
     "MSK": "masks",
     "POS": "the ego poses of a traversal, recorded and in layers",
     "PTS": "points",
-    "SPL": "splits, and what leaks through them",
+    "SPL": "splits and their leaks",
     "TAB": "every table against its schema",
-    "TIM": "stamps of images, frames and drives",
+    "TIM": "timestamps of images, frames and drives",
 }
-"""What the rules of each group look at."""
+"""Subject of the rules of each group."""
 
 Findings: TypeAlias = Iterable[Finding]
 DatasetCheck: TypeAlias = "Callable[[DatasetView], Findings]"
@@ -42,13 +42,13 @@ class Rule:
     """One integrity rule.
 
     Attributes:
-        rule_id: three letters of the group, three digits.
-        severity: how much a finding matters.
-        cost: what has to be read.
-        title: what is wrong where the rule finds something; one line.
-        remedy: what to do then.
-        of_dataset: looks at the dataset as a whole; None for a rule that looks at one scene at a time.
-        of_scene: looks at one scene at a time; None for a rule that looks at the dataset as a whole.
+        rule_id: letters of the group and three digits.
+        severity: severity of its findings.
+        cost: what the rule has to read.
+        title: the fault that the rule finds; one line.
+        remedy: how to correct the fault.
+        of_dataset: checks the complete dataset; None for a rule that checks one scene at a time.
+        of_scene: checks one scene; None for a rule that checks the complete dataset.
     """
 
     rule_id: str
@@ -61,7 +61,7 @@ class Rule:
 
     @property
     def group(self) -> str:
-        """The letters of its id."""
+        """The letters of the id."""
         return self.rule_id.rstrip("0123456789")
 
 
@@ -71,7 +71,7 @@ _declared: dict[str, Rule] = {}
 def dataset_rule(
     rule_id: str, severity: Severity, *, title: str, remedy: str, cost: Cost = Cost.TABLES
 ) -> Callable[[DatasetCheck], DatasetCheck]:
-    """Declare a function as a rule over the dataset."""
+    """Declare a function as a rule that checks the complete dataset."""
 
     def declare(check: DatasetCheck) -> DatasetCheck:
         _declare(Rule(rule_id, severity, cost, title, remedy, of_dataset=check))
@@ -83,7 +83,7 @@ def dataset_rule(
 def scene_rule(
     rule_id: str, severity: Severity, *, title: str, remedy: str, cost: Cost = Cost.TABLES
 ) -> Callable[[SceneCheck], SceneCheck]:
-    """Declare a function as a rule over one scene."""
+    """Declare a function as a rule that checks one scene."""
 
     def declare(check: SceneCheck) -> SceneCheck:
         _declare(Rule(rule_id, severity, cost, title, remedy, of_scene=check))
@@ -93,7 +93,7 @@ def scene_rule(
 
 
 def declared() -> dict[str, Rule]:
-    """All rules whose modules are imported, by id; `mirror.integrity.registry.rules` imports them all."""
+    """The rules of all imported modules, by id; `mirror.integrity.registry.rules` imports all modules."""
     return dict(sorted(_declared.items()))
 
 

@@ -1,4 +1,4 @@
-"""Running the rules over a dataset."""
+"""Running the integrity rules on a dataset."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _ORDER = tuple(Severity)
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What a check found.
+    """The result of a check.
 
     Attributes:
         rules: the rules that ran.
-        findings: what they found: errors first, then by rule, file and place.
-        unread: errors of files that could not be read and that no finding names, because no rule that ran asks for it.
+        findings: rules with their findings: errors first, then sorted by rule, file and place.
+        unread: errors of unreadable files that no finding names, because no rule for them ran.
     """
 
     rules: Sequence[Rule]
@@ -41,10 +41,10 @@ class CheckReport:
         return {severity.value: found[severity.value] for severity in _ORDER}
 
     def exit_code(self, *, strict: bool = False) -> ExitCode:
-        """What the verb answers.
+        """The exit code of `mirror check`.
 
         Args:
-            strict: warnings count as errors do.
+            strict: count warnings as errors.
         """
         failing = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
         if any(rule.severity in failing for rule, _ in self.findings):
@@ -90,12 +90,12 @@ def check(
     findings: list[tuple[Rule, Finding]] = []
 
     def collect(rule: Rule, run: Callable[[], Findings], file: str, place: str | None = None) -> None:
-        # A number that is broken makes others NaN, which no comparison finds; rules of their own look for it.
+        # An invalid number makes derived values NaN, and NaN compares as false. Separate rules find invalid numbers.
         with np.errstate(all="ignore"):
             try:
                 findings.extend((rule, finding) for finding in run())
             except Exception as error:  # noqa: BLE001
-                # Data that a rule cannot be computed on never ends the check: it is an error that the check reports.
+                # A rule that fails on some data must not end the check: the failure is reported as an error.
                 problem = f"the rule cannot be evaluated on this data ({type(error).__name__}: {error})"
                 findings.append((replace(rule, severity=Severity.ERROR), Finding(file, place, problem)))
 

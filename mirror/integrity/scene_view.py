@@ -1,4 +1,4 @@
-"""One scene as the rules see it: the recorded tables and layers of its traversals, read when a rule asks for them."""
+"""One scene for the rules: the recorded tables and layers of its traversals. They are read on first use."""
 
 from __future__ import annotations
 
@@ -111,12 +111,12 @@ class SceneView:
 
     @cached_property
     def cameras(self) -> Mapping[int, Camera]:
-        """The cameras that rows of `all_calibrations` make."""
+        """Cameras by row of `all_calibrations`, for valid rows."""
         return self._made_cameras[0]
 
     @cached_property
     def camera_errors(self) -> Mapping[int, UsageError]:
-        """Why other rows of `all_calibrations` make none."""
+        """Errors by row of `all_calibrations`, for rows that are no valid camera."""
         return self._made_cameras[1]
 
     @cached_property
@@ -125,7 +125,7 @@ class SceneView:
         errors: dict[int, UsageError] = {}
         for number, row in enumerate(self.all_calibrations.data.to_pylist()):
             try:
-                # Most traversals have the same cameras: one of equals serves for all, with what it has worked out.
+                # Most traversals have equal cameras: one object serves for all, with its cached values.
                 camera = camera_from_row(row)
                 made[number] = self.dataset.cameras.setdefault(camera, camera)
             except UsageError as error:
@@ -134,12 +134,12 @@ class SceneView:
 
     @cached_property
     def image_files(self) -> ImageFiles:
-        """What the file system says of `all_images`."""
+        """Sizes and end markers of the files of `all_images`."""
         return ImageFileReader(self.all_images, self.dataset.store).files()
 
     @cached_property
     def image_contents(self) -> ImageContents:
-        """What is in the files of `all_images`."""
+        """Contents of the files of `all_images`."""
         return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:

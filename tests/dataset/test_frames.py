@@ -333,7 +333,7 @@ def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
     builder.scene("a")
     (traversal,) = builder.drive("d", [Pass("a", frames=30)])
     folder = builder.layout.recorded(traversal)
-    # Uneven stamps, a group of pictures of 12, frames that are told apart by their grey.
+    # Uneven stamps, a key frame every 12 frames, frames that differ in their grey value.
     stamps = np.cumsum(np.random.default_rng(0).integers(2, 9, 30)) * 100
     with av.open(str(folder / "front_wide.mp4"), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"g": "12", "bf": "2", "crf": "10"})

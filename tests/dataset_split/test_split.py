@@ -189,7 +189,7 @@ def test_a_split_edited_by_hand_is_seen_to_leak(builder: Builder) -> None:
     assert text == f"{found[0].members[0]} (train) and {found[0].members[1]} (held_out) are of one drive, both"
 
 
-def test_recorded_anew_is_seen(builder: Builder) -> None:
+def test_recorded_again_is_seen(builder: Builder) -> None:
     make_split(builder.root, "s")
     builder.drive("d2", [Pass("a", entry_ns=EPOCH + 200 * SECOND, frames=3)], vehicle_id="car_d2")
     assert [key.split(".")[1] for key in make_split(builder.root, "s").changed] == ["d2"]

@@ -34,7 +34,7 @@ def test_every_rule_says_what_it_is() -> None:
 
 
 def test_remedies_name_the_command_that_mends() -> None:
-    """A plain ingest writes lost and damaged tables again; what it takes for whole, only --replace writes anew."""
+    """A plain ingest writes lost and damaged tables again; what it takes for whole, only --replace writes again."""
     for name in ("DS004", "DS005", "DS006", "DS007", "FIL001", "FIL002", "FIL003", "TAB001", "TAB002"):
         assert "run the same `mirror ingest` again" in rules()[name].remedy
         assert "--replace" not in rules()[name].remedy

@@ -57,8 +57,8 @@ def _box_quaternion(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "BOX003",
     Severity.WARNING,
-    title="No camera can see a box: no part of it is in any image's frustum.",
-    remedy="check the boxes' frame and the calibration; nothing, if another sensor saw them",
+    title="A box is outside the field of view of every image.",
+    remedy="check the boxes' frame and the calibration; nothing, if another sensor detected them",
 )
 def _box_unseen(view: SceneView) -> Iterator[Finding]:
     boxes = view.boxes
@@ -198,7 +198,9 @@ def _box_score(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "BOX007",
     Severity.ERROR,
-    title=("A box lies before the first or behind the last pose of its traversal: it has no place in the world."),
+    title=(
+        "A box is earlier than the first or later than the last pose of its traversal: it has no position in the world."
+    ),
     remedy="write the layer again without the boxes outside the pass",
 )
 def _box_time(view: SceneView) -> Iterator[Finding]:

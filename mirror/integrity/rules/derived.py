@@ -1,4 +1,4 @@
-"""Rules of IDX: the index, which is derived from everything else."""
+"""Rules of IDX: the index, which is derived from all other files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _index_there(view: DatasetView) -> Iterator[Finding]:
 @dataset_rule(
     "IDX002",
     Severity.ERROR,
-    title="The index was derived from other inputs than those that are there.",
+    title="The index was derived from other inputs than the present ones.",
     remedy="run `mirror index`",
 )
 def _index_stale(view: DatasetView) -> Iterator[Finding]:
@@ -46,7 +46,7 @@ def _index_stale(view: DatasetView) -> Iterator[Finding]:
 @scene_rule(
     "IDX003",
     Severity.ERROR,
-    title="An up-to-date index has another number of rows than the tables it was derived from.",
+    title="The number of rows in an up-to-date index differs from that of its source tables.",
     remedy="run `mirror index DATASET --force`, and report it: an index is a pure function",
 )
 def _index_rows(view: SceneView) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Rules of GEO: places on the globe, and the world that hangs on them."""
+"""Rules of GEO: geographic positions, and the world frame derived from them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _LIMIT_DEG = 45.0
     "GEO003",
     Severity.WARNING,
     title=(
-        "For most of its way the vehicle does not drive where it looks: a body frame or heading with another meaning."
+        "Over most of the distance the heading differs from the direction of travel: a wrong body frame or heading."
     ),
     remedy="check the source's body frame: x forward, y left, z up",
 )

@@ -92,7 +92,7 @@ def _image_hash(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "IMG005",
     Severity.ERROR,
-    title="An image whose end is there cannot be decoded.",
+    title="An image with an end marker cannot be decoded.",
     cost=Cost.IMAGES,
     remedy="restore the file from the recording, or drop the image",
 )
@@ -132,7 +132,7 @@ _LEAST = 3
     Severity.WARNING,
     title="An image is blank: all its pixels have the same value, or nearly.",
     cost=Cost.IMAGES,
-    remedy="look at the camera; drop the images if it was covered",
+    remedy="inspect the camera; drop the images if it was covered",
 )
 def _blank(view: SceneView) -> Iterator[Finding]:
     images, spread = view.all_images, view.image_contents.spread
@@ -145,7 +145,7 @@ def _blank(view: SceneView) -> Iterator[Finding]:
     "IMG008",
     Severity.WARNING,
     title="Two images of one camera and traversal have the same bytes: a frozen camera.",
-    remedy="look whether the camera froze; drop the repeated images in the recording",
+    remedy="check whether the camera froze; drop the repeated images in the recording",
 )
 def _repeated_image(view: SceneView) -> Iterator[Finding]:
     images = view.images

@@ -22,9 +22,9 @@ class Threshold:
 
     Attributes:
         rule: its name in the ledger.
-        column: the figure that it looks at.
-        limit: what it asks for.
-        strict: the figure has to be above the limit, and not just reach it.
+        column: the column that it tests.
+        limit: the limit of the column.
+        strict: True: the value must exceed the limit; False: it may equal the limit.
     """
 
     rule: str

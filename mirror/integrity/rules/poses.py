@@ -38,7 +38,7 @@ _LIMITS = {"longitude_deg": 180.0, "latitude_deg": 90.0}
 @scene_rule(
     "POS002",
     Severity.ERROR,
-    title="A number of a pose is NaN or infinite, or its longitude or latitude is off the globe.",
+    title="A number of a pose is NaN or infinite, or its longitude or latitude is out of range.",
     remedy="find out why the source has no such number there, and `mirror ingest RECORDING... --replace`",
 )
 def _not_finite(view: SceneView) -> Iterator[Finding]:
@@ -262,7 +262,7 @@ def _turn_deg(motion: Motion, begin: int, end: int) -> float:
 @scene_rule(
     "POS010",
     Severity.ERROR,
-    title="An image lies before the first or behind the last pose of its traversal.",
+    title="An image is earlier than the first or later than the last pose of its traversal.",
     remedy="`mirror ingest RECORDING... --replace`: an image without a pose does not belong to a pass",
 )
 def _cover_images(view: SceneView) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Rules of SPL: splits, and what leaks through them."""
+"""Rules of SPL: splits and their leaks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def leak_findings(view: DatasetView, *kinds: TieKind) -> Iterator[Finding]:
     "SPL001",
     Severity.ERROR,
     title="A split's file is broken, or holds another split's name.",
-    remedy="restore the file, or make the split anew: `mirror split DATASET NAME --replace`",
+    remedy="restore the file, or make the split again: `mirror split DATASET NAME --replace`",
 )
 def _split_document(view: DatasetView) -> Iterator[Finding]:
     for name, split in view.splits.items():
@@ -41,7 +41,7 @@ def _split_document(view: DatasetView) -> Iterator[Finding]:
     "SPL002",
     Severity.ERROR,
     title="A split assigns a traversal that the dataset does not have.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`, or run the same `mirror ingest` again",
+    remedy="make the split again: `mirror split DATASET NAME --replace`, or run the same `mirror ingest` again",
 )
 def _split_traversals(view: DatasetView) -> Iterator[Finding]:
     for name, split in view.splits.items():
@@ -54,7 +54,7 @@ def _split_traversals(view: DatasetView) -> Iterator[Finding]:
     "SPL003",
     Severity.ERROR,
     title="One drive is in two roles of a split.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`",
+    remedy="make the split again: `mirror split DATASET NAME --replace`",
 )
 def _drive_leak(view: DatasetView) -> Iterator[Finding]:
     yield from leak_findings(view, "drive")
@@ -64,7 +64,7 @@ def _drive_leak(view: DatasetView) -> Iterator[Finding]:
     "SPL004",
     Severity.ERROR,
     title="The same image is in two roles of a split.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`",
+    remedy="make the split again: `mirror split DATASET NAME --replace`",
 )
 def _image_leak(view: DatasetView) -> Iterator[Finding]:
     yield from leak_findings(view, "bytes")
@@ -74,7 +74,7 @@ def _image_leak(view: DatasetView) -> Iterator[Finding]:
     "SPL005",
     Severity.ERROR,
     title="One vehicle is in two roles of a split at the same time.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`",
+    remedy="make the split again: `mirror split DATASET NAME --replace`",
 )
 def _time_leak(view: DatasetView) -> Iterator[Finding]:
     yield from leak_findings(view, "time")
@@ -84,7 +84,7 @@ def _time_leak(view: DatasetView) -> Iterator[Finding]:
     "SPL006",
     Severity.ERROR,
     title="The same ground, one scene or two that overlap, is in two roles of a split by scene.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`",
+    remedy="make the split again: `mirror split DATASET NAME --replace`",
 )
 def _ground_leak(view: DatasetView) -> Iterator[Finding]:
     yield from leak_findings(view, "scene", "area")
@@ -93,8 +93,8 @@ def _ground_leak(view: DatasetView) -> Iterator[Finding]:
 @dataset_rule(
     "SPL007",
     Severity.WARNING,
-    title="A traversal was recorded anew after a split was frozen.",
-    remedy="make the split anew: `mirror split DATASET NAME --replace`",
+    title="A traversal was recorded again after a split was frozen.",
+    remedy="make the split again: `mirror split DATASET NAME --replace`",
 )
 def _split_stale(view: DatasetView) -> Iterator[Finding]:
     for name, split in view.splits.items():
@@ -107,7 +107,7 @@ def _split_stale(view: DatasetView) -> Iterator[Finding]:
 @dataset_rule(
     "SPL008",
     Severity.INFO,
-    title="Traversals came after a split was frozen, and are not in it.",
+    title="Traversals were added after a split was frozen, and are not in it.",
     remedy="put them in train: `mirror split DATASET NAME --extend`",
 )
 def _split_outside(view: DatasetView) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Rules of TIM: stamps of images, frames and drives."""
+"""Rules of TIM: timestamps of images, frames and drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mirror.schema.documents import DriveDocument
 @scene_rule(
     "TIM001",
     Severity.ERROR,
-    title="An image's stamp is not within its exposure, or the exposure ends before it starts.",
+    title="The timestamp of an image is not within its exposure, or the exposure ends before it starts.",
     remedy="correct the stamps in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _exposure(view: SceneView) -> Iterator[Finding]:
@@ -175,7 +175,7 @@ YEAR_2100_NS = 4_102_444_800_000_000_000
 @scene_rule(
     "TIM007",
     Severity.ERROR,
-    title="A stamp is not of the years 2000 to 2099: another time base, or a clock that was never set.",
+    title="A timestamp is not in the years 2000 to 2099: another time base, or a clock that was not set.",
     remedy="state the source's time base to the reader, and `mirror ingest RECORDING... --replace`",
 )
 def _epoch(view: SceneView) -> Iterator[Finding]:

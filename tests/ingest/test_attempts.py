@@ -158,7 +158,7 @@ def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: DrivePasses, t
     assert row["uri"] == str((folder / "first.bin").relative_to(out))
     before = tree(folder)
     assert sorted(before) == ["first.bin", "manifest.json", "points.parquet"]
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         late.finish(POINTS, [], {})
     assert tree(folder) == before
     del late

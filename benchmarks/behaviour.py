@@ -79,8 +79,8 @@ def _files(folder: Path) -> dict[str, Any]:
     _run("ingest", *sorted(recordings.glob("*-*")), "--rois", recordings / "rois.geojson", "--out", dataset)
     _run("split", dataset, "novel")
     _run("check", dataset)
-    _run("baseline", "nearest_frame", dataset, "--split", "novel", "--out", floor)
-    _run("evaluate", floor, "--truth", dataset, "--out", folder / "scores")
+    _run("baseline", dataset, "--method", "nearest_frame", "--split", "novel", "--out", floor)
+    _run("evaluate", dataset, floor, "--out", folder / "scores")
     before = _hashes(dataset)
     training = ["--steps", _STEPS, "--width", 96, "--threads", 1, "--initialise", "plane-sweep"]
     _run("reconstruct", dataset, "--split", "novel", *training, "--out", folder / "model")

@@ -9,14 +9,19 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from types import NoneType
+from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from mirror.errors import ExitCode, UsageError
 
 _Arguments = TypeVar("_Arguments")
+
+_REGISTRY: Final = ConstructorRegistry()
 
 # `Path` turns two slashes into one. A URL scheme has at least two letters, a drive letter is one.
 _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/|.*::")
@@ -35,7 +40,12 @@ class Subcommand(NamedTuple):
 
 
 def parse_arguments(
-    kind: type[_Arguments], words: Sequence[str], command: str, *, renamed: Mapping[str, str] | None = None
+    kind: type[_Arguments],
+    words: Sequence[str],
+    command: str,
+    *,
+    examples: Sequence[str],
+    renamed: Mapping[str, str] | None = None,
 ) -> _Arguments:
     """Parse the arguments of a command. For ``--help`` and for wrong arguments it prints a text and exits.
 
@@ -43,6 +53,7 @@ def parse_arguments(
         kind: the dataclass of the arguments.
         words: the words after the command.
         command: the command as it is typed, such as ``mirror check``.
+        examples: command lines that the help ends with; they name the folders that ``mirror demo`` makes.
         renamed: old options that are still accepted, with their new names; see `apply_new_names`.
 
     Raises:
@@ -50,7 +61,42 @@ def parse_arguments(
         SystemExit: the help was printed (code 0), or the arguments are wrong (code 2).
     """
     words = apply_new_names(words, command, renamed or {})
-    return refuse_urls(tyro.cli(kind, args=words, prog=command, config=(tyro.conf.PositionalMetavarFromFieldName,)))
+    try:
+        arguments = tyro.cli(
+            kind, args=words, prog=command, config=(tyro.conf.PositionalMetavarFromFieldName,), registry=_REGISTRY
+        )
+    except SystemExit as ended:
+        if not ended.code:
+            print("\n".join(["examples, with the folders that `mirror demo` makes:", *(f"  {e}" for e in examples)]))
+        raise
+    return refuse_urls(arguments)
+
+
+def help_text(*, default: str | None = None, metavar: str | None = None) -> Any:
+    """What the help of an option shows, for `typing.Annotated`.
+
+    Args:
+        default: the default in words, for an option that may be left out and has no value of its own then.
+        metavar: the placeholder of the value, in place of its type.
+    """
+    hint = None if default is None else f"(default: {default})"
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+
+
+@_REGISTRY.primitive_rule
+def _spec_without_none(type_info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Parse ``X | None`` as X: None is what an option has that is left out, and no word of the command line."""
+    members = [member for member in get_args(type_info.type) if member is not NoneType]
+    if NoneType not in get_args(type_info.type) or len(members) != 1:
+        return None
+    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(members[0], type_info.markers))
+    if not isinstance(spec, PrimitiveConstructorSpec):
+        return None
+    return replace(
+        spec,
+        is_instance=lambda value: value is None or spec.is_instance(value),
+        str_from_instance=lambda value: ["none"] if value is None else spec.str_from_instance(value),
+    )
 
 
 def run_subcommand(words: Sequence[str], command: str, subcommands: Mapping[str, Subcommand]) -> int:
@@ -86,22 +132,30 @@ def apply_new_names(words: Sequence[str], command: str, renamed: Mapping[str, st
     Args:
         words: the words after the command.
         command: the command as it is typed, for the note.
-        renamed: new names by old names, such as ``{"--half": "--fp16"}``.
+        renamed: new names by old names, such as ``{"--half": "--fp16"}``. A new name without hyphens is a positional
+            argument, which then goes before all other words; one in brackets is optional, and goes behind them.
     """
-    result = []
-    for word in words:
+    first: list[str] = []
+    others: list[str] = []
+    last: list[str] = []
+    rest = iter(words)
+    for word in rest:
         option, equals, value = word.partition("=")
         # tyro takes underscores for hyphens, and `--no-` before a switch.
         old = option.replace("_", "-")
         negated = old.startswith("--no-") and f"--{old[5:]}" in renamed
         new = renamed.get(f"--{old[5:]}" if negated else old)
         if new is None:
-            result.append(word)
+            others.append(word)
+            continue
+        if not new.startswith("--"):
+            print(f"{command}: {old} is now the argument {new}", file=sys.stderr)
+            (last if new.startswith("[") else first).append(value if equals else next(rest, ""))
             continue
         new = f"--no-{new[2:]}" if negated else new
         print(f"{command}: {old} is now called {new}", file=sys.stderr)
-        result.append(f"{new}{equals}{value}")
-    return result
+        others.append(f"{new}{equals}{value}")
+    return [*first, *others, *last]
 
 
 def local_path(path: Path, place: str | None = None) -> Path:

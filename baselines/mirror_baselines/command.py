@@ -1,41 +1,51 @@
-"""``mirror baseline``: write the submission of a floor."""
+"""``mirror baseline DATASET --method FLOOR``: write the submission of a floor."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
+
+_EXAMPLES = (
+    "mirror baseline demo/dataset --method nearest_frame --split novel --out floor",
+    "mirror baseline demo/block/dataset --method mean_color --split novel --protocol lane-shift --out floor",
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write the submission of a floor: a method that every other must beat; `mirror evaluate` scores it.
+    """Write the submission of a floor, a baseline that every method must beat. `mirror evaluate` scores it.
 
-    nearest_frame shows the recorded image that was taken nearest, mean_color the mean colour of the camera.
+    nearest_frame submits the recorded image with the nearest camera, mean_color the mean colour of the camera.
     """
 
-    method: tyro.conf.Positional[Literal["nearest_frame", "mean_color"]]
-    """Which floor."""
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder or URL."""
-    split: str
+    """Folder or URL of the dataset."""
+    method: Literal["nearest_frame", "mean_color"]
+    """The floor."""
+    split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""
-    out: Path
-    """A new or an empty folder for the submission, or one in which the same was begun."""
-    protocol: str = "static-reconstruction"
-    """Name of the protocol, or the path of its .toml."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """A new or empty folder for the submission, or the folder of an interrupted run with the same options."""
+    protocol: Annotated[str, help_text(metavar="NAME")] = "static-reconstruction"
+    """Name of a protocol, or path of its .toml file."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror baseline")
+    words = list(argv)
+    if words and words[0] in ("nearest_frame", "mean_color"):
+        print(f"mirror baseline: the floor is now an option: --method {words[0]}", file=sys.stderr)
+        words = [*words[1:], "--method", words[0]]
+    arguments = parse_arguments(Arguments, words, "mirror baseline", examples=_EXAMPLES)
 
     import mirror
     from mirror.evaluation.submission.writing import write_submission

@@ -50,8 +50,6 @@ def main(dataset: str, model: str, traversal: str, out: str = "docs/images/day_t
         for number, appearance in enumerate((traversal, "night")):
             video = Path(folder) / f"{number}.mp4"
             where = [
-                "--dataset",
-                dataset,
                 "--trajectory",
                 "lane-shift:2.0",
                 "--traversal",
@@ -59,7 +57,7 @@ def main(dataset: str, model: str, traversal: str, out: str = "docs/images/day_t
                 "--cameras",
                 CAMERA,
             ]
-            code = mirror_command(["render", model, *where, "--appearance", appearance, "--out", str(video)])
+            code = mirror_command(["render", dataset, model, *where, "--appearance", appearance, "--out", str(video)])
             if code:
                 sys.exit(code)
             rendered.append(frames_of(video))

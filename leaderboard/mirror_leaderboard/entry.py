@@ -246,5 +246,5 @@ def _require_sound(entry: Entry, path: Path) -> None:
             file=path,
             place="seal",
             expected=entry.content_hash,
-            remedy="remove it and add the result again: mirror leaderboard add result.json --dataset NAME",
+            remedy="remove it and add the result again: mirror leaderboard add result.json --dataset-name NAME",
         )

@@ -10,43 +10,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
     from mirror.integrity import CheckReport
 
-_SHOWN = 5
+_LISTED_FILES = 5
+_EXAMPLES = ("mirror check demo/dataset", "mirror check demo/dataset --quick --skip POS --strict")
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Hold a dataset against the integrity rules of docs/rules.md. Nothing is written.
+    """Check a dataset against the integrity rules of docs/rules.md. The dataset is not changed.
 
-    Exit codes: 0 no errors, 1 errors (with --strict warnings too), 2 could not run.
+    Exit codes: 0 no errors, 1 errors (with --strict also warnings), 2 could not run.
     """
 
     dataset: tyro.conf.Positional[Path]
-    """The dataset's folder."""
-    rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Run only this rule (POS003) or group (POS), whatever it reads; may be repeated."""
-    skip: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Leave out this rule or group; may be repeated."""
+    """Folder of the dataset."""
+    rule: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="RULE")] = ()
+    """Run only this rule (POS003) or group (POS), also if --quick would leave it out."""
+    skip: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="RULE")] = ()
+    """Leave out this rule or group."""
     quick: bool = False
-    """Read tables and documents only. Default: sizes and ends of files too."""
+    """Read tables and documents only, not the sizes and the first and last bytes of files. Excludes --full."""
     full: bool = False
-    """Read every byte: hash all files, decode all pictures."""
+    """Read every byte: hash all files and decode all images. Excludes --quick."""
     strict: bool = False
-    """Warnings make exit code 1 as well."""
+    """Exit with code 1 for warnings too."""
     json: bool = False
     """Print the report as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror check")
+    arguments = parse_arguments(Arguments, argv, "mirror check", examples=_EXAMPLES)
     if arguments.quick and arguments.full:
-        raise UsageError("--quick and --full at once", expected="one of them, or neither")
+        raise UsageError("--quick and --full exclude each other", expected="one of them, or neither")
 
     from mirror.integrity import Cost, check
     from mirror.progress import progress_bar
@@ -99,16 +100,16 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
 
     console = plain_console(soft_wrap=True)
     colours = {"error": "red", "warning": "yellow", "info": "blue"}
-    for rule, own in groupby(report.findings, key=lambda hit: hit[0]):
+    for rule, group in groupby(report.findings, key=lambda pair: pair[0]):
         colour = colours[rule.severity]
         console.print(Text(f"{rule.rule_id} {rule.severity}", style=colour), rule.title)
-        findings = [finding for _, finding in own]
-        for finding in findings[:_SHOWN]:
+        findings = [finding for _, finding in group]
+        for finding in findings[:_LISTED_FILES]:
             place = f": {finding.place}" if finding.place else ""
             more = f" ({finding.count} in all)" if finding.count > 1 else ""
             console.print(f"  {finding.file}{place}: {finding.message}{more}")
-        if len(findings) > _SHOWN:
-            console.print(f"  ... and in {len(findings) - _SHOWN} more files; --json lists all")
+        if len(findings) > _LISTED_FILES:
+            console.print(f"  ... and in {len(findings) - _LISTED_FILES} more files; --json lists all")
         console.print(f"  remedy: {rule.remedy}")
     for error in report.unread:
         console.print(Text("could not read", style="red"), str(error))

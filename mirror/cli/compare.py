@@ -6,31 +6,36 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
 
 _UNBOUNDED = 1000
+_EXAMPLES = (
+    "mirror compare demo/results/nearest_frame demo/results/mean_color",
+    "mirror compare demo/block/results/reconstructed demo/block/results/nearest_frame --json",
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Put results side by side: differences from the first, with intervals and p-values of paired pictures.
+    """Compare results with the first one: differences with confidence intervals and p-values over paired images.
 
-    Blocks of consecutive frames are resampled, not single pictures; many comparisons at once are not corrected for.
+    The bootstrap resamples blocks of consecutive frames. The p-values are not corrected for multiple comparisons.
     """
 
-    results: tyro.conf.Positional[tuple[Path, ...]]
-    """result.json files or their folders, two or more, of one protocol, split and dataset."""
+    results: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="RESULT...")]
+    """Two or more result.json files, or their folders, of one protocol, split and dataset."""
     json: bool = False
     """Print the comparison as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror compare")
+    arguments = parse_arguments(Arguments, argv, "mirror compare", examples=_EXAMPLES)
 
     from mirror.evaluation.compare import compare
 
@@ -46,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.cli.output import plain_console
 
     console = plain_console()
-    window = console.width
+    window_width = console.width
     for other in others:
         title = f"{other.name} against {first.submission.method.name}"
         table = Table(title=title, title_justify="left", box=None, pad_edge=False)
@@ -68,9 +73,9 @@ def main(argv: Sequence[str]) -> int:
                 str(row.n or ""),
                 better or (f"[{reasons.setdefault(row.reason, len(reasons) + 1)}]" if row.reason else ""),
             )
-        # A figure is never cut: a narrow window wraps the line, and a pipe has no edge.
-        unbounded = console.options.update(width=_UNBOUNDED, max_width=_UNBOUNDED)
-        console.width = max(window, Measurement.get(console, unbounded, table).maximum)
+        # Numbers are not truncated: a narrow window wraps the line, and a pipe has no width.
+        wide = console.options.update(width=_UNBOUNDED, max_width=_UNBOUNDED)
+        console.width = max(window_width, Measurement.get(console, wide, table).maximum)
         console.print(table)
         for reason, number in reasons.items():
             console.print(f"[{number}] {reason}", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""``mirror evaluate SUBMISSION --truth DATASET --protocol NAME --split NAME``."""
+"""``mirror evaluate DATASET SUBMISSION --protocol NAME --split NAME``."""
 
 from __future__ import annotations
 
@@ -11,72 +11,78 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import local_path, parse_arguments
+from mirror.command_line import help_text, local_path, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.evaluation.result import Figure, Result
     from mirror.evaluation.run import Evaluation
 
+_EXAMPLES = (
+    "mirror evaluate demo/dataset demo/submissions/nearest_frame --report",
+    "mirror evaluate demo/block/dataset demo/block/submissions/reconstructed --require psnr --out scores --json",
+)
+_RENAMED = {"--truth": "DATASET"}
+
 
 @dataclass(frozen=True)
 class Arguments:
-    """Score a submission by a protocol: result.json and a Parquet of every picture in --out, with --report a page.
+    """Score a submission by a protocol. --out receives result.json and a Parquet table with the scores of every image.
 
-    What an interrupted run scored is used again. Exit codes: 0 scored, 1 the submission has problems (all are listed,
-    nothing is scored), 2 could not run, or a required metric cannot be had.
+    A run after an interruption reuses the scores that exist. Exit codes: 0 scored, 1 the submission has problems (all
+    are listed, nothing is scored), 2 could not run, or a required metric is unavailable.
     """
 
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset: it has the truth."""
     submission: tyro.conf.Positional[Path]
-    """Its folder, or a zip of it."""
-    truth: str
-    """The dataset's folder or URL."""
-    protocol: str | None = None
-    """Name of the protocol, or the path of its .toml. Default: what the manifest says."""
-    split: str | None = None
-    """Name of the split. Default: what the manifest says."""
-    out: Path | None = None
-    """Folder for the results. Default: SUBMISSION-results beside the submission."""
+    """Folder of the submission, or a zip file of it."""
+    protocol: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
+    """Name of a protocol, or path of its .toml file."""
+    split: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
+    """Name of the split."""
+    out: Annotated[Path | None, help_text(default="SUBMISSION-results, beside the submission", metavar="FOLDER")] = None
+    """Folder for the results."""
     report: bool = False
-    """Write report.html too: figures, and the worst, median and best renders beside truth and error."""
-    require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A metric that must be had, such as lpips; may be repeated. Default: what cannot be had is said, and left out."""
+    """Also write report.html: figures, and the worst, median and best renders beside truth and error."""
+    require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="METRIC")] = ()
+    """Fail if this metric is unavailable, such as lpips. Others are listed as unavailable and left out."""
     stand_ins: bool = False
-    """Where LPIPS cannot be had, compute ST-LPIPS under its own name: another metric, and slow."""
-    weights: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """NAME=FILE of weights, as docs/weights.md names them; may be repeated."""
+    """If LPIPS is unavailable, compute ST-LPIPS under its own name. It is another metric, and slow."""
+    weights: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=FILE")] = ()
+    """Weights of a network; docs/weights.md lists the names."""
     download_weights: bool = False
     """Allow missing weights to be downloaded."""
-    hidden: Path | None = None
-    """Folder of an organiser's true pictures, for protocols whose poses nobody recorded."""
-    extractor: str | None = None
-    """Of edited regions: diff-grabcut (the default), file:FOLDER or onnx-sam:FOLDER."""
-    measure: str | None = None
-    """METHOD=FOLDER: an installed method (entry points mirror.methods) and its model, to measure the speed of."""
-    features: Path | None = None
-    """Folder of cached features of true pictures, shared between evaluations. Default: in --out."""
+    hidden: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """Folder of the organiser's hidden truth, for protocols with poses that were not recorded."""
+    extractor: Annotated[str | None, help_text(default="diff-grabcut")] = None
+    """Extractor of edited regions: diff-grabcut, file:FOLDER or onnx-sam:FOLDER."""
+    measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
+    """Measure the rendering speed of an installed method (entry points mirror.methods) with this model folder."""
+    features: Annotated[Path | None, help_text(default="in --out", metavar="FOLDER")] = None
+    """Folder of cached features of true images, which evaluations may share."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
-    """Processes."""
+    """Number of processes."""
     json: bool = False
     """Print the result as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror evaluate")
+    arguments = parse_arguments(Arguments, argv, "mirror evaluate", examples=_EXAMPLES, renamed=_RENAMED)
 
-    from mirror.cli.submission import asked_or_problems, say_report
+    from mirror.cli.submission import print_check, requested_views
     from mirror.evaluation.run import EvaluationOptions, evaluate
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.weights.resolve import WeightResolver
 
-    asked = asked_or_problems(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
-    if not isinstance(asked, tuple):
-        return say_report(asked, arguments.submission, as_json=arguments.json)
-    protocol, split = asked
-    # `.` has no name to put results beside.
+    requested = requested_views(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
+    if not isinstance(requested, tuple):
+        return print_check(requested, arguments.submission, as_json=arguments.json)
+    protocol, split = requested
+    # The path `.` has no name.
     submission = arguments.submission if arguments.submission.name else arguments.submission.absolute()
     out = arguments.out or submission.with_name(f"{submission.stem}-results")
     options = EvaluationOptions(
@@ -90,20 +96,20 @@ def main(argv: Sequence[str]) -> int:
         features=arguments.features,
     )
     with progress_bar(quiet=arguments.json) as bar:
-        done = evaluate(submission, arguments.truth, load_protocol(protocol), split, out, options, bar)
-    if done.result is None:
-        return say_report(done.check, submission, as_json=arguments.json)
-    page = _report(done, out) if arguments.report else None
+        evaluation = evaluate(submission, arguments.dataset, load_protocol(protocol), split, out, options, bar)
+    if evaluation.result is None:
+        return print_check(evaluation.check, submission, as_json=arguments.json)
+    page = _report(evaluation, out) if arguments.report else None
     if arguments.json:
-        places = {"out": str(out), "report": None if page is None else str(page), "result_hash": done.result.hash}
-        print(json.dumps({**places, "reused": done.reused, "result": done.result.model_dump(mode="json")}))
+        places = {"out": str(out), "report": None if page is None else str(page), "result_hash": evaluation.result.hash}
+        print(json.dumps({**places, "reused": evaluation.reused, "result": evaluation.result.model_dump(mode="json")}))
     else:
-        _print(done.result, out, page)
+        _print(evaluation.result, out, page)
     return ExitCode.DONE
 
 
-def _weight_paths(given: Sequence[str]) -> Mapping[str, Path]:
-    paths = dict(_pair(text, "--weights", "NAME=FILE") for text in given)
+def _weight_paths(pairs: Sequence[str]) -> Mapping[str, Path]:
+    paths = dict(_pair(text, "--weights", "NAME=FILE") for text in pairs)
     for name, path in paths.items():
         if not path.is_file():
             raise UsageError("no such file", file=path, place=f"--weights {name}", expected="a file of weights")
@@ -117,11 +123,11 @@ def _pair(text: str, option: str, expected: str) -> tuple[str, Path]:
     return name, local_path(Path(path), option)
 
 
-def _report(done: Evaluation, out: Path) -> Path:
+def _report(evaluation: Evaluation, out: Path) -> Path:
     from mirror.evaluation.report import write_report
 
     page = out / "report.html"
-    write_report(done, page)
+    write_report(evaluation, page)
     return page
 
 
@@ -146,17 +152,18 @@ def _print(result: Result, out: Path, page: Path | None) -> None:
     console.print(table)
     for reason, number in reasons.items():
         console.print(f"[{number}] no interval: {reason}", soft_wrap=True)
-    for metric, how in result.unavailable.items():
-        console.print(f"{metric}: unavailable: {how}", soft_wrap=True)
+    for metric, remedy in result.unavailable.items():
+        console.print(f"{metric}: unavailable: {remedy}", soft_wrap=True)
     for warning in result.warnings:
         console.print(f"note: {warning}", soft_wrap=True)
-    console.print(f"{out / 'result.json'} has all figures, {out / 'images.parquet'} every picture", soft_wrap=True)
+    files = f"{out / 'result.json'} has all figures, {out / 'images.parquet'} the scores of every image"
+    console.print(files, soft_wrap=True)
     if page is not None:
         console.print(f"report: {page}", soft_wrap=True)
 
 
 def figure_words(figure: Figure) -> tuple[str, str, str]:
-    """Value, interval and count of a figure in words."""
+    """Value, interval and count of a figure as text."""
     digits = 2 if figure.unit == "dB" else 4
     value = f"{figure.value:.{digits}f} {figure.unit}".strip() if figure.value is not None else figure.reason or "none"
     interval = ""

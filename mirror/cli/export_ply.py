@@ -1,4 +1,4 @@
-"""``mirror export-ply MODEL --dataset DATASET --out STREET.ply``."""
+"""``mirror export-ply DATASET MODEL --out STREET.ply``."""
 
 from __future__ import annotations
 
@@ -6,55 +6,62 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
+
+_EXAMPLES = (
+    "mirror export-ply demo/block/dataset demo/block/model --out street.ply",
+    "mirror export-ply demo/block/dataset demo/block/model --appearance night --degree 0 --out night.ply",
+)
+_RENAMED = {"--dataset": "DATASET"}
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write a trained model as the PLY of 3D Gaussian Splatting, as one camera on one drive sees it.
+    """Write a trained model as the PLY file of 3D Gaussian Splatting, in the appearance of one camera on one drive.
 
-    It opens in viewers such as SuperSplat and viser. How much the pictures lose is measured and said.
+    Viewers such as SuperSplat and viser open it. The verb prints how far renders of the file differ from renders of the
+    model.
     """
 
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset: it has the poses and lenses."""
     model: tyro.conf.Positional[Path]
     """Folder that `mirror reconstruct` wrote."""
-    dataset: str
-    """The dataset's folder or URL: for poses and lenses."""
-    out: Path
-    """The file, .ply."""
-    traversal: str | None = None
-    """Whose look and driven line. Default: the first that was trained on."""
-    camera: str | None = None
-    """Whose look. Default: the first of the rig."""
-    appearance: str | None = None
-    """Another look: mean, a traversal, or a word of light or weather such as night. Default: the traversal's own."""
+    out: Annotated[Path, help_text(metavar="FILE.ply")]
+    """File to write."""
+    traversal: Annotated[str | None, help_text(default="the first training traversal", metavar="ID")] = None
+    """Traversal that gives the appearance and the driven line."""
+    camera: Annotated[str | None, help_text(default="the first of the rig", metavar="NAME")] = None
+    """Camera that gives the appearance."""
+    appearance: Annotated[str | None, help_text(default="that of --traversal")] = None
+    """Another appearance: mean, a traversal, or a word for light or weather such as night."""
     degree: int = 3
-    """Of the spherical harmonics, 0 to 3: 0 is smallest, and looks the same from everywhere."""
+    """Degree of the spherical harmonics, 0 to 3. With 0 the file is smallest and colours have no view dependence."""
     sky: Literal["pull", "clip", "keep"] = "pull"
-    """What lies beyond --reach is pulled in to it (viewers sort what is near less well where something is very far),
-    clipped, or kept."""
-    reach: float = 150.0
-    """Metres from the middle of the street, or more: as far as its blocks go."""
+    """Gaussians beyond --reach: pull moves them to that distance, clip removes them, keep leaves them.
+    Viewers sort near Gaussians less precisely if some are very far."""
+    reach: Annotated[float, help_text(metavar="METRES")] = 150.0
+    """Distance from the centre of the street; at least the extent of its blocks."""
     json: bool = False
-    """Print what was written as JSON."""
+    """Print JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror export-ply")
+    arguments = parse_arguments(Arguments, argv, "mirror export-ply", examples=_EXAMPLES, renamed=_RENAMED)
     if arguments.out.suffix != ".ply":
         raise UsageError(f"{arguments.out}", place="--out", expected="a name that ends in .ply")
     if not 0 <= arguments.degree <= 3:
         raise UsageError(f"{arguments.degree}", place="--degree", expected="0 to 3")
     if not arguments.reach > 0.0:
-        raise UsageError(f"{arguments.reach:g} m", place="--reach", expected="more than nothing")
+        raise UsageError(f"{arguments.reach:g} m", place="--reach", expected="more than 0 m")
     if (arguments.appearance or "").startswith("sweep:"):
-        raise UsageError("a sweep is for trajectories", place="--appearance", expected="one look")
+        raise UsageError("a sweep is for trajectories", place="--appearance", expected="one appearance")
 
     import mirror
     from mirror.methods.appearance import AppearancePolicy
@@ -76,12 +83,12 @@ def main(argv: Sequence[str]) -> int:
     views = tuple(view for view in views if view.camera == views[0].camera)
     appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = PlyExportOptions(arguments.degree, arguments.sky, arguments.reach)
-    baking = find_ply_exporter(document.method).export_ply(arguments.model, views, arguments.out, options, appearance)
+    written = find_ply_exporter(document.method).export_ply(arguments.model, views, arguments.out, options, appearance)
     if arguments.json:
-        print(json.dumps({"out": str(arguments.out), **asdict(baking)}))
+        print(json.dumps({"out": str(arguments.out), **asdict(written)}))
     else:
         print(
-            f"{baking.gaussians} Gaussians, {baking.bytes / 1e6:.1f} MB, as {views[0].camera} of {traversal} sees them;"
-            f" {baking.psnr_db:.1f} dB PSNR to the model's pictures: {arguments.out}"
+            f"{written.gaussians} Gaussians, {written.bytes / 1e6:.1f} MB, in the appearance of {views[0].camera} on"
+            f" {traversal}; {written.psnr_db:.1f} dB PSNR against renders of the model: {arguments.out}"
         )
     return ExitCode.DONE

@@ -12,24 +12,26 @@ import tyro
 from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode
 
+_EXAMPLES = ("mirror index demo/dataset", "mirror index demo/dataset --force --json")
+
 
 @dataclass(frozen=True)
 class Arguments:
-    """Derive the index tables anew from drives, traversals and layers: the same bytes whatever the order of ingest."""
+    """Rebuild the index tables from drives, traversals and layers. Their bytes do not depend on the order of ingest."""
 
     dataset: tyro.conf.Positional[Path]
-    """The dataset's folder."""
+    """Folder of the dataset."""
     force: bool = False
-    """Write every scene, also those that are up to date."""
+    """Rebuild every scene, also those that are up to date."""
     wait: bool = False
-    """Wait for another run that is writing the dataset."""
+    """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
     json: bool = False
     """Print the report as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror index")
+    arguments = parse_arguments(Arguments, argv, "mirror index", examples=_EXAMPLES)
 
     from mirror.dataset.index import build_index
     from mirror.dataset.layout import Layout, require_dataset

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.cli.ingest import reader_options
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import DatasetError, ExitCode
 
 if TYPE_CHECKING:
@@ -19,32 +19,33 @@ if TYPE_CHECKING:
     from mirror.recordings.summary import RecordingSummary
 
 _LISTED = 12
+_EXAMPLES = ("mirror info demo/dataset", "mirror info demo/block/dataset --json")
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Say what a path is: a dataset, or a recording that one of the readers recognises. No picture is opened."""
+    """Describe a dataset, or a recording that one of the readers recognises. No image is opened."""
 
-    path: tyro.conf.Positional[Path]
-    """A dataset's folder, or a recording."""
-    reader: str | None = None
-    """Name of the reader; default: recognised from the files."""
-    tz: str | None = None
-    """Time zone of stamps that name none, e.g. Africa/Casablanca (csv reader)."""
-    columns: str | None = None
-    """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
-    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Any other option of the reader as key=value; may be repeated."""
+    path: Annotated[tyro.conf.Positional[Path], help_text(metavar="DATASET|RECORDING")]
+    """Folder of a dataset, or a recording."""
+    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
+    """Reader of the recording."""
+    tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
+    """Time zone of time stamps without one, such as Africa/Casablanca (csv reader)."""
+    columns: Annotated[str | None, help_text(default="recognised from the header")] = None
+    """Names of columns, such as time=Date+Time,lon=LON,lat=LAT (csv reader)."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE")] = ()
+    """Another option of the reader."""
     json: bool = False
-    """Print it as JSON."""
+    """Print JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror info")
+    arguments = parse_arguments(Arguments, argv, "mirror info", examples=_EXAMPLES)
     path = arguments.path
     if not path.exists():
-        raise DatasetError("there is nothing at this path", file=path, expected="a dataset or a recording")
+        raise DatasetError("there is no file or folder at this path", file=path, expected="a dataset or a recording")
     if (path / "dataset.json").is_file():
         from mirror.integrity.summary import summarise as summarise_dataset
 
@@ -71,56 +72,58 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
-def _dataset_lines(found: DatasetSummary) -> list[tuple[str, str]]:
-    trigger = found.document.trigger
+def _dataset_lines(summary: DatasetSummary) -> list[tuple[str, str]]:
+    trigger = summary.document.trigger
     lines = [
-        ("schema", found.document.schema_version),
-        ("licence", found.document.licence or "not stated"),
+        ("schema", summary.document.schema_version),
+        ("licence", summary.document.licence or "not stated"),
         (
             "trigger",
             f"{trigger.min_duration_s:g} s and {trigger.min_path_m:g} m at least, {trigger.min_overlap:.0%} inside",
         ),
-        ("scenes (traversals)", _numbered(found.scenes)),
-        ("drives", str(found.drives)),
-        ("vehicles (drives)", _numbered(found.vehicles)),
-        ("vehicle types (drives)", _numbered(found.vehicle_types)),
-        *((f"rig {name}", ", ".join(cameras)) for name, cameras in found.rigs.items()),
-        ("passes", _counts(found.passes)),
-        ("traversals", str(found.traversals)),
-        ("pictures", f"{found.images:,} ({found.image_bytes / 1e6:,.1f} MB)"),
-        ("time", _dates(found.first_ns, found.last_ns, found.hours)),
-        ("layers (traversals)", _numbered(found.layers)),
-        *((f"split {name}", _counts(roles)) for name, roles in found.splits.items()),
-        ("index", found.index if found.index == "current" else f"{found.index}: run `mirror index`"),
+        ("scenes (traversals)", _numbered(summary.scenes)),
+        ("drives", str(summary.drives)),
+        ("vehicles (drives)", _numbered(summary.vehicles)),
+        ("vehicle types (drives)", _numbered(summary.vehicle_types)),
+        *((f"rig {name}", ", ".join(cameras)) for name, cameras in summary.rigs.items()),
+        ("passes", _counts(summary.passes)),
+        ("traversals", str(summary.traversals)),
+        ("images", f"{summary.images:,} ({summary.image_bytes / 1e6:,.1f} MB)"),
+        ("time", _dates(summary.first_ns, summary.last_ns, summary.hours)),
+        ("layers (traversals)", _numbered(summary.layers)),
+        *((f"split {name}", _counts(roles)) for name, roles in summary.splits.items()),
+        ("index", summary.index if summary.index == "current" else f"{summary.index}: run `mirror index`"),
     ]
-    if found.problems:
-        lines.append(("unreadable", f"{len(found.problems)} files: run `mirror check`; the first: {found.problems[0]}"))
+    if summary.problems:
+        lines.append(
+            ("unreadable", f"{len(summary.problems)} files: run `mirror check`; the first: {summary.problems[0]}")
+        )
     return lines
 
 
-def _recording_lines(found: RecordingSummary) -> list[tuple[str, str]]:
-    info = found.info
+def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
+    info = summary.info
     lines = [
         ("drive", info.drive_id + (" (a clip)" if info.is_clip else "")),
         ("vehicle", f"{info.vehicle_id} ({info.vehicle_type})"),
         ("frame", "WGS 84" if info.frame is None else f"local: {info.frame}"),
         ("body", info.body_frame),
         ("time base", info.time_base),
-        ("stated", ", ".join(f"{k}: {getattr(info, k) or '--'}" for k in ("city", "light", "weather", "licence"))),
-        ("files", f"{found.files:,} ({found.bytes / 1e6:,.1f} MB)"),
-        ("poses", f"{found.poses:,} ({found.usable:,} usable), with {', '.join(found.has) or 'positions only'}"),
-        ("time", _span(found.first_ns, found.last_ns)),
-        *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in found.extent.items()),
-        ("rig", f"{found.rig_id}, reference {found.reference_camera}" if found.rig_id else "none: poses only"),
+        ("metadata", ", ".join(f"{k}: {getattr(info, k) or '--'}" for k in ("city", "light", "weather", "licence"))),
+        ("files", f"{summary.files:,} ({summary.bytes / 1e6:,.1f} MB)"),
+        ("poses", f"{summary.poses:,} ({summary.usable:,} usable), with {', '.join(summary.has) or 'positions only'}"),
+        ("time", _span(summary.first_ns, summary.last_ns)),
+        *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in summary.extent.items()),
+        ("rig", f"{summary.rig_id}, reference {summary.reference_camera}" if summary.rig_id else "none: poses only"),
     ]
-    if found.bad_rows:
-        lines.append(("bad rows", f"{_counts(found.bad_rows)}; the first: {found.first_bad_row}"))
-    for name, camera in found.cameras.items():
+    if summary.bad_rows:
+        lines.append(("bad rows", f"{_counts(summary.bad_rows)}; the first: {summary.first_bad_row}"))
+    for name, camera in summary.cameras.items():
         rate = f" at {camera.rate_hz:.1f} Hz" if camera.rate_hz else ""
         stages = _counts(camera.calibrations)
         missing = f", {camera.missing:,} missing in pauses" if camera.missing else ""
         lines.append((f"camera {name}", f"{camera.images:,} {camera.codec}{rate}{missing}; calibrations: {stages}"))
-    lines.append(("boxes", f"{found.boxes:,}" if found.boxes else "none"))
+    lines.append(("boxes", f"{summary.boxes:,}" if summary.boxes else "none"))
     return lines
 
 

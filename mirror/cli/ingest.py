@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 if TYPE_CHECKING:
@@ -22,97 +22,105 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trigger:
-    """When a pass becomes a traversal. Not given: the dataset's own, for a new dataset the paper's."""
+    """When a pass becomes a traversal. Defaults: the thresholds of the dataset, or of the paper for a new dataset."""
 
-    min_duration_s: float | None = None
-    """Accepted from this duration on (10)."""
-    min_path_m: float | None = None
-    """Accepted from this driven length on (20)."""
-    min_overlap: float | None = None
-    """Accepted above this share of path inside the ROI (0.9)."""
-    join_gap_s: float | None = None
-    """Visits at most this far apart are joined (3)."""
-    max_gap_s: Annotated[float | None, tyro.conf.arg(aliases=["--max-gap"])] = None
-    """A longer gap between poses ends a visit (2)."""
-    min_step_m: float | None = None
-    """Path counts only after moving this far (0.5)."""
-    step_sigmas: float | None = None
-    """... or this many sigmas of the fix, if more (6)."""
-    trim_standstill_s: float | None = None
-    """Longer standstills are left out (60); 0 keeps them."""
+    min_duration_s: Annotated[float | None, help_text(default="10")] = None
+    """Shortest duration of a traversal."""
+    min_path_m: Annotated[float | None, help_text(default="20")] = None
+    """Shortest driven length of a traversal."""
+    min_overlap: Annotated[float | None, help_text(default="0.9")] = None
+    """A traversal has more than this share of its path inside the region."""
+    join_gap_s: Annotated[float | None, help_text(default="3")] = None
+    """Visits at most this far apart are joined."""
+    max_gap_s: Annotated[float | None, help_text(default="2")] = None
+    """A longer gap between poses ends a visit."""
+    min_step_m: Annotated[float | None, help_text(default="0.5")] = None
+    """Shorter steps do not count as path: a parked car's noise is not a drive."""
+    step_sigmas: Annotated[float | None, help_text(default="6")] = None
+    """Steps shorter than this many sigmas of the fix do not count as path either."""
+    trim_standstill_s: Annotated[float | None, help_text(default="60")] = None
+    """Longer standstills are left out; 0 keeps them."""
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """How fixes are cleaned first. Not given: the dataset's own, else the defaults."""
+    """How position fixes are cleaned before the trigger. Defaults: the thresholds of the dataset, or these."""
 
-    max_speed_mps: float | None = None
-    """Faster is an outlier (70)."""
-    max_acceleration_mps2: float | None = None
-    """Sharper is an outlier (12)."""
-    noise_m: float | None = None
-    """What noise alone may do (5)."""
-    backward_time: Literal["sort", "refuse"] | None = None
-    """What to do with time that runs backward (sort)."""
-    max_bad_rows: float | None = None
-    """A drive of which a larger share of rows makes no pose is refused (0.01)."""
+    max_speed_mps: Annotated[float | None, help_text(default="70")] = None
+    """A fix that needs a higher speed is an outlier."""
+    max_acceleration_mps2: Annotated[float | None, help_text(default="12")] = None
+    """A fix that needs a higher acceleration is an outlier."""
+    noise_m: Annotated[float | None, help_text(default="5")] = None
+    """Deviation that the acceleration test allows for noise."""
+    backward_time: Annotated[Literal["sort", "refuse"] | None, help_text(default="sort")] = None
+    """Whether to sort fixes with decreasing time, or to refuse the drive."""
+    max_bad_rows: Annotated[float | None, help_text(default="0.01")] = None
+    """A drive is refused if a larger share of its rows has no valid pose."""
+
+
+_EXAMPLES = (
+    "mirror ingest demo/recordings/*-* --rois demo/recordings/rois.geojson --out dataset",
+    "mirror ingest demo/recordings --roi 11.5763,48.1371,200,centre --min-duration-s 5 --dry-run",
+)
+RENAMED_THRESHOLDS = {"--max-gap": "--max-gap-s"}
+"""Old names of the options of `Trigger` and `Cleaning`."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Cut recordings into traversals: every pass through a region of interest that fulfils the trigger's rules.
+    """Cut recordings into traversals: every pass through a region of interest that meets the trigger's thresholds.
 
-    Run it again after an interruption and it goes on; run it with more recordings and it appends; run it unchanged and
-    it does nothing. Exit codes: 0 done, 2 could not run, 3 some recordings failed and the rest is complete.
+    After an interruption the same command continues. With more recordings it appends, and without changes it writes
+    nothing. Exit codes: 0 done, 2 could not run, 3 some recordings failed and the rest is complete.
     """
 
-    recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """One path a drive: a folder or file that a reader recognises; or a folder of them."""
-    out: Path | None = None
-    """The dataset's folder. Needed but for --dry-run."""
-    rois: Path | None = None
+    recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="RECORDING...")]
+    """One path per drive, a folder or file that a reader recognises; or a folder of recordings."""
+    out: Annotated[Path | None, help_text(default="none", metavar="DATASET")] = None
+    """Folder of the dataset, new or existing. Required unless --dry-run is given."""
+    rois: Annotated[Path | None, help_text(default="none; the dataset keeps its own", metavar="FILE")] = None
     """GeoJSON or CSV file of regions of interest."""
-    roi: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A region as lon,lat[,radius_m[,scene_id]]; may be repeated."""
-    reader: str | None = None
-    """Name of the reader; default: recognised from the files."""
-    tz: str | None = None
-    """Time zone of stamps that name none, e.g. Africa/Casablanca (csv reader)."""
-    columns: str | None = None
-    """Names of columns, e.g. time=Date+Time,lon=LON,lat=LAT (csv reader)."""
-    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Any other option of the reader as key=value; may be repeated."""
-    weather_from: str | None = None
-    """Plug-in that tells the weather from pictures, for recordings that do not state it."""
+    roi: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="LON,LAT[,RADIUS_M[,ID]]")] = ()
+    """A region of interest."""
+    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
+    """Reader of the recordings."""
+    tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
+    """Time zone of time stamps without one, such as Africa/Casablanca (csv reader)."""
+    columns: Annotated[str | None, help_text(default="recognised from the header")] = None
+    """Names of columns, such as time=Date+Time,lon=LON,lat=LAT (csv reader)."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE")] = ()
+    """Another option of the reader."""
+    weather_from: Annotated[str | None, help_text(default="none", metavar="PLUGIN")] = None
+    """Plug-in that estimates the weather from images, for recordings that do not state it."""
     trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
     copy: bool = False
-    """Copy pictures. Default: hard links where the file systems allow it, copies elsewhere."""
+    """Copy images. Without it they are hard links where the file system allows that."""
     hash: bool = True
-    """Read and hash every picture, and refuse truncated and broken ones; without it only their headers are read."""
+    """Read and hash every image, and refuse truncated and broken ones. --no-hash reads their headers only."""
     verify_images: bool = False
-    """Decode every image, and refuse those that no decoder reads."""
+    """Decode every image, and refuse those that cannot be decoded."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads."""
+    """Number of threads."""
     dry_run: bool = False
-    """Judge only: print the ledger, write nothing."""
+    """Evaluate the passes and print them. Nothing is written."""
     verify: bool = False
-    """Hash the pictures of recordings that look unchanged."""
+    """Also hash the images of recordings with unchanged sizes and times."""
     replace: bool = False
-    """Ingest a drive anew whose recording has changed."""
+    """Ingest a drive again if its recording has changed."""
     fail_fast: bool = False
     """Stop at the first recording that cannot be ingested."""
     wait: bool = False
-    """Wait for another run that is writing the dataset."""
-    licence: str | None = None
-    """Licence of the data, noted in a new dataset."""
+    """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
+    licence: Annotated[str | None, help_text(default="none")] = None
+    """Licence of the data, written into a new dataset."""
     json: bool = False
     """Print the report as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror ingest")
+    arguments = parse_arguments(Arguments, argv, "mirror ingest", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if arguments.out is None and not arguments.dry_run:
@@ -125,14 +133,14 @@ def main(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
     from mirror.recordings.discovery import find_recordings
 
-    found = find_recordings(arguments.recordings, arguments.reader)
+    search = find_recordings(arguments.recordings, arguments.reader)
     rois = read_rois(arguments.rois) if arguments.rois else []
     rois += [parse_roi(text) for text in arguments.roi]
     options = IngestOptions(
         reader=arguments.reader,
         reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
-        trigger=given(arguments.trigger),
-        cleaning=given(arguments.cleaning),
+        trigger=stated_thresholds(arguments.trigger),
+        cleaning=stated_thresholds(arguments.cleaning),
         weather_plugin=arguments.weather_from,
         write=WriteOptions(
             transfer="copy" if arguments.copy else "link", hashing=arguments.hash, decoding=arguments.verify_images
@@ -147,20 +155,20 @@ def main(argv: Sequence[str]) -> int:
     )
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
-        report = ingest_recordings(found.recordings, rois, out, options, bar)
+        report = ingest_recordings(search.recordings, rois, out, options, bar)
     if arguments.json:
-        passed_over = [str(path) for path in found.passed_over]
+        passed_over = [str(path) for path in search.passed_over]
         print(json.dumps({**_plain(report, out), "passed_over": passed_over}))
     else:
         _print(report, out, dry_run=arguments.dry_run)
-        print_failures(report.failures, found.passed_over)
+        print_failures(report.failures, search.passed_over)
     if not report.failures:
         return ExitCode.DONE
     return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
 
 
-def given(thresholds: Trigger | Cleaning) -> dict[str, object]:
-    """The thresholds that were given on the command line, by name."""
+def stated_thresholds(thresholds: Trigger | Cleaning) -> dict[str, object]:
+    """The thresholds that the command line states, by name."""
     values: dict[str, object] = {name: value for name, value in vars(thresholds).items() if value is not None}
     if values.get("trim_standstill_s") == 0:
         values["trim_standstill_s"] = None
@@ -168,10 +176,14 @@ def given(thresholds: Trigger | Cleaning) -> dict[str, object]:
 
 
 def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
-    """Options for a reader from ``key=value`` words and from those that have a flag of their own.
+    """Options for a reader.
+
+    Args:
+        pairs: ``key=value`` words.
+        named: options with a flag of their own; None: not given.
 
     Raises:
-        UsageError: a word is not of that form.
+        UsageError: a word has another form.
     """
     options = {key: value for key, value in named.items() if value is not None}
     for pair in pairs:
@@ -188,14 +200,14 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "drives": {
             drive_id: {
                 "cleaning": drive.cleaning.model_dump(),
-                "accepted": sum(one.accepted for one in drive.passes),
-                "refused": dict(Counter(one.rule for one in drive.passes if one.rule)),
-                "passes": [vars(one) for one in drive.passes],
+                "accepted": sum(row.accepted for row in drive.passes),
+                "refused": dict(Counter(row.rule for row in drive.passes if row.rule)),
+                "passes": [vars(row) for row in drive.passes],
             }
             for drive_id, drive in sorted(report.drives.items())
         },
         "unchanged": report.unchanged,
-        "traversals": [vars(one) for one in report.traversals],
+        "traversals": [vars(traversal) for traversal in report.traversals],
         "images": report.images,
         "bytes": report.bytes,
         "linked": report.linked,
@@ -206,11 +218,11 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
 
 
 def print_failures(failures: Sequence[tuple[Path, MirrorError]], passed_over: Sequence[Path]) -> None:
-    """Print what was not read, and why, on standard error: a line each."""
+    """Print the recordings that were not read, with the reasons, on standard error."""
     for path in passed_over:
-        print(f"passed over {path}: no reader recognises it", file=sys.stderr)
+        print(f"skipped {path}: no reader recognises it", file=sys.stderr)
     for path, error in failures:
-        # The recording is named once.
+        # The message of an error may already begin with the path.
         named = error.file is not None and error.file.startswith(str(path))
         print(f"failed {error}" if named else f"failed {path}: {error}", file=sys.stderr)
 
@@ -220,19 +232,19 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
 
     from mirror.cli.output import plain_console
 
-    # Piped, a line is a line: nothing is folded or cut for want of a screen.
+    # In a pipe, rows are neither wrapped nor truncated.
     console = plain_console(width=None if sys.stdout.isatty() else 10_000)
     table = Table(box=None, pad_edge=False)
-    for name in ("drive", "poses", "cleaned away", "passes", "accepted", "refused because"):
-        table.add_column(name, justify="right" if name in ("poses", "cleaned away", "passes", "accepted") else "left")
+    for name in ("drive", "poses", "removed", "passes", "accepted", "refused because"):
+        table.add_column(name, justify="right" if name in ("poses", "removed", "passes", "accepted") else "left")
     for drive_id, drive in sorted(report.drives.items()):
-        reasons = Counter(one.rule for one in drive.passes if one.rule)
+        reasons = Counter(row.rule for row in drive.passes if row.rule)
         table.add_row(
             drive_id,
             f"{drive.cleaning.poses:,}",
             f"{drive.cleaning.poses - drive.cleaning.kept:,}",
             str(len(drive.passes)),
-            str(sum(one.accepted for one in drive.passes)),
+            str(sum(row.accepted for row in drive.passes)),
             ", ".join(f"{rule} x{count}" for rule, count in sorted(reasons.items())),
         )
     if report.drives:
@@ -240,9 +252,11 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     for drive_id, drive in sorted(report.drives.items()):
         if drive.cleaning.bad_rows:
             counts = ", ".join(f"{reason} {count}" for reason, count in drive.cleaning.bad_rows.items())
-            console.print(f"{drive_id}: rows that make no pose were dropped: {counts}", highlight=False, markup=False)
+            console.print(
+                f"{drive_id}: rows without a valid pose were dropped: {counts}", highlight=False, markup=False
+            )
     if report.unchanged:
-        console.print(f"{len(report.unchanged)} drives unchanged, nothing to do for them")
+        console.print(f"{len(report.unchanged)} unchanged drives were skipped")
     if dry_run:
         console.print("dry run: nothing was written")
         return
@@ -252,17 +266,18 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     if report.drives and not any(drive.passes for drive in report.drives.values()):
         frames = sorted({drive.info.frame or "WGS 84" for drive in report.drives.values()})
         console.print(
-            f"no drive comes by any ROI: are they where was driven, in the drives' frame ({', '.join(frames)}),"
-            " longitude before latitude? `mirror rois propose` finds places that are driven"
+            f"no drive passes a region of interest: check that the regions are in the drives' frame"
+            f" ({', '.join(frames)}) and that longitude comes before latitude;"
+            " `mirror rois propose` finds regions on the driven roads"
         )
-    done = len(report.traversals)
     console.print(
-        f"{done} traversals, {report.images:,} pictures ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"
+        f"{len(report.traversals)} traversals, {report.images:,} images"
+        f" ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"
     )
     if report.without_pose:
         console.print(
-            f"{report.without_pose:,} images were left out: they were taken in gaps of the poses over --max-gap,"
-            " or where the track broke off"
+            f"{report.without_pose:,} images were left out: they were taken in pose gaps longer than --max-gap-s,"
+            " or beyond the ends of the track"
         )
     if report.missing:
         console.print(

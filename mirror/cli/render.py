@@ -1,4 +1,4 @@
-"""``mirror render MODEL --dataset DATASET``: a submission, or pictures along a trajectory."""
+"""``mirror render DATASET MODEL``: a submission, or images along a trajectory."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -29,49 +29,58 @@ _VIDEOS = (".mp4", ".mkv")
 _HZ = 10.0
 _NO_VIDEOS = (".avi", ".gif", ".m4v", ".mov", ".mpeg", ".mpg", ".ogv", ".webm", ".wmv")
 
+_EXAMPLES = (
+    "mirror render demo/block/dataset demo/block/model --split novel --out submission",
+    "mirror render demo/block/dataset demo/block/model --trajectory lane-shift:2 --cameras front_wide --out left.mp4",
+)
+_RENAMED = {"--dataset": "DATASET"}
+
 
 @dataclass(frozen=True)
 class Arguments:
-    """Render a trained model.
+    """Render a trained model: with --split a submission for `mirror evaluate`, with --trajectory a video or images.
 
-    With --split, the views that a protocol asks for: a submission that `mirror evaluate` takes. With --trajectory,
-    where nobody drove: a video, or a folder of pictures.
+    --split and --trajectory exclude each other. A submission has the views that a protocol asks for. A trajectory may
+    leave the driven lines.
     """
 
-    model: tyro.conf.Positional[tuple[Path, ...]]
-    """Folder that `mirror reconstruct` wrote; for a split of several scenes one of each."""
-    dataset: str
-    """The dataset's folder or URL: for poses and lenses; with --appearance fit, for the left half of pictures too."""
-    out: Path
-    """A new folder; along a trajectory also FILE.mp4."""
-    split: str | None = None
-    """Name of the split to write a submission for."""
-    protocol: str = "static-reconstruction"
-    """Name of the protocol, or the path of its .toml."""
-    trajectory: str | None = None
-    """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV or Parquet of poses (qw qx qy
-    qz tx_m ty_m tz_m, in the world of the scene; timestamp_ns, else --hz says how fast they follow)."""
-    traversal: str | None = None
-    """Whose rig, line and look a trajectory has. Default: the first that was trained on."""
-    cameras: str | None = None
-    """Of the rig, separated by commas. Default: all."""
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset: it has the poses and lenses. --appearance fit reads half of each image too."""
+    model: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="MODEL...")]
+    """Folders that `mirror reconstruct` wrote: one for each scene of the split."""
+    out: Annotated[Path, help_text(metavar="FOLDER|FILE.mp4")]
+    """A new folder. For a trajectory also a video file."""
+    split: Annotated[str | None, help_text(default="none", metavar="NAME")] = None
+    """Split to write a submission for. Excludes --trajectory."""
+    protocol: Annotated[str, help_text(metavar="NAME")] = "static-reconstruction"
+    """Name of a protocol, or path of its .toml file."""
+    trajectory: Annotated[str | None, help_text(default="none")] = None
+    """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV or Parquet file of poses
+    (qw qx qy qz tx_m ty_m tz_m in the world frame of the scene; timestamp_ns, or else --hz). Excludes --split."""
+    traversal: Annotated[str | None, help_text(default="the first training traversal", metavar="ID")] = None
+    """Traversal that gives a trajectory its rig, its line and its appearance."""
+    cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
+    """Cameras to render."""
     appearance: str = "nearest"
-    """nearest, mean, fit, a traversal, a word of light or weather such as night, or sweep:A:B; along a trajectory also
-    of cameras, such as rear=night,front_wide=sweep:day:night. In a submission what was trained on keeps its own look;
-    along a trajectory only the light changes, nothing moves."""
-    width: int | None = None
-    """Pictures along a trajectory are no wider. Default: what the protocol says."""
-    hz: float | None = None
-    """Pictures a second along a trajectory. Default: 10."""
+    """nearest, mean, fit, a traversal, a word for light or weather such as night, or sweep:A:B.
+    For a trajectory also by camera: rear=night,front_wide=sweep:day:night. A submission keeps that of trained views."""
+    width: Annotated[int | None, help_text(default="that of the protocol", metavar="PIXELS")] = None
+    """Largest width of images of a trajectory."""
+    hz: Annotated[float | None, help_text(default=f"{_HZ:g}")] = None
+    """Images per second of a trajectory."""
     json: bool = False
-    """Print what was written as JSON."""
+    """Print JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror render")
+    arguments = parse_arguments(Arguments, argv, "mirror render", examples=_EXAMPLES, renamed=_RENAMED)
     if (arguments.split is None) == (arguments.trajectory is None):
-        raise UsageError("what shall be rendered?", expected="--split for a submission, or --trajectory, one of them")
+        both = arguments.split is not None
+        raise UsageError(
+            "--split and --trajectory exclude each other" if both else "neither --split nor --trajectory was given",
+            expected="one of them: --split NAME for a submission, or --trajectory LINE for a video or images",
+        )
     if arguments.width is not None and arguments.width < 1:
         raise UsageError(f"{arguments.width}", place="--width", expected="1 or more")
     if arguments.out.suffix.lower() in _NO_VIDEOS:
@@ -84,7 +93,7 @@ def main(argv: Sequence[str]) -> int:
     import mirror
     from mirror.schema.folders import FolderKind, require_output_file, require_output_folder
 
-    if arguments.trajectory is not None and _is_film(arguments.out):
+    if arguments.trajectory is not None and _is_video(arguments.out):
         require_output_file(arguments.out)
     else:
         require_output_folder(arguments.out, FolderKind.SUBMISSION)
@@ -92,7 +101,7 @@ def main(argv: Sequence[str]) -> int:
     return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
 
 
-def _is_film(out: Path) -> bool:
+def _is_video(out: Path) -> bool:
     return out.suffix.lower() in _VIDEOS
 
 
@@ -111,11 +120,13 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         if getattr(arguments, option) is not None:
             raise UsageError(
                 "it is for trajectories", place=f"--{option}",
-                expected=f"no such option: protocol {arguments.protocol} says what a submission holds",
+                expected=f"no such option beside --split: protocol {arguments.protocol} defines a submission",
             )  # fmt: skip
-    for sign, what in (("sweep:", "a sweep is"), ("=", "looks by camera are")):
+    for sign, subject in (("sweep:", "a sweep is"), ("=", "appearances by camera are")):
         if sign in arguments.appearance:
-            raise UsageError(f"{what} for trajectories", place="--appearance", expected="one look for all views")
+            raise UsageError(
+                f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
+            )
     name, models = _models(arguments.model)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol)
     for model in models.values():
@@ -123,20 +134,20 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         require_matching_split(dataset, split, document)
         require_held_out_images(protocol, document)
     plan = plan_views(dataset, protocol, split)
-    bare = sorted({view.scene_id for view in plan.views} - set(models))
-    if bare:
+    without_model = sorted({view.scene_id for view in plan.views} - set(models))
+    if without_model:
         raise UsageError(
-            f"split {split} has views of {', '.join(bare)} too", expected="a model of each of its scenes",
+            f"split {split} also has views of {', '.join(without_model)}", expected="a model of each of its scenes",
             remedy="reconstruct them, and name all models; or make a split of fewer scenes",
         )  # fmt: skip
     appearance = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
 
-    def renderer(_: Dataset, asked: Plan) -> Iterator[Render]:
+    def renderer(_: Dataset, requested: Plan) -> Iterator[Render]:
         for scene, model in models.items():
-            own = [view for view in asked.views if view.scene_id == scene]
-            if own:
+            views = [view for view in requested.views if view.scene_id == scene]
+            if views:
                 render = installed_method(name).open(model, appearance)
-                yield from (([view], render(view)) for view in own)
+                yield from (([view], render(view)) for view in views)
 
     about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(models.values()))
     with progress_bar(quiet=arguments.json) as bar:
@@ -144,16 +155,17 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             dataset, plan, renderer, about, appearance_of(appearance), arguments.out, bar, _costs(models.values()),
             of=_hash(models.values()),
         )  # fmt: skip
-    said = {"out": str(arguments.out), "views": count, "method": name}
-    print(json.dumps(said) if arguments.json else f"{count} renders by {name}: {arguments.out}")
-    if not arguments.json:
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), "views": count, "method": name}))
+    else:
         more = " --hidden FOLDER" if load_scorer(protocol.task).needs_hidden(plan) else ""
-        print(f"next: mirror evaluate {arguments.out} --truth {arguments.dataset}{more}")
+        print(f"{count} renders by {name}: {arguments.out}")
+        print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{more}")
     return ExitCode.DONE
 
 
 def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
-    """The method of models, and each by its scene."""
+    """The method of the models, and the model folders by scene."""
     from mirror.methods.model_document import read_reconstruction
 
     documents = [(folder, read_reconstruction(folder)) for folder in folders]
@@ -168,7 +180,7 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
 
 
 def _hash(models: Iterable[Path]) -> str:
-    """Of the documents of models, which say what each took: no two trainings took the same."""
+    """SHA-256 over the documents of models. They record training times, so that no two trainings have the same."""
     from mirror.methods.model_document import DOCUMENT
 
     return hashlib.sha256(b"".join((model / DOCUMENT).read_bytes() for model in models)).hexdigest()
@@ -178,9 +190,10 @@ def _trained_on(models: Iterable[Path]) -> str:
     from mirror.methods.model_document import read_reconstruction
 
     documents = [read_reconstruction(model) for model in models]
-    withheld = sum(one.withheld for one in documents)
-    alone = f"training traversals of split {', '.join(sorted({one.split for one in documents}))}, of the scene alone"
-    return f"{alone}, without {withheld} of their pictures" if withheld else alone
+    withheld = sum(document.withheld for document in documents)
+    splits = ", ".join(sorted({document.split for document in documents}))
+    trained_on = f"training traversals of split {splits}, of the scene alone"
+    return f"{trained_on}, without {withheld} of their pictures" if withheld else trained_on
 
 
 def _costs(models: Iterable[Path]) -> Runtime:
@@ -189,19 +202,19 @@ def _costs(models: Iterable[Path]) -> Runtime:
 
     device = f"{platform.machine()} CPU"
     costs = [read_reconstruction(model).done for model in models]
-    known = [one for one in costs if one is not None]
+    known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
         return Runtime(device=device)
     return Runtime(
         device=device,
-        model_bytes=sum(one.model_bytes for one in known),
-        driven_m=sum(one.driven_m for one in known),
-        training_s=sum(one.wall_s for one in known),
+        model_bytes=sum(cost.model_bytes for cost in known),
+        driven_m=sum(cost.driven_m for cost in known),
+        training_s=sum(cost.wall_s for cost in known),
     )
 
 
 def appearance_of(appearance: AppearancePolicy) -> Appearance:
-    """What a manifest says of the looks of pictures that were not trained on."""
+    """The manifest entry for the appearance of images that were not trained on."""
     from mirror.evaluation.submission.manifest import Appearance
     from mirror.methods.appearance import FITTED_PART
 
@@ -233,41 +246,45 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     ((scene, model),) = models.items()
     document = read_reconstruction(model)
     require_matching_split(dataset, document.split, document)
-    own = dataset.where(scene=scene)
-    base = arguments.traversal or _base(own, str(arguments.trajectory), document.split)
+    scene_dataset = dataset.where(scene=scene)
+    base = arguments.traversal or _base_traversal(scene_dataset, str(arguments.trajectory), document.split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
     hz = _HZ if arguments.hz is None else arguments.hz
-    trajectory = parse_trajectory(own, str(arguments.trajectory), base, hz).resample(hz)
-    views = plan_views_along(own, base, trajectory, pixels, cameras)
-    asked = sorted({view.camera for view in views})
-    filmed = _is_film(arguments.out)
-    if filmed and len(asked) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
+    trajectory = parse_trajectory(scene_dataset, str(arguments.trajectory), base, hz).resample(hz)
+    views = plan_views_along(scene_dataset, base, trajectory, pixels, cameras)
+    rendered_cameras = sorted({view.camera for view in views})
+    as_video = _is_video(arguments.out)
+    if as_video and len(rendered_cameras) > 1 and len({(v.width_px, v.height_px) for v in views}) > 1:
         raise UsageError(
-            f"cameras {', '.join(asked)} have pictures of different sizes", place="--cameras", expected="one of them"
+            f"cameras {', '.join(rendered_cameras)} have images of different sizes",
+            place="--cameras",
+            expected="one of them",
         )
-    looks = parse_camera_policies(arguments.appearance, asked)
-    render = open_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), looks)
+    appearances = parse_camera_policies(arguments.appearance, rendered_cameras)
+    render = open_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), appearances)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))
-        if filmed:
+        if as_video:
             from mirror.view.video import write_video
 
-            write_video(arguments.out, _side_by_side(views, render, len(asked), bar.advance), hz)
+            write_video(arguments.out, _side_by_side(views, render, len(rendered_cameras), bar.advance), hz)
             rendered = len(views)
         else:
-            of = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
-            start_render_folder(arguments.out, of)
-            rendered = _pictures(arguments.out, views, render, bar.advance)
+            inputs = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
+            start_render_folder(arguments.out, inputs)
+            rendered = _write_images(arguments.out, views, render, bar.advance)
     speed = rendered / (time.perf_counter() - begin)
-    said = {"out": str(arguments.out), "pictures": len(views), "method": name, "frames_per_second": speed}
-    words = f"{len(views)} pictures by {name}, {speed:.1f} a second: {arguments.out}"
-    print(json.dumps(said) if arguments.json else words)
+    if arguments.json:
+        counts = {"pictures": len(views), "frames_per_second": speed}
+        print(json.dumps({"out": str(arguments.out), "method": name, **counts}))
+    else:
+        print(f"{len(views)} images by {name}, {speed:.1f} per second: {arguments.out}")
     return ExitCode.DONE
 
 
-def _base(dataset: Dataset, trajectory: str, split: str) -> str:
-    """The traversal that a trajectory goes along, if it names one; else the first that was trained on."""
+def _base_traversal(dataset: Dataset, trajectory: str, split: str) -> str:
+    """The traversal that a trajectory names, or else the first training traversal."""
     if trajectory in dataset.traversals():
         return trajectory
     return dataset.where(split=split, role="train").traversals()[0]
@@ -283,10 +300,10 @@ def _side_by_side(
         advance(cameras)
 
 
-def _pictures(
+def _write_images(
     out: Path, views: Sequence[RenderView], render: Callable[[RenderView], UInt8], advance: Callable[[int], None]
 ) -> int:
-    """Render what is not there yet; how many that was."""
+    """Render the images that do not exist yet, and return their number."""
     from mirror.protocols.png import encode_png
     from mirror.schema.files import write_bytes
     from mirror.schema.render_folder import finish_render_folder

@@ -12,28 +12,33 @@ import tyro
 from mirror.command_line import parse_arguments
 from mirror.errors import ExitCode, UsageError
 
+_EXAMPLES = (
+    "mirror report demo/dataset --out report.html",
+    "mirror report demo/block/dataset --title 'One block' --out block.html",
+)
+
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write one HTML page on a dataset: pictures of every camera, maps, charts, the ledger of refused passes."""
+    """Write an HTML page on a dataset: images of every camera, maps, charts and the ledger of refused passes."""
 
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder or URL."""
+    """Folder or URL of the dataset."""
     out: Path = Path("report.html")
-    """The page."""
+    """HTML file to write."""
     title: str = "MIRROR dataset"
-    """Its title."""
+    """Title of the page."""
     json: bool = False
-    """Print where the page is as JSON."""
+    """Print the path of the page as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror report")
+    arguments = parse_arguments(Arguments, argv, "mirror report", examples=_EXAMPLES)
 
     folder = arguments.out.absolute().parent
     if not folder.is_dir():
-        raise UsageError("no such folder", file=folder, place="--out", remedy="make it first, or name another one")
+        raise UsageError("no such folder", file=folder, place="--out", remedy="create it first, or name another folder")
 
     import mirror
     from mirror.schema.folders import require_output_file

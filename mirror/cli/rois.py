@@ -11,42 +11,54 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.cli.ingest import Cleaning, Trigger, given, print_failures, reader_options
-from mirror.command_line import Subcommand, parse_arguments, run_subcommand
+from mirror.cli.ingest import (
+    RENAMED_THRESHOLDS,
+    Cleaning,
+    Trigger,
+    print_failures,
+    reader_options,
+    stated_thresholds,
+)
+from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.ingest.propose import Proposal, Sparse
 
+_EXAMPLES = (
+    "mirror rois propose demo/recordings --out rois.geojson",
+    "mirror rois propose demo/recordings --radius-m 100 --min-traversals 4 --json",
+)
+
 
 @dataclass(frozen=True)
 class Propose:
-    """Rank centres of regions of interest by how many drives have a traversal there, then by traversals, no overlap."""
+    """Propose regions of interest that do not overlap, ranked by their number of drives, then of traversals."""
 
-    recordings: tyro.conf.Positional[tuple[Path, ...]]
-    """One path a drive, or a folder of recordings."""
-    out: Path | None = None
-    """Write the proposals here, as the GeoJSON that `mirror ingest --rois` takes."""
+    recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="RECORDING...")]
+    """One path per drive, or a folder of recordings."""
+    out: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """GeoJSON file for the proposals; `mirror ingest --rois` reads it."""
     count: int = 10
-    """How many at most."""
+    """Largest number of proposals."""
     radius_m: float = 200.0
     """Radius of the regions."""
     prefix: str = "roi"
-    """Ids are prefix_1, prefix_2 ..., best first."""
+    """The ids are PREFIX_1, PREFIX_2 ..., in order of rank."""
     min_traversals: int = 2
-    """Leave out places with fewer accepted passes."""
-    reader: str | None = None
-    """Name of the reader; default: recognised from the files."""
-    tz: str | None = None
-    """Time zone of stamps that name none (csv reader)."""
-    columns: str | None = None
-    """Names of columns (csv reader)."""
-    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Any other option of the reader as key=value; may be repeated."""
+    """Leave out regions with fewer traversals."""
+    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
+    """Reader of the recordings."""
+    tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
+    """Time zone of time stamps without one, such as Africa/Casablanca (csv reader)."""
+    columns: Annotated[str | None, help_text(default="recognised from the header")] = None
+    """Names of columns, such as time=Date+Time,lon=LON,lat=LAT (csv reader)."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE")] = ()
+    """Another option of the reader."""
     trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads."""
+    """Number of threads."""
     json: bool = False
     """Print the proposals as JSON."""
 
@@ -58,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _propose(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Propose, argv, "mirror rois propose")
+    arguments = parse_arguments(Propose, argv, "mirror rois propose", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
 
@@ -75,8 +87,8 @@ def _propose(argv: Sequence[str]) -> int:
     options = IngestOptions(
         reader=arguments.reader,
         reader_options=reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns),
-        trigger=given(arguments.trigger),
-        cleaning=given(arguments.cleaning),
+        trigger=stated_thresholds(arguments.trigger),
+        cleaning=stated_thresholds(arguments.cleaning),
         workers=arguments.workers,
     )
     with progress_bar(quiet=arguments.json) as bar:
@@ -88,46 +100,47 @@ def _propose(argv: Sequence[str]) -> int:
             options=options,
             progress=bar,
         )
-    found = [one for one in proposals.ranked if one.traversals >= arguments.min_traversals]
-    if arguments.out is not None and found:
-        write_rois(arguments.out, [one.roi for one in found])
+    ranked = [proposal for proposal in proposals.ranked if proposal.traversals >= arguments.min_traversals]
+    if arguments.out is not None and ranked:
+        write_rois(arguments.out, [proposal.roi for proposal in ranked])
     if arguments.json:
-        plain = [{**vars(one), "roi": one.roi.model_dump(exclude_none=True)} for one in found]
+        plain = [{**vars(proposal), "roi": proposal.roi.model_dump(exclude_none=True)} for proposal in ranked]
         failures = [{"recording": str(path), **error.to_dict()} for path, error in proposals.failures]
         sparse = None if proposals.sparse is None else vars(proposals.sparse)
         passed_over = [str(path) for path in recordings.passed_over]
         print(json.dumps({"proposals": plain, "sparse": sparse, "failures": failures, "passed_over": passed_over}))
     else:
-        if found or len(proposals.failures) < len(recordings.recordings):
-            _print(found, proposals.sparse, arguments)
+        if ranked or len(proposals.failures) < len(recordings.recordings):
+            _print(ranked, proposals.sparse, arguments)
         print_failures(proposals.failures, recordings.passed_over)
     if not proposals.failures:
         return ExitCode.DONE
     return ExitCode.PARTLY_DONE if len(proposals.failures) < len(recordings.recordings) else ExitCode.COULD_NOT_RUN
 
 
-def _print(found: Sequence[Proposal], sparse: Sparse | None, arguments: Propose) -> None:
+def _print(ranked: Sequence[Proposal], sparse: Sparse | None, arguments: Propose) -> None:
     from rich.table import Table
 
     from mirror.cli.output import plain_console
 
     console = plain_console()
-    if not found:
-        console.print(f"no place has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
+    if not ranked:
+        console.print(f"no region has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
         if sparse is not None:
             console.print(
-                f"the fixes of {sparse.drives} of {sparse.of} drives lie farther apart than --max-gap"
-                f" {sparse.max_gap_s:g}, at which a visit ends: try --max-gap {sparse.spacing_s:g}",
+                f"the fixes of {sparse.drives} of {sparse.of} drives are farther apart than --max-gap-s"
+                f" {sparse.max_gap_s:g}, where a visit ends: try --max-gap-s {sparse.spacing_s:g}",
                 soft_wrap=True,
             )
         return
     table = Table(box=None, pad_edge=False)
     for name in ("roi", "centre", "drives", "traversals", "refused", "minutes", "km"):
         table.add_column(name, justify="left" if name in ("roi", "centre") else "right")
-    for one in found:
-        roi = one.roi
+    for proposal in ranked:
+        roi = proposal.roi
         centre = f"{roi.longitude_deg:.6f}, {roi.latitude_deg:.6f}" if roi.frame is None else f"{roi.x_m}, {roi.y_m}"
-        figures = (one.drives, one.traversals, one.refused, f"{one.duration_s / 60:.1f}", f"{one.path_m / 1000:.2f}")
+        minutes, kilometres = f"{proposal.duration_s / 60:.1f}", f"{proposal.path_m / 1000:.2f}"
+        figures = (proposal.drives, proposal.traversals, proposal.refused, minutes, kilometres)
         table.add_row(roi.scene_id, centre, *map(str, figures))
     console.print(table)
     if arguments.out is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -29,35 +29,37 @@ class Arguments:
     """
 
     dataset: tyro.conf.Positional[Path]
-    """The dataset's folder."""
+    """Folder of the dataset."""
     name: tyro.conf.Positional[str]
-    """The split's name."""
-    method: Literal["novel-traversal", "by-scene", "by-condition"] | None = None
-    """How to divide (novel-traversal)."""
-    train: float | None = None
-    """Traversals a scene to train on (4); by-scene: share of the scenes (0.7)."""
-    held_out_traversals: int | None = None
-    """Traversals a scene to hold out (1)."""
-    val: float | None = None
-    """By-scene: share of the scenes (0.15)."""
-    test: float | None = None
-    """By-scene: share of the scenes (0.15)."""
-    train_on: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """By-condition: what to train on, e.g. light=day or light=day,weather=clear; may be repeated."""
-    test_on: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """By-condition: what to test on, e.g. light=night; may be repeated."""
-    seed: int | None = None
-    """What the choice is drawn by (0)."""
-    scene: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Only this scene; may be repeated."""
+    """Name of the split."""
+    method: Annotated[
+        Literal["novel-traversal", "by-scene", "by-condition"] | None, help_text(default="novel-traversal")
+    ] = None
+    """Method of division."""
+    train: Annotated[float | None, help_text(default="4; by-scene: 0.7")] = None
+    """Training traversals per scene. With by-scene, the share of scenes."""
+    held_out_traversals: Annotated[int | None, help_text(default="1")] = None
+    """Traversals per scene to hold out (novel-traversal)."""
+    val: Annotated[float | None, help_text(default="0.15")] = None
+    """Share of scenes for validation (by-scene)."""
+    test: Annotated[float | None, help_text(default="0.15")] = None
+    """Share of scenes for the test (by-scene)."""
+    train_on: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE,...")] = ()
+    """Condition of training traversals (by-condition), such as light=day or light=day,weather=clear."""
+    test_on: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE,...")] = ()
+    """Condition of test traversals (by-condition), such as light=night."""
+    seed: Annotated[int | None, help_text(default="0")] = None
+    """Seed of the random choice."""
+    scene: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID")] = ()
+    """Divide only this scene."""
     require: bool = False
-    """A scene with too few traversals is an error. Default: it is left out, and listed."""
+    """Fail if a scene has too few traversals. Without it the scene is left out and listed."""
     extend: bool = False
-    """Put the traversals that came after the split into train."""
+    """Add the traversals that came after the split to train. Excludes the options that define a split."""
     replace: bool = False
-    """Make the split anew, even if it is there."""
+    """Replace an existing split."""
     wait: bool = False
-    """Wait for another run that is writing the dataset."""
+    """Wait until no other run writes the dataset. Without it, a dataset that is being written is an error."""
     json: bool = False
     """Print the report as JSON."""
 
@@ -68,11 +70,15 @@ _OPTIONS_BY_METHOD = {
     "by-condition": ("train_on", "test_on"),
 }
 _RENAMED = {"--held-out": "--held-out-traversals"}
+_EXAMPLES = (
+    "mirror split demo/dataset more --train 3 --held-out-traversals 2 --replace",
+    "mirror split demo/dataset night --method by-condition --train-on light=day --test-on light=night",
+)
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror split", renamed=_RENAMED)
+    arguments = parse_arguments(Arguments, argv, "mirror split", examples=_EXAMPLES, renamed=_RENAMED)
 
     from mirror.dataset.splits import extend_split, make_split
 
@@ -114,8 +120,8 @@ def _refuse_beside_extend(arguments: Arguments) -> None:
     given = [name for name in names if getattr(arguments, name) not in (None, (), False)]
     if given:
         raise UsageError(
-            f"--{given[0].replace('_', '-')} beside --extend",
-            expected="--extend alone: a split keeps the method and seed that it was made with",
+            f"--extend and --{given[0].replace('_', '-')} exclude each other",
+            expected="--extend without options that define a split: it keeps its method and its seed",
         )
 
 
@@ -127,10 +133,12 @@ def _parameters(arguments: Arguments) -> SplitMethod:
     method = arguments.method or "novel-traversal"
     options = {name: getattr(arguments, name) for names in _OPTIONS_BY_METHOD.values() for name in names}
     given = {name: value for name, value in options.items() if value not in (None, ())}
-    foreign = sorted(set(given) - set(_OPTIONS_BY_METHOD[method]))
-    if foreign:
+    unsuitable = sorted(set(given) - set(_OPTIONS_BY_METHOD[method]))
+    if unsuitable:
         known = ", ".join(f"--{name.replace('_', '-')}" for name in _OPTIONS_BY_METHOD[method])
-        raise UsageError(f"--{foreign[0].replace('_', '-')} is not for --method {method}", expected=f"some of {known}")
+        raise UsageError(
+            f"--{unsuitable[0].replace('_', '-')} is not for --method {method}", expected=f"some of {known}"
+        )
     try:
         if method == "by-condition":
             return ByCondition(train=_conditions("train-on", arguments), test=_conditions("test-on", arguments))
@@ -151,19 +159,19 @@ def _conditions(option: str, arguments: Arguments) -> tuple[Condition, ...]:
     from mirror.schema.documents import Condition, Light, Weather
 
     known = {"light": get_args(Light), "weather": get_args(Weather)}
-    found = []
+    conditions = []
     for text in getattr(arguments, option.replace("-", "_")):
         pairs = dict(pair.partition("=")[::2] for pair in text.split(","))
         for key, value in pairs.items():
             if value not in known.get(key, ()):
                 listed = "; ".join(f"{name}={'|'.join(values)}" for name, values in known.items())
-                raise UsageError(f"{text!r} is no condition", place=f"--{option}", expected=listed)
-        found.append(Condition.model_validate(pairs))
-    if not found:
+                raise UsageError(f"{text!r} is not a condition", place=f"--{option}", expected=listed)
+        conditions.append(Condition.model_validate(pairs))
+    if not conditions:
         raise UsageError(
             "no condition given", place=f"--{option}", expected="at least one, such as light=day or weather=rain"
         )
-    return tuple(found)
+    return tuple(conditions)
 
 
 def _plain(report: SplitReport, arguments: Arguments) -> dict[str, object]:
@@ -179,23 +187,23 @@ def _plain(report: SplitReport, arguments: Arguments) -> dict[str, object]:
 
 def _print(report: SplitReport, arguments: Arguments) -> None:
     document = report.document
-    said = {
+    actions = {
         "made": "made",
-        "kept": "is there already and stays as it is",
+        "kept": "exists already and is unchanged",
         "extended": "extended: new traversals are in train",
     }
-    print(f"split {document.name} {said[report.action]}: {arguments.dataset}/splits/{document.name}.json")
+    print(f"split {document.name} {actions[report.action]}: {arguments.dataset}/splits/{document.name}.json")
     print(f"method {document.parameters.method}, seed {document.seed}")
     print(", ".join(f"{role} {count}" for role, count in sorted(report.roles().items())))
     for place, reason in document.left_out.items():
         print(f"left out: {place}: {reason}")
     if report.outside:
         print(
-            f"{len(report.outside)} traversals came later and are not in it, such as {report.outside[0]}:"
-            " put them in train with --extend"
+            f"{len(report.outside)} traversals came after the split, such as {report.outside[0]}:"
+            " add them to train with --extend"
         )
     if report.changed:
         print(
-            f"warning: {len(report.changed)} traversals are not what they were, such as {report.changed[0]}:"
-            " make the split anew with --replace"
+            f"warning: {len(report.changed)} traversals have changed since the split, such as {report.changed[0]}:"
+            " replace the split with --replace"
         )

@@ -6,61 +6,62 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
     from mirror.dataset.statistics import Statistics
 
-_UNBOUNDED = 160
+_PIPE_WIDTH = 160
+_EXAMPLES = ("mirror stats demo/dataset", "mirror stats demo/dataset --plots plots --json")
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What a dataset amounts to: the row of the paper's dataset table, traversals a scene, speeds, conditions."""
+    """Print the row of the paper's dataset table, and traversals per scene, speeds and conditions."""
 
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder or URL."""
-    plots: Path | None = None
-    """Write plots (PNG) into this folder."""
+    """Folder or URL of the dataset."""
+    plots: Annotated[Path | None, help_text(default="no plots", metavar="FOLDER")] = None
+    """Folder for plots (PNG)."""
     json: bool = False
     """Print the statistics as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror stats")
+    arguments = parse_arguments(Arguments, argv, "mirror stats", examples=_EXAMPLES)
 
     from mirror.dataset import open as open_dataset
     from mirror.dataset.statistics import compute_statistics
 
-    found = compute_statistics(open_dataset(arguments.dataset))
+    totals = compute_statistics(open_dataset(arguments.dataset))
     files: list[Path] = []
     if arguments.plots is not None:
         from mirror.view.plots import write_plots
 
-        files = write_plots(found, arguments.plots)
+        files = write_plots(totals, arguments.plots)
     if arguments.json:
-        print(json.dumps({"dataset": arguments.dataset, **found.to_dict(), "plots": [str(file) for file in files]}))
+        print(json.dumps({"dataset": arguments.dataset, **totals.to_dict(), "plots": [str(file) for file in files]}))
         return ExitCode.DONE
-    _print(found)
+    _print(totals)
     for file in files:
         print(f"plot: {file}")
     return ExitCode.DONE
 
 
-def _print(found: Statistics) -> None:
+def _print(totals: Statistics) -> None:
     from mirror.cli.output import plain_console
 
     console = plain_console()
     if not console.is_terminal:
-        # A file or a pipe has no edge to wrap at.
-        console.width = _UNBOUNDED
-    row = found.row
+        # A file or a pipe has no width.
+        console.width = _PIPE_WIDTH
+    row = totals.row
     _table(
         console,
         None,
@@ -81,7 +82,7 @@ def _print(found: Statistics) -> None:
     _table(
         console,
         "scenes",
-        ("scene", "city", "type", "traversals", "drives", "min", "pictures", "light"),
+        ("scene", "city", "type", "traversals", "drives", "min", "images", "light"),
         [
             (
                 scene.scene_id,
@@ -93,33 +94,33 @@ def _print(found: Statistics) -> None:
                 f"{scene.images:,}",
                 ", ".join(f"{name} {count}" for name, count in scene.light.items()),
             )
-            for scene in found.scenes
+            for scene in totals.scenes
         ],
     )
     _table(
         console,
         "conditions",
         ("light", "weather", "traversals", "min"),
-        [(one.light, one.weather, one.traversals, f"{60 * one.hours:.1f}") for one in found.conditions],
+        [(row.light, row.weather, row.traversals, f"{60 * row.hours:.1f}") for row in totals.conditions],
     )
-    if found.speed is not None:
-        percents = found.speed.quantiles_mps.items()
+    if totals.speed is not None:
+        percents = totals.speed.quantiles_mps.items()
         _table(
             console,
             "speed (m/s, weighted by time)",
             ("mean", *(f"{percent} %" for percent, _ in percents), "standing"),
-            [(f"{found.speed.mean_mps:.1f}", *(f"{v:.1f}" for _, v in percents), f"{found.speed.standing:.0%}")],
+            [(f"{totals.speed.mean_mps:.1f}", *(f"{v:.1f}" for _, v in percents), f"{totals.speed.standing:.0%}")],
         )
-    types = ", ".join(f"{name} {count}" for name, count in found.vehicle_types.items())
-    refused = ", ".join(f"{rule} {count}" for rule, count in found.refused.items()) or "none"
+    types = ", ".join(f"{name} {count}" for name, count in totals.vehicle_types.items())
+    refused = ", ".join(f"{rule} {count}" for rule, count in totals.refused.items()) or "none"
     console.print()
     console.print(
-        f"traversals {found.traversals}, drives {found.drives}, vehicles {found.vehicles}; by type: {types or '--'}"
+        f"traversals {totals.traversals}, drives {totals.drives}, vehicles {totals.vehicles}; by type: {types or '--'}"
     )
     console.print(f"refused passes: {refused}")
     console.print(
-        f"{found.images:,} pictures ({found.image_bytes / 1e6:,.1f} MB) in {found.frames:,} frames,"
-        f" {found.camera_hours:.2f} camera hours; cities: {', '.join(row.cities) or 'not stated'}"
+        f"{totals.images:,} images ({totals.image_bytes / 1e6:,.1f} MB) in {totals.frames:,} frames,"
+        f" {totals.camera_hours:.2f} camera hours; cities: {', '.join(row.cities) or 'not stated'}"
     )
 
 

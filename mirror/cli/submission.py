@@ -1,4 +1,4 @@
-"""``mirror submission new DATASET``, ``check SUBMISSION`` and ``hidden DATASET``."""
+"""``mirror submission new DATASET``, ``check DATASET SUBMISSION`` and ``hidden DATASET``."""
 
 from __future__ import annotations
 
@@ -6,77 +6,89 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import Subcommand, parse_arguments, run_subcommand
+from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
     from mirror.evaluation.submission.check import CheckReport
     from mirror.evaluation.submission.untrusted import UntrustedFiles
 
-_SHOWN = 8
+_LISTED_PROBLEMS = 8
+_NEW_EXAMPLES = (
+    "mirror submission new demo/dataset --protocol static-reconstruction --split novel --out template",
+    "mirror submission new demo/dataset --protocol lane-shift --split novel --blind --out template",
+)
+_CHECK_EXAMPLES = (
+    "mirror submission check demo/dataset demo/submissions/nearest_frame",
+    "mirror submission check demo/dataset demo/submissions/nearest_frame --decode --json",
+)
+_HIDDEN_EXAMPLES = (
+    "mirror submission hidden demo/dataset --split novel --preset demo --out hidden",
+    "mirror submission hidden demo/block/dataset --split novel --preset block --protocol lane-shift --out hidden",
+)
 
 
 @dataclass(frozen=True)
 class New:
-    """Write the template of a submission: every expected file with pose, lens, size and mask, and a manifest."""
+    """Write the template of a submission: each expected file with pose, lens, size and mask, and a manifest."""
 
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder or URL."""
-    protocol: str
-    """Name of the protocol, or the path of a protocol's .toml."""
-    split: str
+    """Folder or URL of the dataset."""
+    protocol: Annotated[str, help_text(metavar="NAME")]
+    """Name of a protocol, or path of its .toml file."""
+    split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""
-    out: Path
-    """A new or an empty folder, or one in which the same was begun."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """A new or empty folder, or the folder of an interrupted run with the same options."""
     blind: bool = False
-    """Say nothing of where the recorded pictures lie: for whoever does not have the dataset."""
+    """Leave out the paths of recorded images, for participants who do not have the dataset."""
     json: bool = False
-    """Print what was written as JSON."""
+    """Print JSON."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """Hold a submission against what is expected of it; all problems are listed at once, nothing is scored.
+    """Check the files and the manifest of a submission, and list all problems. Nothing is scored.
 
-    Exit codes: 0 nothing is wrong, 1 something is, 2 could not run.
+    Exit codes: 0 no problems, 1 problems, 2 could not run.
     """
 
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset."""
     submission: tyro.conf.Positional[Path]
-    """Its folder, or a zip of it."""
-    truth: str
-    """The dataset's folder or URL."""
-    protocol: str | None = None
-    """Name of the protocol, or the path of its .toml. Default: what the manifest says."""
-    split: str | None = None
-    """Name of the split. Default: what the manifest says."""
+    """Folder of the submission, or a zip file of it."""
+    protocol: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
+    """Name of a protocol, or path of its .toml file."""
+    split: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
+    """Name of the split."""
     decode: bool = False
-    """Decode every image too, which takes minutes where the rest takes seconds."""
+    """Also decode every image. It takes minutes; the other checks take seconds."""
     json: bool = False
     """Print the report as JSON."""
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """Render the true pictures of moved cameras of a synthetic street: what an organiser gives to evaluate --hidden."""
+    """Render the true images of moved cameras in a synthetic street, for organisers: `mirror evaluate --hidden`."""
 
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder or URL, of recordings that `mirror synth` wrote."""
-    split: str
+    """Folder or URL of the dataset. Its recordings were written by `mirror synth`."""
+    split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""
-    preset: str
-    """That `mirror synth` was run with."""
-    out: Path
-    """A new or an empty folder, or one in which the same was begun. Keep it to yourself."""
+    preset: Annotated[str, help_text(metavar="NAME")]
+    """The --preset of `mirror synth`."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """A new or empty folder, or the folder of an interrupted run. Do not publish it."""
     seed: int = 0
-    """That `mirror synth` was run with."""
-    protocol: str = "lane-shift"
-    """Name of the protocol, or the path of a protocol's .toml."""
+    """The --seed of `mirror synth`."""
+    protocol: Annotated[str, help_text(metavar="NAME")] = "lane-shift"
+    """Name of a protocol, or path of its .toml file."""
     json: bool = False
-    """Print what was written as JSON."""
+    """Print JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -90,7 +102,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _new(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(New, argv, "mirror submission new")
+    arguments = parse_arguments(New, argv, "mirror submission new", examples=_NEW_EXAMPLES)
 
     import mirror
     from mirror.evaluation.submission.template import write_template
@@ -106,17 +118,19 @@ def _new(argv: Sequence[str]) -> int:
         bar.start("views", len(plan.views))
         count = write_template(arguments.out, plan, truth, blind=arguments.blind, advance=bar.advance)
     if arguments.json:
-        said = {"out": str(arguments.out), "expected": count, "groups_without_views": plan.empty_groups}
-        print(json.dumps({**said, "protocol_hash": protocol.hash, "plan_hash": plan.hash}))
+        written = {"out": str(arguments.out), "expected": count, "groups_without_views": plan.empty_groups}
+        print(json.dumps({**written, "protocol_hash": protocol.hash, "plan_hash": plan.hash}))
     else:
-        print(f"{count} files are expected: {arguments.out}/views.json lists them, README.md says how")
+        print(f"{count} files are expected: {arguments.out}/views.json lists them, README.md explains the next steps")
         for group in plan.empty_groups:
             print(f"group {group} has no views in split {arguments.split}")
     return ExitCode.DONE
 
 
 def _check(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Check, argv, "mirror submission check")
+    arguments = parse_arguments(
+        Check, argv, "mirror submission check", examples=_CHECK_EXAMPLES, renamed={"--truth": "DATASET"}
+    )
 
     import mirror
     from mirror.evaluation.submission.check import check_submission
@@ -126,20 +140,20 @@ def _check(argv: Sequence[str]) -> int:
     from mirror.protocols.views import plan_views
 
     files = open_untrusted(arguments.submission)
-    asked = asked_or_problems(files, arguments.protocol, arguments.split)
-    if isinstance(asked, tuple):
-        protocol, split = asked
-        plan = plan_views(mirror.open(arguments.truth), load_protocol(protocol), split)
+    requested = requested_views(files, arguments.protocol, arguments.split)
+    if isinstance(requested, tuple):
+        protocol, split = requested
+        plan = plan_views(mirror.open(arguments.dataset), load_protocol(protocol), split)
         with progress_bar(quiet=arguments.json) as bar:
             bar.start("files", len(plan.views))
             report = check_submission(files, plan, decode=arguments.decode, advance=bar.advance)
     else:
-        report = asked
-    return say_report(report, arguments.submission, as_json=arguments.json)
+        report = requested
+    return print_check(report, arguments.submission, as_json=arguments.json)
 
 
 def _hidden(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Hidden, argv, "mirror submission hidden")
+    arguments = parse_arguments(Hidden, argv, "mirror submission hidden", examples=_HIDDEN_EXAMPLES)
 
     import mirror
     from mirror.progress import progress_bar
@@ -150,15 +164,23 @@ def _hidden(argv: Sequence[str]) -> int:
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
     with progress_bar(quiet=arguments.json) as bar:
-        bar.start("pictures", len(plan.views))
+        bar.start("images", len(plan.views))
         count = write_hidden_truth(dataset, plan, arguments.preset, arguments.seed, arguments.out, bar.advance)
-    said = {"out": str(arguments.out), "pictures": count}
-    print(json.dumps(said) if arguments.json else f"{count} true pictures in {arguments.out}: keep them to yourself")
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), "pictures": count}))
+    else:
+        print(f"{count} true images in {arguments.out}: do not publish them")
     return ExitCode.DONE
 
 
-def asked_or_problems(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
-    """Protocol and split of a submission, or what is wrong with one that does not say them."""
+def requested_views(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
+    """Protocol and split of a submission, or the problems of a submission that does not state them.
+
+    Args:
+        files: of the submission.
+        protocol: replaces that of the manifest.
+        split: replaces that of the manifest.
+    """
     from mirror.evaluation.submission.check import report_unreadable_manifest
     from mirror.evaluation.submission.manifest import read_protocol_and_split
     from mirror.evaluation.submission.untrusted import UntrustedError
@@ -169,8 +191,8 @@ def asked_or_problems(files: UntrustedFiles, protocol: str | None, split: str | 
         return report_unreadable_manifest(files, error)
 
 
-def say_report(report: CheckReport, submission: Path, *, as_json: bool) -> ExitCode:
-    """Print a check's report, and give the exit code that it means."""
+def print_check(report: CheckReport, submission: Path, *, as_json: bool) -> ExitCode:
+    """Print the report of a check, and return its exit code."""
     if as_json:
         print(json.dumps(plain_report(report)))
     else:
@@ -179,7 +201,7 @@ def say_report(report: CheckReport, submission: Path, *, as_json: bool) -> ExitC
 
 
 def plain_report(report: CheckReport) -> dict[str, object]:
-    """A check's report for ``--json``."""
+    """The report of a check for ``--json``."""
     return {
         "expected": report.expected,
         "present": report.present,
@@ -190,25 +212,25 @@ def plain_report(report: CheckReport) -> dict[str, object]:
 
 
 def print_report(report: CheckReport, submission: Path) -> None:
-    """A check's report for people: some problems of each kind, and how many more."""
+    """Print the report of a check for people: the first problems of each kind, and the number of others."""
     from itertools import groupby
 
-    for kind, own in groupby(report.problems, key=lambda problem: problem.kind):
-        problems = list(own)
+    for kind, group in groupby(report.problems, key=lambda problem: problem.kind):
+        problems = list(group)
         print(f"{kind}: {len(problems)}")
-        for problem in problems[:_SHOWN]:
+        for problem in problems[:_LISTED_PROBLEMS]:
             print(f"  {_printable(problem.path)}: {_printable(problem.message)}")
-        if len(problems) > _SHOWN:
-            print(f"  ... and {len(problems) - _SHOWN} more; --json lists all")
+        if len(problems) > _LISTED_PROBLEMS:
+            print(f"  ... and {len(problems) - _LISTED_PROBLEMS} more; --json lists all")
     count = len(report.problems)
-    verdict = f"{count} problem{'s' * (count != 1)}" if count else "nothing is wrong"
-    # Without a manifest nobody knows what is expected.
-    there = f"{report.present} of {report.expected} expected files are there; " if report.expected else ""
-    print(f"{submission}: {there}{verdict}")
-    for what in report.not_checked:
-        print(f"not checked: {what}")
+    verdict = f"{count} problem{'s' * (count != 1)}" if count else "no problems"
+    # Without a manifest the expected files are unknown.
+    presence = f"{report.present} of {report.expected} expected files are present; " if report.expected else ""
+    print(f"{submission}: {presence}{verdict}")
+    for subject in report.not_checked:
+        print(f"not checked: {subject}")
 
 
 def _printable(text: str) -> str:
-    """File names of others must not steer the terminal."""
+    """Escape control characters: file names of others must not control the terminal."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text[:300])

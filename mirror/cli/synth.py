@@ -7,48 +7,52 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
+
+_EXAMPLES = (
+    "mirror synth --preset quick --out recordings",
+    "mirror synth --preset demo --scenes 1 --truth depth,boxes --out recordings",
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write recordings of a synthetic street, as a fleet would deliver them, and rois.geojson beside them.
+    """Write recordings of a synthetic street, as a fleet would deliver them, and their regions in rois.geojson.
 
-    The files depend on the preset, the seed and the numbers alone. After an interruption the same command goes on:
-    recordings that are complete are kept.
+    The files depend only on the options. After an interruption the same command continues and keeps the complete
+    recordings.
     """
 
     out: Path
-    """A new or an empty folder, or one in which the same recordings were begun."""
+    """A new or empty folder, or the folder of an interrupted run with the same options."""
     preset: Literal["demo", "quick", "tiny", "block", "reconstruction", "benchmark", "paper"] = "demo"
-    """demo: two scenes; quick: one small scene; tiny: two traversals, for tests; block and
-    reconstruction: one and three blocks of a street; benchmark: four scenes of eight
-    traversals; paper: ten scenes in six cities, whose pictures are rendered when they are loaded."""
-    scenes: int | None = None
-    """How many scenes. Default: all that the preset has."""
-    traversals: int | None = None
-    """Drives with pictures through each scene. Default: the preset's."""
+    """demo: two scenes. quick: one small scene. tiny: two traversals, for tests. benchmark: four scenes of eight
+    traversals. block, reconstruction: one and three blocks of a street.
+    paper: ten scenes in six cities, with images that are rendered when they are loaded."""
+    scenes: Annotated[int | None, help_text(default="all of the preset")] = None
+    """Number of scenes."""
+    traversals: Annotated[int | None, help_text(default="that of the preset")] = None
+    """Number of drives with images through each scene."""
     seed: int = 0
-    """Of everything that is left to chance."""
-    truth: str = ""
-    """Kinds of truth to be written beside each recording, such as depth,boxes: depth, normals, semantic, instance,
-    flow, boxes, poses."""
+    """Seed of all random choices."""
+    truth: Annotated[str, help_text(default="none", metavar="KIND,...")] = ""
+    """Truth to write beside each recording: depth, normals, semantic, instance, flow, boxes, poses."""
     errors: Literal["default", "none"] = "default"
-    """Whether what is recorded differs from the truth, as a fleet's does."""
-    without: str = ""
-    """Effects that are left out of the pictures, such as noise,motion_blur; docs/synth.md names them all."""
+    """default: recorded poses and calibrations have errors, as in a fleet. none: they are exact."""
+    without: Annotated[str, help_text(default="none", metavar="EFFECT,...")] = ""
+    """Effects to leave out of the images, such as noise,motion_blur; docs/synth.md lists them."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Threads."""
+    """Number of threads."""
     json: bool = False
-    """Print the recordings' paths as JSON."""
+    """Print the paths of the recordings as JSON."""
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror synth")
+    arguments = parse_arguments(Arguments, argv, "mirror synth", examples=_EXAMPLES)
 
     from mirror.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings
@@ -76,6 +80,6 @@ def main(argv: Sequence[str]) -> int:
         print(f"{len(written.recordings)} recordings in {arguments.out}, their regions of interest in {rois}")
         print(
             f"{written.images} images ({written.lost} more were lost), {written.boxes} boxes"
-            f" ({written.unseen} more road users were near, and in no image)"
+            f" ({written.unseen} more road users were near but in no image)"
         )
     return ExitCode.DONE

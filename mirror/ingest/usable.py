@@ -57,7 +57,7 @@ def clean_usable(
         lost_s, drive_s, longest_s = _uncovered_s(track, off, trigger.max_gap_s)
         if lost_s > (1.0 - _LEAST_COVERED) * drive_s:
             problem = f"{summary}, and the gaps they leave are {lost_s:.1f} s of the drive's {drive_s:.1f} s"
-            raise _refusal(track, off, problem, f"--max-gap {math.ceil(longest_s)}")
+            raise _refusal(track, off, problem, f"--max-gap-s {math.ceil(longest_s)}")
     return track, cleaned, report
 
 

@@ -164,7 +164,7 @@ def test_protocol_without_renders_is_refused(dataset: Dataset, tmp_path: Path) -
 
 
 def test_command(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["baseline", "nearest_frame", dataset.root, "--split", "novel", "--out", str(tmp_path / "out")]
+    words = ["baseline", dataset.root, "--method", "nearest_frame", "--split", "novel", "--out", str(tmp_path / "out")]
     assert main(words) == ExitCode.DONE
     views = len(CAMERAS) * (4 * 4)
     assert FRAMES == 12

@@ -147,11 +147,11 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     manifest = json.loads((submission / "manifest.json").read_text())
     assert manifest["appearance"]["policy"] == "nearest-traversal"
     assert manifest["runtime"]["model_bytes"] == done["model_bytes"]
-    assert main(["submission", "check", str(submission), "--truth", dataset.root, "--protocol", str(protocol)]) == 0
+    assert main(["submission", "check", dataset.root, str(submission), "--protocol", str(protocol)]) == 0
     capsys.readouterr()
 
     ply = tmp_path / "street.ply"
-    baked = said(capsys, "export-ply", model, "--dataset", dataset.root, "--out", ply, "--degree", 1)
+    baked = said(capsys, "export-ply", dataset.root, model, "--out", ply, "--degree", 1)
     assert baked["bytes"] == ply.stat().st_size and baked["gaussians"] > 100 and baked["psnr_db"] > 30.0
 
     drawn = driven_as_documented(dataset, model)
@@ -193,7 +193,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
         assert problem["expected"] == "CAMERA=LOOK,... of front_left, front_wide"
     of_split = ("--dataset", dataset.root, "--split", "novel", "--appearance", "front_wide=night")
     problem = said(capsys, "render", model, *of_split, "--out", tmp_path / "x", code=2)
-    assert problem["problem"] == "looks by camera are for trajectories"
+    assert problem["problem"] == "appearances by camera are for trajectories"
     nearest, mean, given = looks.values()
     red, _, blue = given - nearest
     assert red > 1.0 and blue < -1.0
@@ -240,7 +240,7 @@ def test_rivals_go_through_the_same_verbs(
 ) -> None:
     model = tmp_path / "model"
     said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 6))
-    words = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--cameras", "front_wide")
+    words = ("render", dataset.root, model, "--trajectory", "forward:1", "--cameras", "front_wide")
     printed = said(capsys, *words, "--width", 48, "--hz", 2, "--out", tmp_path / "pictures")
     assert printed["method"] == method and printed["pictures"] == len(list((tmp_path / "pictures").rglob("*.png"))) > 1
     for mixed in ("mean", "sweep:day:night"):
@@ -259,7 +259,7 @@ def test_the_papers_method_has_the_papers_losses_and_the_other_one_more(
     assert "rgb" in columns and ("structure" in columns) == more
     weight = json.loads((model / block / "run.json").read_text())["settings"]["structure_weight"]
     assert (weight > 0.0) == more
-    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    words = ("render", dataset.root, model, "--split", "novel", "--protocol", narrow(tmp_path))
     assert said(capsys, *words, "--out", tmp_path / "submission")["method"] == method
 
 
@@ -294,7 +294,7 @@ def test_a_long_street_is_several_blocks(
     done = said(capsys, *reconstruct(dataset, model, "--method", method, "--steps", 4))
     assert len(done["blocks"]) > 1 and done["steps"] == 4 * len(done["blocks"])
     assert done["model_bytes"] == sum(file.stat().st_size for file in model.glob("*/model.safetensors"))
-    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    words = ("render", dataset.root, model, "--split", "novel", "--protocol", narrow(tmp_path))
     assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
     (model / done["blocks"][1] / "outcome.json").unlink()
     undone = said(capsys, *words, "--out", tmp_path / "other", code=ExitCode.COULD_NOT_RUN)
@@ -310,7 +310,7 @@ def test_blocks_are_shared_out(
     first, *others = whole["blocks"]
     begun = said(capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", first))
     assert (begun["blocks"], begun["undone"], begun["steps"]) == ([first], others, 3)
-    words = ("render", shared, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "submission")
+    words = ("render", dataset.root, shared, "--split", "novel", "--out", tmp_path / "submission")
     assert "not trained to the end" in said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["problem"]
     mixed = (*reconstruct(dataset, shared, "--steps", 3, "--blocks", ",".join(others)), "--seed", 7)
     assert "seed 0, now 7" in said(capsys, *mixed, code=ExitCode.COULD_NOT_RUN)["problem"]
@@ -385,7 +385,7 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
     swapped = {**document, "name": "swapped", "assignments": {**document["assignments"], first: "held_out"}}
     anew = {**document, "name": "anew", "manifests": {**document["manifests"], first: "56" * 32}}
     none = {**document, "name": "none", "assignments": {}, "manifests": {}}
-    words = ("render", model, "--dataset", dataset.root, "--protocol", narrow(tmp_path), "--out", tmp_path / "out")
+    words = ("render", dataset.root, model, "--protocol", narrow(tmp_path), "--out", tmp_path / "out")
     for split, message in (
         (swapped, f"it was trained on {first}, which split swapped holds out"),
         (anew, f"{first} was recorded anew since"),
@@ -394,8 +394,8 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
         (splits / f"{split['name']}.json").write_text(json.dumps(split))
         assert message in said(capsys, *words, "--split", split["name"], code=ExitCode.COULD_NOT_RUN)["problem"]
     (splits / "novel.json").write_text(json.dumps({**anew, "name": "novel"}))
-    ply = ("export-ply", model, "--dataset", dataset.root, "--out", tmp_path / "street.ply")
-    shifted = ("render", model, "--dataset", dataset.root, "--trajectory", "forward:1", "--out", tmp_path / "out")
+    ply = ("export-ply", dataset.root, model, "--out", tmp_path / "street.ply")
+    shifted = ("render", dataset.root, model, "--trajectory", "forward:1", "--out", tmp_path / "out")
     for verb in (ply, shifted):
         assert "recorded anew" in said(capsys, *verb, code=ExitCode.COULD_NOT_RUN)["problem"]
     assert not (tmp_path / "out").exists() and not (tmp_path / "street.ply").exists()
@@ -450,7 +450,7 @@ def test_a_run_of_other_settings_is_refused(
     [
         (("--scene", "elsewhere"), "no training traversals in scene 'elsewhere'"),
         (("--method", "magic"), "no method 'magic' is installed"),
-        (("--minutes", 1), "both --minutes and --steps"),
+        (("--minutes", 1), "--minutes and --steps exclude each other"),
         (("--threads", 0), "0"),
         (("--seed", -1), "-1"),
         (("--split", "none"), "no such split"),
@@ -479,7 +479,7 @@ def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: 
     problem = said(capsys, *reconstruct(dataset, tmp_path), code=ExitCode.COULD_NOT_RUN)["problem"]
     assert "a folder with other files" in problem
     problem = said(
-        capsys, "render", tmp_path, "--dataset", dataset.root, "--split", "novel", "--out", tmp_path / "new",
+        capsys, "render", dataset.root, tmp_path, "--split", "novel", "--out", tmp_path / "new",
         code=ExitCode.COULD_NOT_RUN,
     )  # fmt: skip
     assert problem["problem"] == "no reconstruction.json there"
@@ -587,7 +587,7 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     asked = ("--split", "novel", "--protocol", narrow(tmp_path))
     if where == "trajectory":
         asked = ("--trajectory", "forward:1", "--width", 48, "--hz", 5)
-    words = ("render", model, "--dataset", dataset.root, *asked)
+    words = ("render", dataset.root, model, *asked)
     said(capsys, *words, "--out", whole)
     drawn = []
 
@@ -636,7 +636,7 @@ def test_a_rendering_that_cannot_be_is_refused_and_leaves_nothing(
 ) -> None:
     model, out = tmp_path / "model", tmp_path / "out"
     said(capsys, *reconstruct(dataset, model, "--steps", 2))
-    words = ("render", model, "--dataset", dataset.root, *more, "--out", out)
+    words = ("render", dataset.root, model, *more, "--out", out)
     error = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
     assert message in error["problem"] and (error["place"] or "").startswith(place or "")
     assert not out.exists()
@@ -699,7 +699,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     assert removed == [first[0]]
     assert f"{first[0]} is left out: masks cover all its images" in printed.out + printed.err
     assert sorted(path.parent.name for path in model.glob("*/model.safetensors")) == sorted(first[1:])
-    words = ("render", model, "--dataset", dataset.root, "--split", "novel", "--protocol", narrow(tmp_path))
+    words = ("render", dataset.root, model, "--split", "novel", "--protocol", narrow(tmp_path))
     assert said(capsys, *words, "--out", tmp_path / "submission")["views"] > 0
     # It stays left out: nothing is tried again.
     masked.clear()
@@ -736,7 +736,7 @@ def test_views_that_nobody_took_are_a_submission_too(
     said(capsys, *reconstruct(dataset, model, "--steps", 12))
     asked = ("--dataset", dataset.root, "--split", "novel", "--protocol", protocol, "--out", submission)
     assert main([str(word) for word in ("render", model, *asked)]) == ExitCode.DONE
-    assert capsys.readouterr().out.endswith(f"evaluate {submission} --truth {dataset.root} --hidden FOLDER\n")
+    assert capsys.readouterr().out.endswith(f"evaluate {dataset.root} {submission} --hidden FOLDER\n")
     plan = plan_views(dataset, load_protocol(str(protocol)), "novel")
     assert len(plan.views) == len(list(submission.rglob("*.png"))) > 20
     assert {view.group for view in plan.views} == {f"{side}-{far}m" for side in ("left", "right") for far in (1, 2, 3)}
@@ -744,7 +744,7 @@ def test_views_that_nobody_took_are_a_submission_too(
     drawn = installed_method("hybridworldsim").open(model, AppearancePolicy(views=plan.views))
     for view in plan.views[:: len(plan.views) // 5]:
         np.testing.assert_array_equal(cv2.imread(str(submission / view.path))[..., ::-1], drawn(view))
-    check = ("submission", "check", submission, "--truth", dataset.root, "--protocol", protocol)
+    check = ("submission", "check", dataset.root, submission, "--protocol", protocol)
     assert main([str(word) for word in check]) == ExitCode.DONE
 
 

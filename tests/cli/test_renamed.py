@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import pytest
 
+from mirror import command_line
 from mirror.cli.main import main
 from mirror.cli.verbs import RENAMED, all_commands
 from mirror.command_line import apply_new_names
@@ -60,6 +63,42 @@ def test_an_old_verb_is_accepted_with_a_note(old: str, capsys: pytest.CaptureFix
     printed = capsys.readouterr()
     assert printed.err == f"mirror: the verb {old} is now called {new}\n"
     assert f"mirror {new}" in printed.out
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("evaluate S --truth D --workers 1", "evaluate D S --workers 1"),
+        ("evaluate --truth=D S", "evaluate D S"),
+        ("submission check S --truth D", "submission check D S"),
+        ("render A B --dataset D --split s --out o", "render D A B --split s --out o"),
+        ("export-ply M --dataset D --out x.ply", "export-ply D M --out x.ply"),
+        ("baseline mean_color D --split s --out o", "baseline D --method mean_color --split s --out o"),
+        (
+            "leaderboard add --truth D R --dataset n --submission S",
+            "leaderboard add R D --dataset-name n --submission S",
+        ),
+        ("ingest R --max-gap 3 --dry-run", "ingest R --max-gap-s 3 --dry-run"),
+    ],
+)
+def test_old_words_give_the_same_arguments(
+    old: str, new: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class ParsedError(Exception):
+        """Has the arguments that were parsed."""
+
+    def stop(arguments: object) -> NoReturn:
+        raise ParsedError(arguments)
+
+    monkeypatch.setattr(command_line, "refuse_urls", stop)
+    results = []
+    for words in (old, new):
+        with pytest.raises(ParsedError) as ended:
+            main(words.split())
+        results.append((ended.value.args[0], capsys.readouterr().err))
+    (old_arguments, note), (new_arguments, nothing) = results
+    assert old_arguments == new_arguments
+    assert " is now " in note and nothing == ""
 
 
 def test_values_are_not_renamed(capsys: pytest.CaptureFixture[str]) -> None:

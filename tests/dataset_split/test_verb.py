@@ -38,8 +38,8 @@ def test_made_kept_and_extended(builder: Builder, capsys: pytest.CaptureFixture[
     builder.drive("late", [Pass("a", EPOCH + 9000 * SECOND, frames=2)], vehicle_id="late")
     code, said = run(builder, capsys, "s")
     assert code == 0
-    assert "stays as it is" in said
-    assert "1 traversals came later" in said
+    assert "is unchanged" in said
+    assert "1 traversals came after the split" in said
     code, said = run(builder, capsys, "s", "--extend", "--json")
     plain = json.loads(said)
     assert (code, plain["action"], plain["roles"]["train"]) == (0, "extended", 5)
@@ -68,10 +68,10 @@ def test_every_method(builder: Builder, capsys: pytest.CaptureFixture[str]) -> N
         (["s", "--train", "0"], "--train"),
         (["s", "--method", "by-scene", "--train", "0.9"], "do not add up to 1"),
         (["s", "--method", "by-condition", "--train-on", "light=day"], "--test-on: no condition given"),
-        (["s", "--method", "by-condition", "--train-on", "light=dawn"], "'light=dawn' is no condition"),
-        (["s", "--method", "by-condition", "--train-on", "light"], "'light' is no condition"),
+        (["s", "--method", "by-condition", "--train-on", "light=dawn"], "'light=dawn' is not a condition"),
+        (["s", "--method", "by-condition", "--train-on", "light"], "'light' is not a condition"),
         (["s", "--extend"], "no such split"),
-        (["s", "--extend", "--seed", "1"], "--seed beside --extend"),
+        (["s", "--extend", "--seed", "1"], "--extend and --seed exclude each other"),
         (["s", "--scene", "z"], "unknown scene 'z'"),
         (["../s"], "'../s' is not a valid name of a split"),
     ],

@@ -15,25 +15,25 @@ from tests.evaluation.submissions import small, small_text, write_renders
 from tests.ingest.recordings import tree
 
 FOLDERS = {
-    "evaluate": "evaluate {here}/submission --truth {data} --protocol {here}/small.toml --out {out}",
-    "evaluate with features": "evaluate {here}/submission --truth {data} --protocol {here}/small.toml --out {here}/new"
+    "evaluate": "evaluate {data} {here}/submission --protocol {here}/small.toml --out {out}",
+    "evaluate with features": "evaluate {data} {here}/submission --protocol {here}/small.toml --out {here}/new"
     " --features {out}",
     "submission new": "submission new {data} --protocol {here}/small.toml --split novel --out {out}",
     "submission hidden": "submission hidden {data} --split novel --preset tiny --out {out}",
-    "baseline": "baseline nearest_frame {data} --split novel --protocol {here}/small.toml --out {out}",
-    "render": "render {here}/model --dataset {data} --split novel --out {out}",
-    "render along a trajectory": "render {here}/model --dataset {data} --trajectory lane-shift:2 --out {out}",
+    "baseline": "baseline {data} --method nearest_frame --split novel --protocol {here}/small.toml --out {out}",
+    "render": "render {data} {here}/model --split novel --out {out}",
+    "render along a trajectory": "render {data} {here}/model --trajectory lane-shift:2 --out {out}",
     "reconstruct": "reconstruct {data} --split novel --steps 1 --out {out}",
     "synth": "synth --preset tiny --out {out}",
     "demo": "demo --quick --out {out}",
     "stats": "stats {data} --plots {out}",
     "leaderboard build": "leaderboard build --out {out}",
-    "leaderboard add": "leaderboard add {here}/result.json --dataset street --board {out}",
+    "leaderboard add": "leaderboard add {here}/result.json --dataset-name street --board {out}",
 }
 FILES = {
     "report": "report {data} --out {out}/page.html",
-    "export-ply": "export-ply {here}/model --dataset {data} --out {out}/model.ply",
-    "render a video": "render {here}/model --dataset {data} --trajectory lane-shift:2 --out {out}/video.mp4",
+    "export-ply": "export-ply {data} {here}/model --out {out}/model.ply",
+    "render a video": "render {data} {here}/model --trajectory lane-shift:2 --out {out}/video.mp4",
 }
 NEEDS = {"stats": "matplotlib", "reconstruct": "torch"}
 
@@ -118,7 +118,7 @@ def test_what_was_interrupted_goes_on(
     asked = ["--split", "novel", "--protocol"]
     commands = {
         template: ["submission", "new", str(root), *asked, str(tmp_path / "small.toml")],
-        writing: ["baseline", "nearest_frame", str(root), *asked, str(tmp_path / "small.toml")],
+        writing: ["baseline", str(root), "--method", "nearest_frame", *asked, str(tmp_path / "small.toml")],
         hidden: ["submission", "hidden", str(root), "--preset", "tiny", *asked, str(tmp_path / "moved.toml")],
     }
     for module, words in commands.items():

@@ -51,7 +51,7 @@ def finish(words: Sequence[str | Path]) -> float:
 def test_evaluate(renders: Path, root: Path, tmp_path: Path) -> None:
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_text(every=1, width=240))
-    words = [*MIRROR, "evaluate", renders, "--truth", root, "--protocol", protocol, "--workers", "2", "--out"]
+    words = [*MIRROR, "evaluate", root, renders, "--protocol", protocol, "--workers", "2", "--out"]
     whole_s = finish([*words, tmp_path / "whole"])
     stop_thrice([*words, tmp_path / "stopped"], 0.9 * whole_s, seed=1)
     # Nobody can hear this one; the workers end all the same.
@@ -84,7 +84,7 @@ def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
 def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "reconstruct", root, "--split", SPLIT, "--steps", "100000", "--out", tmp_path / "model"]
     interrupt(words, after_s).require_stopped()
-    words = [*MIRROR, "baseline", "nearest_frame", root, "--split", SPLIT, "--out", tmp_path / "renders"]
+    words = [*MIRROR, "baseline", root, "--method", "nearest_frame", "--split", SPLIT, "--out", tmp_path / "renders"]
     ended = interrupt(words, after_s)
     if ended.hit:
         ended.require_stopped()

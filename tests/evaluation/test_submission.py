@@ -61,7 +61,7 @@ def test_only_decoding_finds_pixels_that_are_missing_between_whole_checksums(
     assert whole_one.hash == check_submission(open_untrusted(folder), plan).hash
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_text())
-    words = ["submission", "check", str(broken), "--truth", str(root), "--protocol", str(protocol)]
+    words = ["submission", "check", str(root), str(broken), "--protocol", str(protocol)]
     assert main(words) == 0
     assert f"not checked: the pixels of {len(plan.views)} images: " in capsys.readouterr().out
     assert main([*words, "--json"]) == 0
@@ -194,10 +194,10 @@ def test_the_verb(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     words = ["--protocol", "static-reconstruction", "--split", SPLIT]
     assert main(["submission", "new", str(root), *words, "--out", str(out), "--blind", "--json"]) == 0
     expected = json.loads(capsys.readouterr().out)["expected"]
-    assert main(["submission", "check", str(out), "--truth", str(root), "--json"]) == 1
+    assert main(["submission", "check", str(root), str(out), "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said["counts"] == {"manifest": 1, "missing": expected}
-    assert main(["submission", "check", str(out), "--truth", str(root)]) == 1
+    assert main(["submission", "check", str(root), str(out)]) == 1
     assert f"missing: {expected}" in capsys.readouterr().out
     assert main(["submission", "new", str(root), *words, "--out", str(out)]) == 2
     assert main(["submission", "old"]) == 2
@@ -213,7 +213,7 @@ def test_an_unreadable_manifest_hides_no_other_problem(
     shutil.copytree(folder, tmp_path / "s")
     (tmp_path / "s" / "manifest.json").write_text("{")
     (tmp_path / "s" / "link").symlink_to("/")
-    words = [*verb, str(tmp_path / "s"), "--truth", str(root), "--json"]
+    words = [*verb, str(root), str(tmp_path / "s"), "--json"]
     assert main(words) == 1
     said = json.loads(capsys.readouterr().out)
     assert [problem["kind"] for problem in said["problems"]] == ["manifest", "refused"]

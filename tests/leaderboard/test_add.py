@@ -262,7 +262,7 @@ def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
 
 def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write(folder, result()))
-    options = ["--dataset", "a street", "--board", str(board)]
+    options = ["--dataset-name", "a street", "--board", str(board)]
     assert main(["leaderboard", "add", path, *options]) == ExitCode.DONE
     assert main(["leaderboard", "add", path, *options]) == ExitCode.FINDINGS
     assert "refused" in capsys.readouterr().err

@@ -130,7 +130,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
     manifest = json.loads((submission / "manifest.json").read_text())
     assert manifest["method"]["trained_on"].endswith("without 2 of their images")
     scores = tmp_path / "scores"
-    scored = (submission, "--truth", street.dataset, "--protocol", street.protocol, "--out", scores)
+    scored = (street.dataset, submission, "--protocol", street.protocol, "--out", scores)
     street(capsys, "evaluate", *scored)
     assert "psnr" in (scores / "result.json").read_text()
     assert np.isfinite(mirror_psnr(scores)).all()
@@ -152,8 +152,8 @@ def test_the_middle_frame_of_six_cameras_is_held_out_rendered_and_scored(
         ("ingest", recording, "--rois", rois, "--min-duration-s", "0.1", *short, "--out", dataset),
         ("split", dataset, "one", "--method", "by-scene", "--train", "1", "--val", "0", "--test", "0"),
         ("reconstruct", dataset, *begin, "--steps", 40, "--threads", 1, "--out", model),
-        ("render", model, "--dataset", dataset, "--split", "one", "--protocol", protocol, "--out", submission),
-        ("evaluate", submission, "--truth", dataset, "--protocol", protocol, "--out", scores),
+        ("render", dataset, model, "--split", "one", "--protocol", protocol, "--out", submission),
+        ("evaluate", dataset, submission, "--protocol", protocol, "--out", scores),
     ):
         assert main([str(word) for word in words]) == ExitCode.DONE
     psnr = mirror_psnr(scores)

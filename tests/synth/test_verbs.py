@@ -100,11 +100,13 @@ def test_demo_replaces_only_its_own_folder(
     lines = capsys.readouterr().out.splitlines()
     assert "  reconstructed PSNR 17.50 dB, PSNR* 20.50 dB on the held-out traversal" in lines
     assert "  nearest_frame PSNR 13.25 dB, PSNR* 16.25 dB on the held-out traversal" in lines
-    boards = [words[1:3] for words in ran if words[1] in ("baseline", "leaderboard")]
-    street = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["baseline", "mean_color"], ["leaderboard", "add"]]
+    steps = [
+        words[4] if words[1] == "baseline" else words[2] for words in ran if words[1] in ("baseline", "leaderboard")
+    ]
+    street = ["nearest_frame", "add", "mean_color", "add"]
     # The board, which is built last, also lists the block and its nearest-frame baseline.
-    block = [["baseline", "nearest_frame"], ["leaderboard", "add"], ["leaderboard", "add"], ["leaderboard", "build"]]
-    assert boards == [*street, *block]
+    block = ["nearest_frame", "add", "add", "build"]
+    assert steps == [*street, *block]
     verbs = [words[1] for words in ran]
     assert verbs.index("reconstruct") < verbs.index("render") < verbs.index("compare")
     (own / "old.txt").write_text("from the last demo")

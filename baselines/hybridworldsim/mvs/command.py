@@ -5,37 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from hybridworldsim.mvs.methods import Method
 from hybridworldsim.mvs.options import InitialisationOptions
-from mirror.command_line import parse_arguments
+from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
+
+_EXAMPLES = (
+    "mirror depth demo/block/dataset --split novel",
+    "mirror depth demo/block/dataset --split novel --width-px 160 --version small",
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write the layers of depth, points and sky masks that initialise the reconstruction of a split."""
+    """Write layers of depth, points and sky masks, which initialise the reconstruction of a split."""
 
     dataset: tyro.conf.Positional[str]
-    """The dataset's folder."""
-    split: str
-    """Name of the split; the command reads its training traversals only."""
+    """Folder of the dataset."""
+    split: Annotated[str, help_text(metavar="NAME")]
+    """Name of the split. Only its training traversals are read."""
     method: Method = "plane-sweep"
-    """Depth estimator. sparse: no depth; features are matched and triangulated to points."""
-    weights: Path | None = None
-    """File with the weights of a learned method."""
-    version: str | None = None
-    """Version of the layers; default: the name of the split."""
+    """Estimator of depth. sparse writes no depth, only points that are matched and triangulated."""
+    weights: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
+    """Weights of a learned method."""
+    version: Annotated[str | None, help_text(default="the name of the split")] = None
+    """Version of the layers."""
     options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    arguments = parse_arguments(Arguments, argv, "mirror depth")
-    """Run ``mirror depth``; return the exit code."""
-    arguments = parse_arguments(Arguments, argv, "mirror depth")
+    arguments = parse_arguments(Arguments, argv, "mirror depth", examples=_EXAMPLES)
 
     import mirror
     from hybridworldsim.mvs.run import initialise
@@ -52,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
             progress=bar,
         )
     points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())
-    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} already complete")
+    print(f"layers {report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept")
     if report.written:
         print(f"{report.images} images, {report.known_share:.1%} of static pixels with a depth; points: {points}")
     return ExitCode.DONE

@@ -26,7 +26,7 @@ _README: Final = """# Submission to {protocol}, split {split}
 {count} files are expected, listed in views.json: path, width and height, lens (fx, fy, cx, cy in pixels, the centre of
 the first pixel at 0.5; OpenCV axes: x right, y down, z forward) and world_SE3_camera as qw qx qy qz tx ty tz in metres.
 Renders are PNG, sRGB, 8 bit RGB, without alpha. `mask` names the pixels that are scored (255); without one all are.
-Fill in manifest.json: method.name and appearance.policy; then: mirror submission check THIS_FOLDER --truth DATASET
+Fill in manifest.json: method.name and appearance.policy; then: mirror submission check DATASET THIS_FOLDER
 """
 
 

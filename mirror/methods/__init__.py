@@ -1,1 +1,1 @@
-"""Methods as plug-ins: the protocol that they follow, how installed ones are found, and what they are given."""
+"""Methods as plug-ins: their interface, the registry of installed methods, training images and model documents."""

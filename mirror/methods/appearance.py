@@ -1,4 +1,4 @@
-"""How images shall look of traversals that a method was not trained on."""
+"""The appearance policy: which appearance the renders of untrained traversals and cameras get."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
 FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
-"""The part of a held-out image that an appearance may be fitted to. It is not scored then."""
+"""The part of a held-out image that an appearance may be fitted to; this part is then not scored."""
 
 
 @dataclass(frozen=True)
 class AppearancePolicy:
-    """How pictures shall look of traversals and cameras that were not trained on.
+    """Chooses the appearance of renders of traversals and cameras that a method was not trained on.
 
     Attributes:
         policy: ``nearest``, ``mean``, ``fit``, a traversal, a word of light or weather, or ``sweep:A:B``.
-        views: all that will be rendered, so that whole lines can be compared.
-        everywhere: the policy holds for what was trained on too: the light of a recorded traversal is edited.
-        truth: for ``fit`` alone: the dataset and the plan whose pictures may be looked at, in their left half.
+        views: all views that will be rendered, so that a policy can compare complete driven lines.
+        everywhere: whether the policy also applies to trained traversals, which edits their light.
+        truth: only for ``fit``: the dataset and plan that give the images; only their left halves are read.
     """
 
     policy: str = "nearest"

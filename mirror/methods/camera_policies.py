@@ -1,4 +1,4 @@
-"""Renderers whose cameras have appearance policies of their own."""
+"""Renderers with a separate appearance policy for each camera."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from mirror.protocols.views.view import RenderView
 
 
 def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, str]:
-    """The policy of looks of each camera.
+    """Parse the appearance policy of each camera.
 
     Args:
-        policies: one for all, or ``CAMERA=POLICY`` for some of them, separated by commas; the others keep their look.
-        cameras: that there are.
+        policies: one policy for all cameras, or ``CAMERA=POLICY`` for some of them, separated by commas; the other
+            cameras get the default policy.
+        cameras: names of all cameras.
 
     Raises:
-        UsageError: a camera that there is not, or none is named.
+        UsageError: a camera is unknown, or has no policy after the ``=``.
     """
     if "=" not in policies:
         return dict.fromkeys(cameras, policies)
@@ -37,6 +38,15 @@ def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, st
 def open_by_camera(
     method: InstalledMethod, model: Path, appearance: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[RenderView], UInt8]:
-    """A renderer of views whose cameras have policies of their own."""
-    renderers = {one: method.open(model, replace(appearance, policy=one)) for one in dict.fromkeys(policies.values())}
+    """Open a renderer that uses, for each view, the policy of its camera.
+
+    Args:
+        method: installed method.
+        model: folder of the model.
+        appearance: settings that all cameras share.
+        policies: policy by camera.
+    """
+    renderers = {
+        policy: method.open(model, replace(appearance, policy=policy)) for policy in dict.fromkeys(policies.values())
+    }
     return lambda view: renderers[policies[view.camera]](view)

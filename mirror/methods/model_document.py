@@ -1,4 +1,4 @@
-"""``reconstruction.json``: what the folder of a trained model is, and which splits it may be tested on."""
+"""``reconstruction.json``: identifies a trained model, and decides on which splits it may be tested."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DOCUMENT: Final = "reconstruction.json"
 
 
 class Costs(Document):
-    """What a model costs.
+    """Costs of a model.
 
     Attributes:
-        model_bytes: of all that rendering needs.
-        driven_m: length of the road that it covers.
+        model_bytes: bytes of all files that rendering needs.
+        driven_m: length of the road that the model covers.
         core_s: processor time of training.
-        wall_s: time on the wall, of training.
+        wall_s: elapsed time of training.
     """
 
     model_bytes: int
@@ -31,18 +31,18 @@ class Costs(Document):
 
 
 class Reconstruction(Document):
-    """``reconstruction.json`` in the folder of a trained model: which method renders it.
+    """``reconstruction.json`` in the folder of a model.
 
     Attributes:
         format: always ``mirror-reconstruction``.
-        version: of this document.
-        method: name of its entry point.
-        scene: that was reconstructed.
-        split: whose training traversals were looked at.
-        trained: these traversals, each with the hash of what was recorded of it.
-        withheld: pictures of training traversals that were not learnt from.
-        poses: layer of poses that it was trained at.
-        done: what it took, once it is done.
+        version: version of this document's format.
+        method: entry-point name of the method that renders the model.
+        scene: id of the reconstructed scene.
+        split: split whose training traversals were used.
+        trained: ids of these traversals, each with the hash of its recorded data.
+        withheld: number of images of training traversals that were not trained on.
+        poses: pose layer used for training.
+        done: costs; None: training is not finished.
     """
 
     format: Literal["mirror-reconstruction"] = "mirror-reconstruction"
@@ -57,78 +57,80 @@ class Reconstruction(Document):
 
 
 def read_reconstruction(model: Path) -> Reconstruction:
-    """What the model of a folder is.
+    """Read the document of a model.
 
     Raises:
-        DatasetError: the folder holds no model.
-        SchemaError: its document is broken.
+        DatasetError: the folder does not contain a model.
+        SchemaError: the document is invalid.
     """
     if not (model / DOCUMENT).is_file():
         raise DatasetError(
-            f"no {DOCUMENT} there" if model.is_dir() else "no such folder", file=model,
+            f"the folder has no {DOCUMENT}" if model.is_dir() else "no such folder", file=model,
             expected="the folder of a model, as `mirror reconstruct --out` wrote it",
         )  # fmt: skip
     return read_json(model / DOCUMENT, Reconstruction)
 
 
 def list_trained_traversals(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
-    """The training traversals of a scene, each with the hash of what was recorded of it."""
-    own = dataset.where(split=split, role="train", scene=scene).traversals()
-    manifests = _split(dataset, split).manifests
-    return {traversal: manifests[traversal] for traversal in own}
+    """List the training traversals of a scene, each with the hash of its recorded data."""
+    traversals = dataset.where(split=split, role="train", scene=scene).traversals()
+    manifests = _read_split(dataset, split).manifests
+    return {traversal: manifests[traversal] for traversal in traversals}
 
 
 def require_matching_split(dataset: Dataset, split: str, model: Reconstruction) -> None:
-    """See that a model was trained on traversals that a dataset's split has, and on none that it holds out.
+    """Check that a model was trained on traversals of a split, with the dataset's poses, and on no held-out one.
 
     Raises:
-        UsageError: it was not, or at other poses: they may be of another world, or pictures are no test.
-        DatasetError: there is no such split.
+        UsageError: the model has other traversals, other poses (its world frame may differ), or was trained on
+            traversals that the split holds out.
+        DatasetError: the split does not exist.
     """
-    document = _split(dataset, split)
+    document = _read_split(dataset, split)
     known = {traversal: role for traversal, role in document.assignments.items() if traversal in model.trained}
     place = f"model of {model.scene}, split {model.split}"
     if not known:
         raise UsageError(
-            f"none of the {len(model.trained)} traversals that it was trained on is in split {split}", place=place,
-            file=dataset.root, expected="the dataset that it was trained on", remedy="name that, or train anew",
+            f"split {split} has none of the {len(model.trained)} traversals that the model was trained on", place=place,
+            file=dataset.root, expected="the dataset of the training", remedy="name that dataset, or train again",
         )  # fmt: skip
-    changed = sorted(one for one in known if document.manifests[one] != model.trained[one])
+    changed = sorted(traversal for traversal in known if document.manifests[traversal] != model.trained[traversal])
     if changed:
         raise UsageError(
-            f"{', '.join(changed)} was recorded anew since", place=place, file=dataset.root,
-            expected="traversals as they were when it was trained", remedy="train anew",
+            f"the recorded data of {', '.join(changed)} changed after the training", place=place, file=dataset.root,
+            expected="traversals with the same recorded data as in the training", remedy="train again",
         )  # fmt: skip
     if dataset.layers.poses != model.poses:
         raise UsageError(
-            f"it was trained at poses {model.poses}, these are {dataset.layers.poses}", place=place, file=dataset.root,
+            f"the model was trained at poses {model.poses}, the dataset is opened with poses {dataset.layers.poses}",
+            place=place, file=dataset.root,
             expected="the same poses", remedy=f"from Python: dataset.with_layers(poses={model.poses!r})",
         )  # fmt: skip
-    leaked = sorted(one for one, role in known.items() if role not in ("train", "unused"))
+    leaked = sorted(traversal for traversal, role in known.items() if role not in ("train", "unused"))
     if leaked:
         raise UsageError(
-            f"it was trained on {', '.join(leaked)}, which split {split} holds out", place=place, file=dataset.root,
-            expected="a model that has not seen the test",
+            f"the model was trained on {', '.join(leaked)}, which split {split} holds out",
+            place=place, file=dataset.root, expected="a model that was not trained on held-out traversals",
             remedy=f"train one: mirror reconstruct {dataset.root} --split {split} --out MODEL",
         )  # fmt: skip
 
 
 def require_held_out_images(protocol: Protocol, model: Reconstruction) -> None:
-    """See that a model has not learnt from the test, where a protocol tests by pictures of training traversals alone.
+    """Check that a model was trained without the scored images, if a protocol scores only training traversals.
 
     Raises:
-        UsageError: it has.
+        UsageError: the model was trained on the images that the protocol scores.
     """
     recorded = [group.roles for group in protocol.groups if group.ego_shift_m == 0.0]
     if recorded and all(set(roles) == {"train"} for roles in recorded) and not model.withheld:
         raise UsageError(
-            f"it was trained on the pictures that protocol {protocol.name} asks for", place=f"model of {model.scene}",
-            expected="a model that has not seen the test",
+            f"the model was trained on the images that protocol {protocol.name} scores",
+            place=f"model of {model.scene}", expected="a model that was trained without the scored images",
             remedy=f"train one: mirror reconstruct DATASET --split {model.split} --out MODEL --hold-out",
         )  # fmt: skip
 
 
-def _split(dataset: Dataset, name: str) -> SplitDocument:
-    # Says what is wrong with a name that there is not.
+def _read_split(dataset: Dataset, name: str) -> SplitDocument:
+    # This raises an error that explains an unknown split.
     dataset.where(split=name)
     return dataset.store.json(f"splits/{name}.json", SplitDocument)

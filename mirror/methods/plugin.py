@@ -1,4 +1,4 @@
-"""The protocol that a method follows: what it is asked to reconstruct, what it returns, and how it renders."""
+"""The interface of a method: the reconstruction task that it gets, the result that it returns, and its renderer."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class ReconstructionTask:
-    """What is to be reconstructed, and for how long.
+    """What a method reconstructs, and its training budget.
 
     Attributes:
-        scene: id.
-        split: name; only its training traversals are looked at.
-        protocol: whose raster and masks hold; pictures are no wider than it says.
-        steps: pictures to train on; or None.
-        core_minutes: processor time to train for, in each block; or None.
-        seed: of all that is left to chance.
-        initialise: where depth and points come from: an estimator's name, ``dataset`` for layers that were brought, or
-            one of them, ``source@version``. None: those that were brought, if there are and nothing is withheld;
-            else the method's own estimator.
-        threads: None: as many as the method takes by itself.
-        half: write the model in half precision.
-        withheld: pictures of training traversals that are not looked at, such as
-            `mirror.methods.training_images.list_scored_training_images` names.
-        blocks: names of those that are trained now, for any executor to share out; none: all.
-        settings: of the method, by name, in place of its own; as text.
+        scene: id of the scene.
+        split: name of the split; only its training traversals are read.
+        protocol: protocol that gives raster and masks; images are at most as wide as it allows.
+        steps: number of images to train on; None: not limited.
+        core_minutes: processor time to train each block; None: not limited.
+        seed: seed of all random choices.
+        initialise: source of depth and points: the name of an estimator, ``dataset`` for layers of the dataset, or one
+            such layer, ``source@version``. None: layers of the dataset, if it has any and no image is withheld;
+            otherwise the method's own estimator.
+        threads: number of threads; None: the method chooses.
+        half: whether the model is written in half precision.
+        withheld: images of training traversals that must not be read, such as those of
+            `mirror.methods.training_images.list_scored_training_images`.
+        blocks: names of the blocks that this call trains, so that blocks can be distributed; empty: all.
+        settings: settings of the method that replace its defaults, by name, as text.
     """
 
     scene: str
@@ -54,21 +54,21 @@ class ReconstructionTask:
 
 @dataclass(frozen=True)
 class ReconstructionResult:
-    """What came of it.
+    """The model that a reconstruction wrote, and its costs.
 
     Attributes:
-        folder: of the model.
-        blocks: folders in it that are trained, in order.
-        psnr_db: of the pictures that were trained on last, mean of the blocks.
-        steps: pictures that were learnt from, of all blocks.
+        folder: folder of the model.
+        blocks: trained blocks (folders in `folder`), in order.
+        psnr_db: PSNR of the last training images, mean over the blocks.
+        steps: training steps of all blocks, one image each.
         core_s: processor time of training.
-        wall_s: time on the wall, of training.
-        gaussians: held.
-        model_bytes: of all that rendering needs.
-        pictures: that were trained on.
+        wall_s: elapsed time of training.
+        gaussians: number of Gaussians in the model.
+        model_bytes: bytes of all files that rendering needs.
+        pictures: number of different training images.
         driven_m: length of the road that the model covers.
-        undone: blocks that are still to be trained, see `ReconstructionTask.blocks`; the figures are of the others.
-        points: layer of points that it began with, ``source@version``; None: it began without.
+        undone: blocks that are not trained yet, see `ReconstructionTask.blocks`; the figures are of the trained ones.
+        points: layer of points used for initialisation, ``source@version``; None: no points were used.
     """
 
     folder: Path
@@ -86,19 +86,19 @@ class ReconstructionResult:
 
 
 class InstalledMethod(Protocol):
-    """What an entry point names."""
+    """The object that an entry point ``mirror.methods`` names."""
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, watch: ProgressReporter
     ) -> ReconstructionResult:
-        """Train a model, or go on where an earlier call was stopped.
+        """Train a model, or resume the training that an earlier call did not finish.
 
         Args:
-            dataset: where the pictures lie.
-            task: what is asked.
-            out: folder of the model; another task's is refused.
-            watch: told how it goes.
+            dataset: dataset with the training images.
+            task: scene, split, protocol and budget.
+            out: folder of the model; a folder of another task is refused.
+            watch: receives the progress.
         """
 
     def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[RenderView], UInt8]:
-        """A renderer of a trained model: pixels (H, W, 3), RGB, of a view."""
+        """Open a trained model as a renderer: a function from a view to its pixels (H, W, 3), uint8, RGB."""

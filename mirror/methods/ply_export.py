@@ -1,4 +1,4 @@
-"""Methods that write a model in the format of 3D Gaussian Splatting, for viewers that do not know the method."""
+"""The interface of methods that export a model as the PLY of 3D Gaussian Splatting, which common viewers can open."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class PlyExportOptions:
-    """How to bake.
+    """Settings of an export.
 
     Attributes:
-        degree: of the spherical harmonics, 0 to 3.
-        sky: what lies beyond the reach is pulled in to it, left out, or kept.
-        reach_m: from the middle of the street.
+        degree: degree of the spherical harmonics, 0 to 3.
+        sky: treatment of Gaussians farther than `reach_m`: pulled in to that distance, left out, or kept.
+        reach_m: distance from the middle of the street.
     """
 
     degree: int = 3
@@ -30,13 +30,13 @@ class PlyExportOptions:
 
 @dataclass(frozen=True)
 class PlyExport:
-    """What came of it.
+    """Figures of an exported file.
 
     Attributes:
-        gaussians: in the file.
-        bytes: of the file.
-        psnr_db: of its pictures against the model's, over all pixels of the views.
-        origin_m: of the file's frame in the world of the scene.
+        gaussians: number of Gaussians in the file.
+        bytes: size of the file.
+        psnr_db: PSNR of the file's renders against the model's renders, over all pixels of the views.
+        origin_m: origin of the file's frame in the world frame of the scene.
     """
 
     gaussians: int
@@ -47,7 +47,7 @@ class PlyExport:
 
 @runtime_checkable
 class PlyExporter(Protocol):
-    """An installed method that can bake."""
+    """An installed method that can export a PLY."""
 
     def export_ply(
         self,
@@ -57,25 +57,25 @@ class PlyExporter(Protocol):
         options: PlyExportOptions,
         appearance: AppearancePolicy = ...,
     ) -> PlyExport:
-        """Write a model as a PLY.
+        """Write a model as a PLY file.
 
         Args:
-            model: its folder.
-            views: of one camera on one drive: what is baked looks as they do.
-            out: the file.
-            options: how.
-            appearance: how pictures look that were not trained on.
+            model: folder of the model.
+            views: views of one camera on one drive; the file has the appearance of these views.
+            out: PLY file to write.
+            options: settings of the export.
+            appearance: appearance policy for views that were not trained on.
         """
         ...
 
 
 def find_ply_exporter(name: str) -> PlyExporter:
-    """An installed method that can bake.
+    """Find an installed method that can export a PLY.
 
     Raises:
-        UsageError: there is none of that name, or it cannot.
+        UsageError: no method of that name is installed, or it has no function `export_ply`.
     """
     method = installed_method(name)
     if not isinstance(method, PlyExporter):
-        raise UsageError(f"{name} cannot bake", expected="a method with a function `export_ply`")
+        raise UsageError(f"method {name} cannot export a PLY", expected="a method with a function `export_ply`")
     return method

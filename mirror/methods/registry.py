@@ -1,6 +1,6 @@
-"""The methods that are installed, found through the entry points ``mirror.methods``.
+"""Installed methods, found through the entry points ``mirror.methods``.
 
-Nothing of a submission is run: who evaluates names the method, and has installed it.
+Code of a submission is never run: the person who evaluates installs the method and names it.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ GROUP: Final = "mirror.methods"
 
 
 def installed_method(name: str) -> InstalledMethod:
-    """A method that is installed.
+    """Load an installed method by its entry-point name.
 
     Raises:
-        UsageError: there is none of that name, or what it needs is not installed.
+        UsageError: no method of that name is installed, or one of its dependencies is missing.
     """
-    found = {entry.name: entry for entry in entry_points(group=GROUP)}
-    if name not in found:
-        listed = ", ".join(sorted(found)) or "none is installed"
+    entries = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if name not in entries:
+        listed = ", ".join(sorted(entries)) or "none is installed"
         raise UsageError(f"no method {name!r} is installed", expected=f"an entry point {GROUP}: {listed}")
     try:
-        method: InstalledMethod = found[name].load()
+        method: InstalledMethod = entries[name].load()
     except ModuleNotFoundError as error:
         raise UsageError(
             f"method {name!r} needs {error.name}, which is not installed",
-            place=f"entry point {found[name].value}",
-            remedy=f"install what it needs: {install_command('baselines')}",
+            place=f"entry point {entries[name].value}",
+            remedy=f"install its dependencies: {install_command('baselines')}",
         ) from error
     return method
 
 
 def read_licence(name: str) -> str:
-    """Of the package that an installed method is in, as it says; empty if it does not."""
+    """Read the licence of an installed method from its package's metadata; empty if none is stated."""
     for entry in entry_points(group=GROUP):
         if entry.name == name and entry.dist is not None:
-            about = entry.dist.metadata
-            return str(about["License-Expression"] or about["License"] or "")
+            metadata = entry.dist.metadata
+            return str(metadata["License-Expression"] or metadata["License"] or "")
     return ""

@@ -1,4 +1,4 @@
-"""What a method may learn from: the training pictures of a split with their poses, none of them opened."""
+"""The images that a method may train on: those of a split's training traversals, with poses. No image is opened."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from mirror.protocols.views.plan import Plan, plan_views
 
 @dataclass(frozen=True, eq=False)
 class TrainingImages:
-    """The training pictures of one camera in one scene.
+    """The training images of one camera in one scene.
 
     Attributes:
-        images: (N,) of all training traversals, in order of traversal and time.
-        world_SE3_camera: (N) poses, in the scene's world frame.
+        images: (N,) images of all training traversals, ordered by traversal and time.
+        world_SE3_camera: N poses in the scene's world frame.
     """
 
     images: tuple[Image, ...]
@@ -30,79 +30,79 @@ class TrainingImages:
 
 
 ImageKey: TypeAlias = tuple[str, str, int]
-"""One recorded picture: traversal, camera, timestamp_ns."""
+"""Identifies a recorded image: traversal, camera, timestamp_ns."""
 
 TrainingImagesByCamera: TypeAlias = Mapping[tuple[str, str], TrainingImages]
-"""By scene and camera."""
+"""Training images by scene and camera."""
 
 
 def list_training_images(dataset: Dataset, plan: Plan) -> TrainingImagesByCamera:
-    """The training pictures of the scenes and cameras that a plan asks for.
+    """List the training images of the scenes and cameras that a plan requests.
 
-    A picture that is itself the truth of a view is left out: the views of training traversals ask for some of them.
+    Images that are the truth of a view are left out, because views of training traversals are scored too.
 
     Args:
-        dataset: the truth.
-        plan: what is asked.
+        dataset: dataset with the truth.
+        plan: requested views.
 
     Raises:
-        DatasetError: a scene and camera that is asked for has no training picture; poses or calibrations are missing.
+        DatasetError: a requested camera has no training image in its scene; poses or calibrations are missing.
     """
-    wanted = dict.fromkeys((view.scene_id, view.camera) for view in plan.views)
-    asked = _truths(plan)
-    images: dict[tuple[str, str], list[Image]] = {key: [] for key in wanted}
-    for scene in dict.fromkeys(scene for scene, _ in wanted):
+    requested = dict.fromkeys((view.scene_id, view.camera) for view in plan.views)
+    scored = _list_scored_images(plan)
+    images: dict[tuple[str, str], list[Image]] = {key: [] for key in requested}
+    for scene in dict.fromkeys(scene for scene, _ in requested):
         for frame in dataset.where(split=plan.split, role="train", scene=scene).frames():
             for camera, image in frame.images.items():
-                if (scene, camera) in images and (frame.traversal_id, camera, image.timestamp_ns) not in asked:
+                if (scene, camera) in images and (frame.traversal_id, camera, image.timestamp_ns) not in scored:
                     images[scene, camera].append(image)
-    bare = [key for key, own in images.items() if not own]
-    if bare:
+    without = [key for key, listed in images.items() if not listed]
+    if without:
         raise DatasetError(
-            f"camera {bare[0][1]} has no training picture in scene {bare[0][0]}"
-            + (f" ({len(bare)} such cameras)" if len(bare) > 1 else ""),
+            f"camera {without[0][1]} has no training image in scene {without[0][0]}"
+            + (f" ({len(without)} such cameras)" if len(without) > 1 else ""),
             file=dataset.root,
             place=f"split {plan.split}",
-            expected="training traversals with pictures of every camera that is asked for",
+            expected="training traversals with images of every requested camera",
             remedy="choose another split",
         )
-    return {key: TrainingImages(tuple(own), _poses(own)) for key, own in images.items()}
+    return {key: TrainingImages(tuple(listed), _stack_poses(listed)) for key, listed in images.items()}
 
 
 def list_scored_training_images(dataset: Dataset, protocol: Protocol, split: str, scene: str) -> frozenset[ImageKey]:
-    """The pictures of a scene's training traversals that a protocol asks for.
+    """List the images of a scene's training traversals that a protocol scores.
 
-    Where they are the test, as in OmniRe's protocol or where there is one traversal alone, nothing may learn from them.
+    If these images are the only test, as in OmniRe's protocol or with a single traversal, no method may train on them.
 
     Args:
-        dataset: the truth.
-        protocol: what asks.
-        split: name.
-        scene: id.
+        dataset: dataset with the truth.
+        protocol: the protocol.
+        split: name of the split.
+        scene: id of the scene.
 
     Raises:
-        DatasetError: no such split, or no picture is asked for.
+        DatasetError: the split does not exist, or the protocol scores no image of a training traversal.
     """
     recorded = [group for group in protocol.groups if "train" in group.roles and group.ego_shift_m == 0.0]
     if not recorded:
         raise DatasetError(
-            f"protocol {protocol.name} asks for no picture of a training traversal", file=dataset.root,
+            f"protocol {protocol.name} scores no image of a training traversal", file=dataset.root,
             place=f"split {split}", expected="a group with the role train",
-            remedy="choose another protocol; held-out traversals are not learnt from anyhow",
+            remedy="choose another protocol; held-out traversals are never trained on",
         )  # fmt: skip
-    own = protocol.model_copy(update={"groups": (Group(name=recorded[0].name, roles=("train",)),)})
-    return _truths(plan_views(dataset.where(scene=scene), own, split))
+    training_only = protocol.model_copy(update={"groups": (Group(name=recorded[0].name, roles=("train",)),)})
+    return _list_scored_images(plan_views(dataset.where(scene=scene), training_only, split))
 
 
-def _truths(plan: Plan) -> frozenset[ImageKey]:
-    """The recorded pictures that are themselves the truth of a view."""
+def _list_scored_images(plan: Plan) -> frozenset[ImageKey]:
+    """The recorded images that are the truth of a view; moved views have no recorded truth."""
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
     return frozenset(
         (view.traversal_id, view.camera, view.timestamp_ns) for view in plan.views if view.group not in moved
     )
 
 
-def _poses(images: list[Image]) -> Poses:
+def _stack_poses(images: list[Image]) -> Poses:
     poses = [image.world_SE3_camera for image in images]
     return Poses(
         np.concatenate([pose.rotation for pose in poses]), np.concatenate([pose.translation for pose in poses])

@@ -1,1 +1,1 @@
-"""What a benchmark asks for: protocols as data, the views that they ask for, and the truth of those views."""
+"""Protocols of the benchmark as data, the views that a protocol requests, and the truth of these views."""

@@ -1,4 +1,4 @@
-"""Protocols: what a submission is asked for and how it is scored, as data (TOML) with a hash of what it says."""
+"""Protocols as data (TOML, hashed): which views a submission must render, and how the renders are scored."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.geometry.cameras import WIDEST_DEG
 from mirror.schema.documents import Document, Identifier, Role
 
 RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
-"""Names that a protocol will have, and why there is none yet."""
+"""Reserved protocol names, each with the reason why the protocol does not exist yet."""
 
 ScoringTask = Literal[
     "reconstruction",
@@ -31,15 +31,15 @@ Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.\-]{0,39}$")]
 
 
 class Group(Document):
-    """Renders that are scored together: a column of a table.
+    """A group of renders that are scored together: one column of a result table.
 
     Attributes:
-        name: first folder of their paths.
-        roles: of the traversals, in the split.
-        ego_shift_m: how far the cameras are moved along the ego's y, that is to its left.
-        vehicle_shift_m: how far the chosen vehicles are moved along their own y, to their left; None: nothing is
-            edited.
-        without_vehicles: the chosen vehicles are taken out: what stands behind them.
+        name: name of the group; the first folder in the paths of its renders.
+        roles: split roles of the traversals in the group.
+        ego_shift_m: shift of the cameras along the ego's y axis, in metres; positive is to the left.
+        vehicle_shift_m: shift of the selected vehicles along their own y axis, in metres, positive to the left;
+            None: no vehicle is moved.
+        without_vehicles: whether the selected vehicles are removed, so that the background behind them is rendered.
     """
 
     name: Slug
@@ -51,18 +51,18 @@ class Group(Document):
     @model_validator(mode="after")
     def _one_edit(self) -> Group:
         if self.without_vehicles and self.vehicle_shift_m is not None:
-            raise ValueError("a group moves vehicles or takes them out, not both")
+            raise ValueError("a group either moves vehicles or removes them, not both")
         return self
 
 
 class Frames(Document):
-    """Which frames of a traversal are rendered.
+    """The frames of a traversal that are rendered.
 
     Attributes:
-        every: each so many-th, from the first (MTGS: 5, 10 Hz to 2 Hz; OmniRe for novel views: 10).
-        first: position of the first one. No part of the hash where it is 0.
-        last: the last one too, as MTGS has it.
-        cameras: of the rig; None: all.
+        every: step between rendered frames (MTGS: 5, which is 10 Hz to 2 Hz; OmniRe for novel views: 10).
+        first: index of the first rendered frame. The hash omits it if it is 0.
+        last: whether the last frame of the traversal is rendered too, as in MTGS.
+        cameras: names of the rendered cameras; None: all cameras of the rig.
     """
 
     every: int = Field(ge=1)
@@ -75,13 +75,14 @@ class Pixels(Document):
     """The raster in which renders are compared.
 
     Attributes:
-        space: ``raw``: through the camera's own lens. ``undistorted``: as a pinhole at the same place with a raster of
-            the same size that holds all that the lens sees (OpenCV's alpha = 1, as MTGS has it).
-        widest_deg: ``undistorted``: what is farther than this from the axis is left out, or a fisheye would shrink
-            its middle to nothing.
-        max_width_px: a wider raster is scaled down to this width, its height in proportion; none is enlarged.
-        picture_resize: ``area``: each pixel is the mean of what it covers.
-        mask_resize: ``all``: a pixel is scored if all that it covers is. ``nearest``: if its centre is, as MTGS has it.
+        space: ``raw``: the camera's own lens. ``undistorted``: a pinhole at the same position with a raster of the same
+            size that contains everything the lens sees (OpenCV's alpha = 1, as in MTGS).
+        widest_deg: for ``undistorted``: largest angle from the optical axis, in degrees. Without a limit the centre of
+            a fisheye image would shrink to a few pixels.
+        max_width_px: wider rasters are scaled down to this width with the same aspect ratio; none is enlarged.
+        picture_resize: how images are scaled. ``area``: each pixel is the mean of the pixels that it covers.
+        mask_resize: how masks are scaled. ``all``: a pixel is scored if all pixels that it covers are scored.
+            ``nearest``: a pixel is scored if the pixel at its centre is, as in MTGS.
     """
 
     space: Literal["raw", "undistorted"]
@@ -92,14 +93,15 @@ class Pixels(Document):
 
 
 class Masks(Document):
-    """What is not scored, besides pixels that the lens does not see.
+    """Which pixels are not scored. Pixels outside the lens's field of view are never scored.
 
     Attributes:
-        ego: the vehicle itself, by the rig's static masks and mask layers of kind ``ego``.
-        dynamic: where road users' pixels are taken from, the first that a traversal has: ``masks`` (layers of kind
-            ``dynamic``) or ``boxes`` (hulls of projected 3D boxes). Empty: they are scored.
-        categories: of boxes; None: all.
-        sky: mask layers of kind ``sky`` too.
+        ego: exclude the ego vehicle, by the rig's static masks and mask layers of kind ``ego``.
+        dynamic: sources of road users' pixels, in order of preference; the first one that a traversal has is used:
+            ``masks`` (layers of kind ``dynamic``) or ``boxes`` (hulls of projected 3D boxes). Empty: road users are
+            scored.
+        categories: box categories that are excluded; None: all.
+        sky: exclude the sky, by mask layers of kind ``sky``.
     """
 
     ego: bool
@@ -109,14 +111,15 @@ class Masks(Document):
 
 
 class Vehicles(Document):
-    """Which vehicles are edited, and which pictures show enough of them.
+    """Which vehicles are edited, and how much of one a view must show.
 
     Attributes:
-        categories: of boxes.
-        choose: ``all`` of them, or per frame the ``nearest`` one.
-        min_area_px: a picture counts where a chosen vehicle's projected bounds have so many pixels of the final raster.
-        max_distance_m: farther ones are left alone.
-        visible_share: a picture counts where at least this share of a vehicle's bounds lies in the raster.
+        categories: box categories of the vehicles.
+        choose: ``all``: every vehicle. ``nearest``: the nearest vehicle in each frame.
+        min_area_px: a view is requested only if the projected bounds of a selected vehicle cover at least this many
+            pixels of the final raster.
+        max_distance_m: vehicles that are farther than this are not edited.
+        visible_share: a view is requested only if at least this share of a vehicle's bounds lies inside the raster.
     """
 
     categories: tuple[str, ...] = Field(min_length=1)
@@ -127,20 +130,20 @@ class Vehicles(Document):
 
 
 class Psnr(Document):
-    """Peak signal-to-noise ratio of the selected pixels, peak 255; equal pictures are infinite and counted apart."""
+    """Peak signal-to-noise ratio of the scored pixels, peak 255. Identical images are infinite and counted apart."""
 
     metric: Literal["psnr"]
 
 
 class PsnrCc(Document):
-    """PSNR after the quadratic colour warp of MTGS (the paper's PSNR*): ``iterations`` fits on unclipped pixels."""
+    """PSNR after the quadratic colour warp of MTGS (PSNR* in the paper); ``iterations`` fits on unclipped pixels."""
 
     metric: Literal["psnr_cc"]
     iterations: int = Field(default=5, ge=1)
 
 
 class Ssim(Document):
-    """Structural similarity: window and border by ``preset``, masked by ``mask``."""
+    """Structural similarity; ``preset`` sets window and border, ``mask`` sets how masked pixels are treated."""
 
     metric: Literal["ssim"]
     preset: Literal["gaussian11", "uniform7", "torchmetrics", "3dgs"]
@@ -148,7 +151,7 @@ class Ssim(Document):
 
 
 class Lpips(Document):
-    """Learned perceptual similarity; what is not scored is black in both pictures, or left out of the map's mean."""
+    """Learned perceptual similarity. Unscored pixels are black in both images, or left out of the mean of the map."""
 
     metric: Literal["lpips"]
     net: Literal["alex", "vgg", "squeeze"]
@@ -156,7 +159,7 @@ class Lpips(Document):
 
 
 class Fid(Document):
-    """Frechet distance of Inception features: ``mode`` of resizing; a warning below ``warn_below`` pictures."""
+    """Frechet distance of Inception features; ``mode`` of resizing; warns if there are < ``warn_below`` images."""
 
     metric: Literal["fid"]
     mode: Literal["clean", "tf1"]
@@ -164,14 +167,14 @@ class Fid(Document):
 
 
 class Kid(Document):
-    """Kernel distance of the same features, unbiased."""
+    """Kernel distance of Inception features (unbiased estimator)."""
 
     metric: Literal["kid"]
     mode: Literal["clean", "tf1"]
 
 
 class Fvd(Document):
-    """Frechet distance of I3D features of clips of ``frames`` pictures, squeezed or cropped to 224 x 224."""
+    """Frechet distance of I3D features of clips of ``frames`` images, each resized or cropped to 224 x 224."""
 
     metric: Literal["fvd"]
     frames: int = Field(ge=9)
@@ -180,10 +183,11 @@ class Fvd(Document):
 
 
 class EditIou(Document):
-    """IoU of an edited region with its target box.
+    """Intersection over union of an edited region and its target box.
 
-    ``hull``: the region against the box's convex hull. ``box``: their tight upright rectangles. ``ceiling``: the region
-    against the hull's rectangle, as a share of what the hull itself reaches, since no vehicle fills its rectangle.
+    ``hull``: the region and the convex hull of the projected box. ``box``: the tight upright rectangles of both.
+    ``ceiling``: the region and the hull's rectangle, divided by the IoU of the hull and that rectangle, because no
+    vehicle fills its rectangle.
     """
 
     metric: Literal["edit_iou"]
@@ -191,13 +195,13 @@ class EditIou(Document):
 
 
 class Detection(Document):
-    """nuScenes detection figures: AP over distances of centres, true-positive errors, NDS.
+    """nuScenes detection metrics: AP over centre distances, true-positive errors, NDS.
 
     Attributes:
-        metric: tag.
-        absent: classes that no true box has: ``present`` leaves them out, ``devkit`` counts them as 0.
-        class_range_m: classes, and up to which distance from the ego each is judged.
-        max_boxes_per_frame: more are refused.
+        metric: always ``nuscenes_detection``.
+        absent: treatment of classes without a true box: ``present`` leaves them out, ``devkit`` counts them as 0.
+        class_range_m: classes, each with the largest distance from the ego at which its boxes are scored.
+        max_boxes_per_frame: submissions with more boxes in a frame are refused.
     """
 
     metric: Literal["nuscenes_detection"]
@@ -207,7 +211,7 @@ class Detection(Document):
 
 
 class ReportedFigure(Document):
-    """A figure that the submission's manifest states, and that is measured again where the method is installed."""
+    """A figure that the submission's manifest states. It is measured again if the method is installed."""
 
     metric: Literal["frames_per_second", "model_bytes_per_100m", "training_s", "peak_memory_bytes"]
 
@@ -221,11 +225,11 @@ class Intervals(Document):
     """Confidence intervals by resampling blocks of consecutive frames.
 
     Attributes:
-        level: of confidence.
-        resamples: how many, of means of pictures.
-        set_resamples: how many, of distances between sets, each of which takes seconds.
-        block_frames: frames a block; all cameras of a frame stay together.
-        seed: of the draw.
+        level: confidence level.
+        resamples: number of resamples for means over images.
+        set_resamples: number of resamples for distances between sets; each takes seconds.
+        block_frames: frames in a block; all cameras of a frame stay in the same block.
+        seed: seed of the resampling.
     """
 
     level: float = Field(default=0.95, gt=0, lt=1)
@@ -236,22 +240,22 @@ class Intervals(Document):
 
 
 class Protocol(Document):
-    """One protocol.
+    """A protocol: requested views, raster, masks, metrics and averaging.
 
     Attributes:
-        name: what it is called by.
-        version: counted up with every change of what is measured.
-        description: what it is; no part of the hash.
-        task: the scorer.
-        groups: what is scored together.
-        frames: which.
-        pixels: in which raster.
-        masks: what is not scored.
-        vehicles: which are edited; None: none.
-        metrics: what is measured.
-        averaging: means are taken over pictures within each of these, then over those; ``("traversal", "scene")`` is
-            MTGS's order, ``("scene",)`` OmniRe's.
-        intervals: of confidence.
+        name: name of the protocol.
+        version: increased with every change that affects figures.
+        description: description for readers; not part of the hash.
+        task: task, which selects the scorer.
+        groups: groups of renders that are scored together.
+        frames: frames that are rendered.
+        pixels: raster of the renders.
+        masks: pixels that are not scored.
+        vehicles: vehicles that are edited; None: none.
+        metrics: metrics that are computed.
+        averaging: levels of the mean, innermost first: image values are averaged within each part of the first level,
+            these means within the next. ``("traversal", "scene")`` is the order of MTGS, ``("scene",)`` of OmniRe.
+        intervals: settings of the confidence intervals.
     """
 
     name: Identifier
@@ -269,29 +273,29 @@ class Protocol(Document):
 
     @model_validator(mode="after")
     def _consistent(self) -> Protocol:
-        for what, names in (("group", [one.name for one in self.groups]), ("metric", list(self.metric_names))):
+        for kind, names in (("group", [group.name for group in self.groups]), ("metric", list(self.metric_names))):
             repeated = sorted({name for name in names if names.count(name) > 1})
             if repeated:
-                raise ValueError(f"{what} {repeated[0]!r} is there twice")
-        edits = any(one.vehicle_shift_m is not None or one.without_vehicles for one in self.groups)
+                raise ValueError(f"{kind} {repeated[0]!r} is listed twice")
+        edits = any(group.vehicle_shift_m is not None or group.without_vehicles for group in self.groups)
         if edits and self.vehicles is None:
-            raise ValueError("groups edit vehicles, but [vehicles] does not say which")
+            raise ValueError("groups edit vehicles, but there is no table [vehicles] that selects them")
         return self
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Names of the figures, one a metric."""
+        """Names of the figures, one for each metric."""
         return tuple(metric_name(metric) for metric in self.metrics)
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the canonical content: all but the description."""
+        """SHA-256 of the canonical content without the description."""
         plain = self.model_dump(mode="json", exclude={"description"})
         return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def metric_name(metric: Metric) -> str:
-    """What a metric's figure is called: its own name, and what distinguishes it from its like."""
+    """The name of a metric's figure: the metric, with its variant or network if it has several."""
     if isinstance(metric, EditIou):
         return f"edit_iou_{metric.variant}"
     if isinstance(metric, Lpips):
@@ -300,17 +304,17 @@ def metric_name(metric: Metric) -> str:
 
 
 def protocol_names() -> list[str]:
-    """The protocols that come with the toolkit."""
+    """List the names of the protocols that come with the toolkit, sorted."""
     folder = files("mirror.protocols").joinpath("definitions")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
 def load_protocol(name: str) -> Protocol:
-    """A protocol by name, or of a file: a path that ends in ``.toml``.
+    """Load a protocol by its name, or from a path that ends in ``.toml``.
 
     Raises:
-        UsageError: there is none of that name, or the name is reserved.
-        SchemaError: the file is wrong; the key is named.
+        UsageError: no protocol has that name, the name is reserved, or the file cannot be read.
+        SchemaError: the file is invalid; the message names the key.
 
     Example:
         >>> protocol = mirror.load_protocol("lane-shift")
@@ -336,10 +340,14 @@ def load_protocol(name: str) -> Protocol:
 
 
 def parse_protocol(data: bytes, file: str) -> Protocol:
-    """A protocol of its TOML.
+    """Parse the TOML of a protocol.
+
+    Args:
+        data: bytes of the TOML.
+        file: file name for error messages.
 
     Raises:
-        SchemaError: not TOML, or a key is wrong; it is named.
+        SchemaError: the data is not TOML, or a key is invalid; the message names the key.
     """
     try:
         return Protocol.model_validate(tomllib.loads(data.decode()))

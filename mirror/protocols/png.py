@@ -1,4 +1,4 @@
-"""PNGs of submissions: held against what is expected by their headers and checksums, and only then decoded."""
+"""PNG files of submissions: header and checksums are verified before any pixel is decoded."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ HEADER_BYTES: Final = len(_SIGNATURE) + 8 + _HEADER.size
 
 
 class RenderError(MirrorError):
-    """A render that is not what was asked for."""
+    """A render that is damaged or does not have the requested format or size."""
 
 
 def max_png_bytes(width_px: int, height_px: int) -> int:
-    """More than a PNG of this size can need: stored uncompressed, with room for other chunks."""
+    """An upper bound on the bytes of a PNG of this size: uncompressed pixels, and room for other chunks."""
     raw = (3 * width_px + 1) * height_px
     return raw + raw // 50 + _SLACK_BYTES
 
 
 def png_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a PNG's header; None: it is no PNG."""
+    """Read width and height from a PNG's header; None: the data is not a PNG."""
     if len(data) < HEADER_BYTES or not data.startswith(_SIGNATURE) or data[12:16] != b"IHDR":
         return None
     width, height = struct.unpack(">II", data[16:24])
@@ -39,10 +39,10 @@ def png_size(data: bytes) -> tuple[int, int] | None:
 
 
 def find_png_problem(data: bytes) -> str | None:
-    """What is wrong with a PNG, besides its size; None: nothing.
+    """Find the first problem of a PNG other than its size; None: the PNG is valid.
 
-    Every chunk's checksum is held against its bytes; nothing is decompressed. Only 8-bit RGB without alpha, palette,
-    interlacing, animation, colour profiles and compressed texts passes: what is meant is sRGB.
+    The checksum of every chunk is verified; nothing is decompressed. Only 8-bit RGB in sRGB is accepted: no alpha,
+    palette, interlacing, animation, colour profile or compressed text.
     """
     if png_size(data) is None:
         return "not a PNG" if not data.startswith(_SIGNATURE) else "cut off in its header"
@@ -51,38 +51,44 @@ def find_png_problem(data: bytes) -> str | None:
         return f"{depth} bit {_COLOURS.get(colour, 'unknown')}, not 8 bit RGB"
     if (compression, filtering, interlacing) != (0, 0, 0):
         return "interlaced, or of an unknown compression"
-    view, position, pictures = memoryview(data), len(_SIGNATURE), 0
+    view, position, data_chunks = memoryview(data), len(_SIGNATURE), 0
     while position + 12 <= len(data):
         length, kind = struct.unpack(">I4s", data[position : position + 8])
         end = position + 12 + length
         if end > len(data):
-            return f"cut off in its chunk {_word(kind)}"
+            return f"cut off in its chunk {_printable(kind)}"
         if struct.unpack(">I", data[end - 4 : end])[0] != zlib.crc32(view[position + 4 : end - 4]):
-            return f"the checksum of its chunk {_word(kind)} is wrong"
+            return f"the checksum of its chunk {_printable(kind)} is wrong"
         if kind not in _ALLOWED:
-            return f"has a chunk {_word(kind)}, which is not read here"
+            return f"has a chunk {_printable(kind)}, which is not allowed"
         if kind == b"gAMA" and data[position + 8 : position + 12] != struct.pack(">I", _SRGB_GAMMA):
-            return "of another gamma than that of sRGB"
-        pictures += kind == b"IDAT"
+            return "its gamma is not that of sRGB"
+        data_chunks += kind == b"IDAT"
         position = end
         if kind == b"IEND":
             if position != len(data):
-                return f"{len(data) - position} bytes behind its end"
-            return None if pictures else "without pixels"
-    return "cut off: there is no end"
+                return f"{len(data) - position} bytes after its end"
+            return None if data_chunks else "without pixels"
+    return "cut off: the chunk IEND is missing"
 
 
 def decode_render(data: bytes, width_px: int, height_px: int, path: str) -> UInt8:
-    """The pixels (H, W, 3), RGB, of a PNG of a known size.
+    """Decode a PNG of a known size to pixels (H, W, 3), RGB.
+
+    Args:
+        data: bytes of the PNG.
+        width_px: expected width.
+        height_px: expected height.
+        path: file name for error messages.
 
     Raises:
-        RenderError: it is broken, or not of that size.
+        RenderError: the PNG is damaged, or has another size.
     """
     import cv2
 
     size, problem = png_size(data), find_png_problem(data)
     if problem is None and size != (width_px, height_px):
-        problem = f"of another size: {size}"
+        problem = f"has another size: {size}"
     if problem is None:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
         if pixels is not None and pixels.shape == (height_px, width_px, 3):
@@ -92,12 +98,12 @@ def decode_render(data: bytes, width_px: int, height_px: int, path: str) -> UInt
 
 
 def encode_png(pixels: UInt8) -> bytes:
-    """A PNG of RGB pixels (H, W, 3) or a mask (H, W)."""
+    """Encode RGB pixels (H, W, 3) or a mask (H, W), uint8, as a PNG."""
     import cv2
 
     stored = pixels[..., ::-1] if pixels.ndim == 3 else pixels
     return bytes(cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
 
 
-def _word(kind: bytes) -> str:
+def _printable(kind: bytes) -> str:
     return kind.decode("ascii", "replace") if kind.isalpha() else repr(kind)

@@ -1,4 +1,4 @@
-"""A part of an image, in shares of its size."""
+"""A rectangle in an image, as shares of the image's width and height."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class Rectangle(Document):
-    """A part of every raster, in shares of its width and height."""
+    """A rectangle, as shares (0 to 1) of a raster's width and height."""
 
     left: Share
     top: Share
@@ -20,7 +20,7 @@ class Rectangle(Document):
     bottom: Share
 
     @model_validator(mode="after")
-    def _some(self) -> Rectangle:
+    def _check_area(self) -> Rectangle:
         if self.left >= self.right or self.top >= self.bottom:
             raise ValueError("left < right and top < bottom")
         return self

@@ -615,7 +615,7 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
 @pytest.mark.parametrize(
     ("more", "place", "message"),
     [
-        (("--trajectory", "lane-shift:far"), "--trajectory", "says no distance"),
+        (("--trajectory", "lane-shift:far"), "--trajectory", "has no distance"),
         (("--trajectory", "nowhere"), "--trajectory", "no trajectory 'nowhere'"),
         (("--trajectory", "none.csv"), None, "no such file"),
         (("--trajectory", "forward:1", "--cameras", "frnt"), "cameras of", "no camera frnt"),

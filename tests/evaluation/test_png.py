@@ -52,7 +52,7 @@ def test_a_plain_png_passes_and_is_what_was_written() -> None:
         (b"\xff\xd8\xff\xe0 a JPEG", "not a PNG"),
         (b"\x80\x04\x95 a pickle", "not a PNG"),
         (WHOLE[:20], "cut off in its header"),
-        (WHOLE + b"PK\x03\x04", "behind its end"),
+        (WHOLE + b"PK\x03\x04", "after its end"),
         (png(IDAT, depth=16), "16 bit RGB"),
         (png(IDAT, colour=6), "RGB with alpha"),
         (png(IDAT, colour=0), "grey"),

@@ -108,13 +108,13 @@ def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fa
         scored("s", protocol)
     with pytest.raises(UsageError, match="no such folder"):
         scored("s", protocol, hidden=tmp_path / "none")
-    with pytest.raises(DatasetError, match=f"{len(plan.views)} of {len(plan.views)} true pictures.*not at fault"):
+    with pytest.raises(DatasetError, match=f"{len(plan.views)} of {len(plan.views)} true images.*not at fault"):
         scored("s", protocol, hidden=tmp_path)
     first = hidden / plan.views[0].path
     whole = first.read_bytes()
-    for data, words in ((whole[:-20], "broken"), (encode_png(np.zeros((7, 11, 3), np.uint8)), "11 x 7 px")):
+    for data, words in ((whole[:-20], "damaged"), (encode_png(np.zeros((7, 11, 3), np.uint8)), "11 x 7 px")):
         first.write_bytes(data)
-        with pytest.raises(DatasetError, match=f"1 of {len(plan.views)} true pictures.*{words}") as caught:
+        with pytest.raises(DatasetError, match=f"1 of {len(plan.views)} true images.*{words}") as caught:
             scored("s", protocol, hidden=hidden)
         assert caught.value.file == str(first)
     first.write_bytes(whole)

@@ -175,7 +175,7 @@ def test_edits_move_boxes_along_their_own_left(dataset: Dataset) -> None:
 def test_what_cannot_be_asked_for_is_said(dataset: Dataset) -> None:
     with pytest.raises(DatasetError, match="no such split"):
         plan_views(dataset, small(), "none")
-    with pytest.raises(DatasetError, match="finds no picture"):
+    with pytest.raises(DatasetError, match="requests no image"):
         plan_views(dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)
     with pytest.raises(DatasetError, match="cannot be a folder"):
         render_path("novel", "a.b.1", "../up", 1)

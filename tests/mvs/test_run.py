@@ -201,7 +201,7 @@ def test_sky_masks_do_not_count_as_masks_of_road_users(dataset: Path) -> None:
     initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
     made = mirror.open(dataset)
     assert set(made.table("masks", ["kind"]).column(0).to_pylist()) == {"sky"}
-    with pytest.raises(DatasetError, match="nothing to mask road users by"):
+    with pytest.raises(DatasetError, match="no layer to mask road users with"):
         plan_views(made, load_protocol("static-reconstruction"), "s")
 
 

@@ -23,9 +23,9 @@ def quarter_turn(by: np.ndarray | float = 0.0) -> Trajectory:
 
 
 def test_shift_is_to_the_vehicles_left() -> None:
-    moved = quarter_turn().shifted(left_m=2.0, forward_m=1.0)
+    moved = quarter_turn().shift(left_m=2.0, forward_m=1.0)
     np.testing.assert_allclose(moved.world_SE3_ego.translation, [[1.0, 2.0, 0.0], [8.0, 1.0, 0.0]], atol=1e-12)
-    aside = quarter_turn(UTM).shifted(left_m=0.001).world_SE3_ego.translation[0] - UTM
+    aside = quarter_turn(UTM).shift(left_m=0.001).world_SE3_ego.translation[0] - UTM
     np.testing.assert_allclose(aside, (0.0, 0.001, 0.0), atol=1e-9)
 
 

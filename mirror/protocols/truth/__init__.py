@@ -1,1 +1,1 @@
-"""What submissions are held against: recorded or hidden pictures in the final raster, and what is scored of them."""
+"""The truth that submissions are compared with: recorded or hidden images in the final raster, and scored masks."""

@@ -1,4 +1,4 @@
-"""A folder of an organiser's true pictures: what it is of, and whether it is whole."""
+"""A folder of hidden truth: the true images that only the organiser has, and the document that identifies them."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ HIDDEN: Final = "hidden.json"
 
 
 class HiddenDocument(Document):
-    """``hidden.json``: what the pictures beside it are the truth of.
+    """``hidden.json``: identifies the views that the images beside it are the truth of.
 
     Attributes:
         format: always ``mirror-hidden-truth``.
-        version: of this document.
+        version: version of this document's format.
         protocol: name of the protocol.
-        protocol_hash: what it said.
+        protocol_hash: hash of the protocol.
         split: name of the split.
-        dataset_hash: of what the split was made of.
-        plan_hash: of the views that were asked for.
-        preset: of the synthetic street that they show.
-        seed: of it.
+        dataset_hash: hash of the dataset that the split was made from.
+        plan_hash: hash of the plan, that is of the requested views.
+        preset: preset of the synthetic street that was rendered.
+        seed: seed of the synthetic street.
     """
 
     format: Literal["mirror-hidden-truth"] = "mirror-hidden-truth"
@@ -42,7 +42,7 @@ class HiddenDocument(Document):
 
 
 def make_hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
-    """What stands beside the truth of a plan's views."""
+    """Make the document that identifies the hidden truth of a plan."""
     return HiddenDocument(
         protocol=plan.protocol.name,
         protocol_hash=plan.protocol.hash,
@@ -55,49 +55,50 @@ def make_hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
 
 
 def require_hidden_truth(hidden: Path, plan: Plan) -> None:
-    """Hold an organiser's folder against a plan: every picture is there, whole and of the view's size.
+    """Check a folder of hidden truth against a plan: every image exists, is undamaged and has the size of its view.
 
-    A folder without ``hidden.json`` may be of an organiser's own making; its pictures are held against the plan alone.
+    A folder without ``hidden.json`` (made by other means than ``mirror submission hidden``) is accepted if its images
+    fit the plan.
 
     Raises:
-        UsageError: it is no folder, or its document is of another plan.
-        DatasetError: pictures are missing or broken; the first is named, and how many there are.
-        SchemaError: its document is broken.
+        UsageError: the folder does not exist, or its document identifies another plan.
+        DatasetError: images are missing or damaged; the message names the first one and their number.
+        SchemaError: the document is invalid.
     """
     if not hidden.is_dir():
         raise UsageError("no such folder of hidden truth", file=hidden, place="--hidden")
     document = hidden / HIDDEN
     if document.is_file():
-        said = read_json(document, HiddenDocument)
-        if said.plan_hash != plan.hash:
+        stored = read_json(document, HiddenDocument)
+        if stored.plan_hash != plan.hash:
             raise UsageError(
-                f"the truth of other views: of protocol {said.protocol}, split {said.split}, "
-                f"data set {said.dataset_hash[:12]}",
+                f"the folder has the truth of other views: protocol {stored.protocol}, split {stored.split}, "
+                f"dataset {stored.dataset_hash[:12]}",
                 file=hidden,
                 place="--hidden",
-                expected=f"protocol {plan.protocol.name}, split {plan.split}, data set {plan.dataset_hash[:12]}",
+                expected=f"protocol {plan.protocol.name}, split {plan.split}, dataset {plan.dataset_hash[:12]}",
             )
-    wrong = [(view.path, why) for view in plan.views if (why := _problem(hidden, view)) is not None]
-    if wrong:
-        path, why = wrong[0]
+    problems = [(view.path, problem) for view in plan.views if (problem := _find_problem(hidden, view)) is not None]
+    if problems:
+        path, problem = problems[0]
         raise DatasetError(
-            f"{len(wrong)} of {len(plan.views)} true pictures are not as expected; the first {why}",
+            f"{len(problems)} of {len(plan.views)} true images are missing or invalid; the first {problem}",
             file=hidden / path,
             place="--hidden",
-            expected="the organiser's whole folder of hidden truth",
+            expected="the organiser's complete folder of hidden truth",
             remedy="the submission is not at fault: name the folder that `mirror submission hidden` wrote",
         )
 
 
-def _problem(hidden: Path, view: RenderView) -> str | None:
+def _find_problem(hidden: Path, view: RenderView) -> str | None:
     try:
         data = (hidden / view.path).read_bytes()
     except FileNotFoundError:
         return "is missing"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
-    there = png_size(data)
-    if there is not None and there != (view.width_px, view.height_px):
-        return f"is {there[0]} x {there[1]} px, not {view.width_px} x {view.height_px} px"
+    size = png_size(data)
+    if size is not None and size != (view.width_px, view.height_px):
+        return f"is {size[0]} x {size[1]} px, not {view.width_px} x {view.height_px} px"
     problem = find_png_problem(data)
-    return None if problem is None else f"is broken ({problem})"
+    return None if problem is None else f"is damaged ({problem})"

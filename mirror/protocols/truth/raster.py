@@ -1,4 +1,4 @@
-"""From recorded pictures and masks to the raster in which renders are compared."""
+"""Resampling of recorded images and masks to the final raster, in which renders are compared."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from mirror.geometry.cameras import Camera
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera, full_camera
 
-_HELD = 64
+_CACHED_RASTERS = 64
 
 
 class Raster:
-    """Takes pictures of one lens into the final raster: first undistorted, then scaled down.
+    """Resamples the images of one camera model to the final raster: undistorts them, then scales them down.
 
     Args:
-        camera: as recorded.
-        pixels: the protocol's.
+        camera: recorded camera model.
+        pixels: raster settings of the protocol.
     """
 
     def __init__(self, camera: Camera, pixels: Pixels) -> None:
@@ -32,13 +32,13 @@ class Raster:
         self._smaller = self._size != (self._raster.full.width_px, self._raster.full.height_px)
 
     def to_final(self, recorded: UInt8) -> UInt8:
-        """A recorded picture (H, W, 3) in the final raster; black where the lens sees nothing."""
+        """Resample a recorded image (H, W, 3) to the final raster; pixels outside the lens are black."""
         return self._raster.image(recorded)
 
     def exclude(self, recorded: Bool) -> Bool:
-        """A mask (H, W) of recorded pixels that are not scored, in the final raster.
+        """Resample a mask (H, W) of recorded pixels that are not scored to the final raster.
 
-        An undistorted pixel is excluded if any of the recorded ones that it is interpolated from is.
+        An undistorted pixel is excluded if any recorded pixel that it is interpolated from is excluded.
         """
         mask = recorded.astype(np.float32)
         if self._raster.maps is not None:
@@ -47,7 +47,7 @@ class Raster:
 
     @cached_property
     def outside_lens(self) -> Bool:
-        """(H, W) True where the lens sees nothing, or a pixel would be interpolated across the recorded border."""
+        """(H, W) mask: True outside the lens's field of view, or if a pixel is interpolated across the image border."""
         return self._scaled(self._raster.outside)
 
     def _scaled(self, excluded: Bool) -> Bool:
@@ -60,7 +60,7 @@ class Raster:
         return np.asarray(cv2.resize(excluded.astype(np.float32), self._size, interpolation=cv2.INTER_AREA) > 0.0)
 
 
-@lru_cache(_HELD)
+@lru_cache(_CACHED_RASTERS)
 def cached_raster(camera: Camera, pixels: Pixels) -> Raster:
-    """The raster of a lens; a few are held, with their maps."""
+    """Return the raster of a camera model; the last 64 rasters stay in memory with their remapping tables."""
     return Raster(camera, pixels)

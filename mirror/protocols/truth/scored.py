@@ -1,4 +1,4 @@
-"""Which pixels of a view are scored: not those of the vehicle itself, of road users, or outside the lens."""
+"""The scored mask of a view: pixels of the ego vehicle, of road users and outside the lens are excluded."""
 
 from __future__ import annotations
 
@@ -19,59 +19,67 @@ from mirror.protocols.views.view import RenderView
 def compute_scored_mask(
     protocol: Protocol, view: RenderView, frame: Frame, image: Image, layers: tuple[str, ...]
 ) -> Bool:
-    """The pixels that a protocol scores of a view.
+    """Compute which pixels of a view are scored.
 
     Args:
-        protocol: says what is masked.
+        protocol: protocol with the mask settings.
         view: the view.
-        frame: its frame.
-        image: its recorded picture.
-        layers: of the traversal, as `Plan` has them.
+        frame: recorded frame of the view.
+        image: recorded image of the view.
+        layers: layers of the traversal, as in `Plan.layers`.
 
     Returns:
-        (H, W), True where pixels are scored.
+        (H, W) mask, True where pixels are scored.
 
     Raises:
-        DatasetError: a mask is missing or broken, or there is nothing to mask road users by.
+        DatasetError: a mask is missing or damaged, or the traversal has neither masks nor boxes of road users.
     """
     raster = cached_raster(image.camera_model, protocol.pixels)
     excluded = raster.outside_lens.copy()
     masks = protocol.masks
-    kinds = [kind for kind, wanted in (("ego", masks.ego), ("sky", masks.sky)) if wanted]
+    kinds = [kind for kind, is_masked in (("ego", masks.ego), ("sky", masks.sky)) if is_masked]
     if masks.ego:
-        own = image.static_mask()
-        if own is not None:
-            excluded |= raster.exclude(own > 0)
+        ego_mask = image.static_mask()
+        if ego_mask is not None:
+            excluded |= raster.exclude(ego_mask > 0)
     moved = find_group(protocol, view.group).ego_shift_m != 0.0
     source = choose_dynamic_source(masks, layers, moved=moved, traversal_id=view.traversal_id)
     if source == "masks":
         kinds.append("dynamic")
-    excluded |= _of_layers(raster, image, kinds)
+    excluded |= _exclude_layers(raster, image, kinds)
     if source == "boxes":
-        excluded |= _of_boxes(masks, view, frame)
+        excluded |= _exclude_boxes(masks, view, frame)
     return ~excluded
 
 
 def choose_dynamic_source(masks: Masks, layers: tuple[str, ...], *, moved: bool, traversal_id: str) -> str | None:
-    """What a traversal's road users are masked by: ``masks``, ``boxes`` or nothing.
+    """Choose the source of road users' pixels: ``masks`` or ``boxes``; None: road users are scored.
+
+    Recorded masks do not fit moved cameras, so that moved views need boxes.
+
+    Args:
+        masks: mask settings of the protocol.
+        layers: layers of the traversal.
+        moved: whether the cameras are moved.
+        traversal_id: traversal, for the error message.
 
     Raises:
-        DatasetError: they are to be masked, and there is nothing to do it by; masks do not fit moved cameras.
+        DatasetError: road users must be masked, but the traversal has no suitable layer.
     """
-    there = {layer.partition("/")[0] for layer in layers}
+    kinds = {layer.partition("/")[0] for layer in layers}
     for source in masks.dynamic:
-        if source in there and not (moved and source == "masks"):
+        if source in kinds and not (moved and source == "masks"):
             return source
     if not masks.dynamic:
         return None
     raise DatasetError(
-        f"traversal {traversal_id} has nothing to mask road users by",
+        f"traversal {traversal_id} has no layer to mask road users with",
         expected="a layer of boxes" if moved else f"a layer of {' or '.join(masks.dynamic)}",
         remedy="annotate it, or choose another protocol",
     )
 
 
-def _of_layers(raster: Raster, image: Image, kinds: list[str]) -> Bool:
+def _exclude_layers(raster: Raster, image: Image, kinds: list[str]) -> Bool:
     excluded = np.zeros((raster.final.height_px, raster.final.width_px), np.bool_)
     for mask in image.masks() if kinds else ():
         if mask.kind in kinds:
@@ -79,8 +87,8 @@ def _of_layers(raster: Raster, image: Image, kinds: list[str]) -> Bool:
     return excluded
 
 
-def _of_boxes(masks: Masks, view: RenderView, frame: Frame) -> Bool:
-    """Pixels whose centres the hulls of projected boxes hold."""
+def _exclude_boxes(masks: Masks, view: RenderView, frame: Frame) -> Bool:
+    """(H, W) mask: True where a pixel's centre lies inside the hull of a projected box."""
     boxes = frame.boxes("world")
     lens = view.lens
     excluded = np.zeros((lens.height_px, lens.width_px), np.bool_)

@@ -1,4 +1,4 @@
-"""Reads the truth of views: of a dataset's recorded pictures, or of hidden ones that an organiser keeps."""
+"""The truth of views: recorded images of a dataset, or hidden images that only the organiser has."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.truth.scored import compute_scored_mask
 from mirror.protocols.views.view import RenderView
 
-_HELD: Final = 16
-"""Traversals whose frames are held open: training asks for pictures of all in any order."""
+_OPEN_TRAVERSALS: Final = 16
+"""Number of traversals that stay open, because training reads images of all traversals in random order."""
 
 
 class GroundTruth:
-    """The truth of views, read one by one; only what a view needs.
+    """Reads the true image and the scored mask of one view at a time.
 
     Args:
-        dataset: with the recorded pictures.
-        protocol: what is asked.
-        layers: of masks and boxes, by traversal.
-        hidden: folder of an organiser's pictures in the layout of a submission; None: the dataset's own. Moved or
-            edited views have no recorded truth.
+        dataset: dataset with the recorded images.
+        protocol: protocol with the raster and mask settings.
+        layers: mask and box layers by traversal, as in `Plan.layers`.
+        hidden: folder of hidden truth in the layout of a submission; None: the recorded images of the dataset. Moved
+            and edited views have no recorded truth.
     """
 
     def __init__(
@@ -42,29 +42,29 @@ class GroundTruth:
         self._frame: tuple[str, Frame] | None = None
 
     def image(self, view: RenderView) -> UInt8:
-        """The true picture (H, W, 3), RGB, in the view's raster.
+        """Read the true image (H, W, 3), RGB, in the view's raster.
 
         Raises:
-            DatasetError: it is missing or broken.
+            DatasetError: the image is missing or damaged.
         """
         if self._hidden is not None:
             try:
                 return decode_render(_read_hidden(self._hidden, view), view.width_px, view.height_px, view.path)
             except RenderError as error:
-                # Not the submission's fault.
+                # A render error would blame the submission.
                 raise DatasetError(
-                    f"the true picture is broken ({error.problem})", file=self._hidden / view.path, place="--hidden"
+                    f"the true image is damaged ({error.problem})", file=self._hidden / view.path, place="--hidden"
                 ) from error
         _, image = self.recorded_frame_and_image(view)
         return cached_raster(image.camera_model, self._protocol.pixels).to_final(image.decode())
 
     def scored_mask(self, view: RenderView) -> Bool:
-        """The pixels (H, W) that are scored; see `compute_scored_mask`."""
+        """Compute the mask (H, W) of scored pixels; see `compute_scored_mask`."""
         frame, image = self.recorded_frame_and_image(view)
         return compute_scored_mask(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
 
     def image_hash(self, view: RenderView) -> str:
-        """A hash that changes when the true picture does, had without decoding it."""
+        """A hash that changes when the true image changes; the image is not decoded."""
         if self._hidden is not None:
             return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
         _, image = self.recorded_frame_and_image(view)
@@ -73,17 +73,18 @@ class GroundTruth:
         return hashlib.sha256(f"{image.uri} {image.video_pts} {image.byte_length}".encode()).hexdigest()
 
     def recorded_frame_and_image(self, view: RenderView) -> tuple[Frame, Image]:
-        """The frame and the recorded picture that a view was made of.
+        """The recorded frame and image that a view was planned from.
 
         Raises:
-            DatasetError: the dataset does not have it.
+            DatasetError: the dataset does not have the image.
         """
         name = view.traversal_id
         if name not in self._traversals:
-            own = self._dataset.where(traversal=name)
-            numbers: Sequence[int] = own.table("frames", ["frame_index"]).column(0).to_pylist()
-            self._traversals[name] = own.frames(), {number: at for at, number in enumerate(numbers)}
-            if len(self._traversals) > _HELD:
+            traversal = self._dataset.where(traversal=name)
+            numbers: Sequence[int] = traversal.table("frames", ["frame_index"]).column(0).to_pylist()
+            positions_by_index = {number: position for position, number in enumerate(numbers)}
+            self._traversals[name] = traversal.frames(), positions_by_index
+            if len(self._traversals) > _OPEN_TRAVERSALS:
                 self._traversals.popitem(last=False)
         self._traversals.move_to_end(name)
         if self._frame is None or (self._frame[0], self._frame[1].frame_index) != (name, view.frame_index):
@@ -93,7 +94,7 @@ class GroundTruth:
         image = frame.images.get(view.camera)
         if image is None or image.timestamp_ns != view.timestamp_ns:
             raise DatasetError(
-                f"no picture of camera {view.camera} at {view.timestamp_ns}",
+                f"no image of camera {view.camera} at {view.timestamp_ns}",
                 file=self._dataset.root,
                 place=f"frame {view.frame_index} of {view.traversal_id}",
             )
@@ -106,5 +107,5 @@ def _read_hidden(hidden: Path, view: RenderView) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise DatasetError(
-            f"cannot be read: {error.strerror}", file=path, expected="the true picture of a moved or edited view"
+            f"cannot be read: {error.strerror}", file=path, expected="the true image of a moved or edited view"
         ) from error

@@ -1,4 +1,4 @@
-"""What a submission is asked for: views, their cameras and edits."""
+"""The views that a protocol requests from a submission, with their cameras and edits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera of the raster in which renders are compared: raw or undistorted, and not wider than the protocol says."""
+"""The final camera, in which renders are compared: raw or undistorted, and at most as wide as the protocol allows."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _BORDER_POINTS = 256
 
 
 def full_camera(camera: Camera, pixels: Pixels) -> Camera:
-    """The camera of the protocol's space, in the recorded raster.
+    """Compute the camera at the recorded size: the recorded camera, or its undistorted pinhole.
 
     Raises:
-        UsageError: the lens sees nothing within the protocol's angle.
+        UsageError: the lens sees nothing within the protocol's largest angle.
     """
     if pixels.space == "raw" or (camera.model == "pinhole" and not camera.distortion):
         return camera
@@ -20,7 +20,7 @@ def full_camera(camera: Camera, pixels: Pixels) -> Camera:
 
 
 def final_camera(camera: Camera, pixels: Pixels) -> Camera:
-    """The camera of renders: that of `full_camera`, scaled down to the protocol's width if it is wider."""
+    """Compute the camera of renders: `full_camera`, scaled down to the protocol's largest width if it is wider."""
     full = full_camera(camera, pixels)
     if full.width_px <= pixels.max_width_px:
         return full

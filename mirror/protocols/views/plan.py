@@ -1,4 +1,4 @@
-"""Which views a protocol asks for, of a dataset and a split: from tables alone, no picture is read."""
+"""Plans: the views that a protocol requests for a dataset and a split. Only tables are read, no images."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class Plan:
     """All views of one protocol, dataset and split.
 
     Attributes:
-        protocol: what asks.
-        split: the split's name.
-        dataset_hash: of what the split was made of.
-        layers: those that decide what is scored, ``kind/source@version``, by traversal. Masks that say nothing of road
-            users have what they do say before that: ``sky:masks/source@version``.
-        views: in order of group, traversal, frame and camera.
-        empty_groups: groups whose roles no traversal of the split has, or that found no view.
-        hash: SHA-256 of all this but poses and lenses, whose last digits depend on the machine.
+        protocol: the protocol.
+        split: name of the split.
+        dataset_hash: hash of the dataset that the split was made from.
+        layers: layers that affect the scored mask, ``kind/source@version``, by traversal. A layer of masks without the
+            kind ``dynamic`` has its kind as a prefix: ``sky:masks/source@version``.
+        views: requested views, ordered by group, traversal, frame and camera.
+        empty_groups: groups without a view.
+        hash: SHA-256 of the above without poses and lenses, because their last digits depend on the machine.
     """
 
     protocol: Protocol
@@ -49,7 +49,7 @@ class Plan:
 
     @property
     def hash(self) -> str:
-        """See the class."""
+        """SHA-256 of the plan without poses and lenses."""
         plain = [
             self.protocol.hash,
             self.split,
@@ -61,17 +61,17 @@ class Plan:
 
 
 def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
-    """The views that a protocol asks for.
+    """Plan the views that a protocol requests.
 
     Args:
-        dataset: the truth.
-        protocol: what is asked.
+        dataset: dataset with the truth.
+        protocol: the protocol.
         split: name of a split of the dataset.
 
     Raises:
-        DatasetError: no such split, or no traversal has a role that is asked for; poses or calibrations are missing;
-            traversals have nothing to mask road users by.
-        UsageError: a camera that the protocol names is in no traversal.
+        DatasetError: the split does not exist; no traversal has a requested role; poses or calibrations are missing;
+            or traversals have no layer to mask road users with.
+        UsageError: no traversal has a camera that the protocol names.
     """
     document = dataset.store.json(f"splits/{split}.json", SplitDocument) if _has(dataset, split) else None
     if document is None:
@@ -84,29 +84,29 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
     empty = []
     editor = EditPlanner(protocol)
     for group in protocol.groups:
-        own = list(_of_group(dataset, protocol, split, document, group, editor))
-        views += own
-        if not own:
+        group_views = list(_plan_group(dataset, protocol, split, document, group, editor))
+        views += group_views
+        if not group_views:
             empty.append(group.name)
     if not views and protocol.task not in ("annotation", "runtime"):
         roles = sorted({role for group in protocol.groups for role in group.roles})
         raise DatasetError(
-            f"protocol {protocol.name} finds no picture to ask for",
+            f"protocol {protocol.name} requests no image of this dataset",
             file=dataset.root,
             place=f"split {split}",
-            expected=f"traversals with pictures in the roles {', '.join(roles)}",
+            expected=f"traversals with images in the roles {', '.join(roles)}",
             remedy="choose another split or protocol",
         )
-    layers = _layers(dataset, protocol, sorted({view.traversal_id for view in views}))
+    layers = _find_layers(dataset, protocol, sorted({view.traversal_id for view in views}))
     _require_maskable(dataset, protocol, layers)
     return Plan(protocol, split, document.dataset_hash, layers, tuple(views), tuple(empty))
 
 
 def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -> str:
-    """Where a render lies in a submission.
+    """The path of a render in a submission.
 
     Raises:
-        DatasetError: a name of the dataset cannot be part of a path.
+        DatasetError: the traversal's or camera's name cannot be part of a path.
     """
     for name in (traversal_id, camera):
         if name in ("", ".", "..") or PurePosixPath(name).name != name or "\\" in name:
@@ -115,7 +115,7 @@ def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -
 
 
 def select_frames(count: int, frames: Frames) -> list[int]:
-    """Positions of the frames that are rendered, of so many."""
+    """Select the positions of the rendered frames among `count` frames, ascending."""
     positions = range(frames.first, count, frames.every)
     return sorted({*positions, *([count - 1] if frames.last and count else [])})
 
@@ -124,38 +124,38 @@ def _has(dataset: Dataset, split: str) -> bool:
     return f"{split}.json" in dataset.store.list_files("splits")
 
 
-def _of_group(
+def _plan_group(
     dataset: Dataset, protocol: Protocol, split: str, document: SplitDocument, group: Group, editor: EditPlanner
 ) -> Iterator[RenderView]:
     if not set(group.roles) & set(document.assignments.values()):
         return
-    view = dataset.where(split=split, role=group.roles)
+    selected = dataset.where(split=split, role=group.roles)
     if protocol.frames.cameras is not None:
-        view = view.where(camera=protocol.frames.cameras)
-    table = view.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
+        selected = selected.where(camera=protocol.frames.cameras)
+    table = selected.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
     finals: dict[Camera, Camera] = {}
     for row in table:
-        frames = view.where(traversal=row["traversal_id"]).frames()
+        frames = selected.where(traversal=row["traversal_id"]).frames()
         for position in select_frames(len(frames), protocol.frames):
             frame = frames[position]
             for image in frame.images.values():
                 camera = image.camera_model
                 if camera not in finals:
                     finals[camera] = final_camera(camera, protocol.pixels)
-                one = _view(group, frame, image, finals[camera], row, editor)
-                if one is not None:
-                    yield one
+                view = _plan_view(group, frame, image, finals[camera], row, editor)
+                if view is not None:
+                    yield view
 
 
-def _view(
+def _plan_view(
     group: Group, frame: Frame, image: Image, camera: Camera, row: dict[str, str], editor: EditPlanner
 ) -> RenderView | None:
     pose = image.world_SE3_camera
     if group.ego_shift_m:
         ego_SE3_camera = image.calibration.ego_SE3_camera
-        aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, group.ego_shift_m, 0.0]]))
-        pose = pose @ ego_SE3_camera.inverse() @ aside @ ego_SE3_camera
-    edits = editor.edits(group, frame, image.camera, camera, pose)
+        shift = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, group.ego_shift_m, 0.0]]))
+        pose = pose @ ego_SE3_camera.inverse() @ shift @ ego_SE3_camera
+    edits = editor.plan_edits(group, frame, image.camera, camera, pose)
     if edits is None:
         return None
     return RenderView(
@@ -181,45 +181,46 @@ def _view(
     )
 
 
-def _layers(dataset: Dataset, protocol: Protocol, traversals: list[str]) -> dict[str, tuple[str, ...]]:
+def _find_layers(dataset: Dataset, protocol: Protocol, traversals: list[str]) -> dict[str, tuple[str, ...]]:
+    """The layers of each traversal that affect the scored mask; see `Plan.layers`."""
     rows = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
-    wanted, told = set(traversals), _kinds_of_masks(dataset)
-    asked = {kind for kind, read in (("ego", protocol.masks.ego), ("sky", protocol.masks.sky)) if read}
-    found = {}
+    kinds_by_layer = _find_mask_kinds(dataset)
+    masked_kinds = {kind for kind, is_masked in (("ego", protocol.masks.ego), ("sky", protocol.masks.sky)) if is_masked}
+    layers_by_traversal = {}
     for row in rows:
-        if row["traversal_id"] not in wanted:
+        if row["traversal_id"] not in traversals:
             continue
-        own = [layer for layer in row["layers"] if layer.startswith("boxes/")]
+        layers = [layer for layer in row["layers"] if layer.startswith("boxes/")]
         for layer in row["layers"]:
             if layer.startswith(f"{_MASKS}/"):
-                kinds = told.get((row["traversal_id"], layer))
-                # A layer without rows was made, and found no road user.
+                kinds = kinds_by_layer.get((row["traversal_id"], layer))
+                # A layer without rows has masks in which no road user was found.
                 if kinds is None or "dynamic" in kinds:
-                    own.append(layer)
+                    layers.append(layer)
                 else:
-                    own += [f"{kind}:{layer}" for kind in kinds & asked]
-        found[row["traversal_id"]] = tuple(sorted(own))
-    return found
+                    layers += [f"{kind}:{layer}" for kind in kinds & masked_kinds]
+        layers_by_traversal[row["traversal_id"]] = tuple(sorted(layers))
+    return layers_by_traversal
 
 
-def _kinds_of_masks(dataset: Dataset) -> dict[tuple[str, str], set[str]]:
-    """What the layers of masks mask, by traversal and layer."""
+def _find_mask_kinds(dataset: Dataset) -> dict[tuple[str, str], set[str]]:
+    """The kinds of masks in each layer of masks, by traversal and layer."""
     names = ["traversal_id", "source", "source_version", "kind"]
-    found: dict[tuple[str, str], set[str]] = {}
+    kinds: dict[tuple[str, str], set[str]] = {}
     for row in dataset.table(_MASKS, names).group_by(names).aggregate([]).to_pylist():
         layer = f"{_MASKS}/{row['source']}@{row['source_version']}"
-        found.setdefault((row["traversal_id"], layer), set()).add(row["kind"])
-    return found
+        kinds.setdefault((row["traversal_id"], layer), set()).add(row["kind"])
+    return kinds
 
 
 def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tuple[str, ...]]) -> None:
     kinds = set(protocol.masks.dynamic)
     if not kinds:
         return
-    bare = [key for key, own in layers.items() if not kinds & {one.partition("/")[0] for one in own}]
-    if bare:
+    without = [name for name, own in layers.items() if not kinds & {layer.partition("/")[0] for layer in own}]
+    if without:
         raise DatasetError(
-            f"{len(bare)} traversals have nothing to mask road users by, such as {bare[0]}",
+            f"{len(without)} traversals have no layer to mask road users with, such as {without[0]}",
             file=dataset.root,
             expected=f"layers of kind {' or '.join(sorted(kinds))}",
             remedy="annotate them, or score everything with a protocol of your own: --protocol FILE.toml with "
@@ -228,12 +229,12 @@ def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tu
 
 
 def find_group(protocol: Protocol, name: str) -> Group:
-    """A protocol's group by name.
+    """Find a protocol's group by its name.
 
     Raises:
-        UsageError: it has none of that name.
+        UsageError: the protocol has no group of that name.
     """
     for group in protocol.groups:
         if group.name == name:
             return group
-    raise UsageError(f"no group {name!r}", expected=f"one of {', '.join(one.name for one in protocol.groups)}")
+    raise UsageError(f"no group {name!r}", expected=f"one of {', '.join(group.name for group in protocol.groups)}")

@@ -1,4 +1,4 @@
-"""Where a vehicle drives that nobody drove: beside or ahead of a recorded traversal, or along given poses."""
+"""Trajectories of a vehicle: recorded ones, shifted ones beside or ahead of them, and ones from a file of poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mirror.protocols.views.view import RenderView, to_pose_numbers
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000
-_MOST_HZ: Final = 1000.0
+_MAX_HZ: Final = 1000.0
 _STAMP: Final = "timestamp_ns"
 
 
@@ -40,31 +40,31 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
-    def shifted(self, left_m: float = 0.0, forward_m: float = 0.0, up_m: float = 0.0) -> Trajectory:
-        """The same way beside, ahead of or above itself, seen from the vehicle."""
-        aside = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[forward_m, left_m, up_m]]))
-        return replace(self, world_SE3_ego=self.world_SE3_ego @ aside)
+    def shift(self, left_m: float = 0.0, forward_m: float = 0.0, up_m: float = 0.0) -> Trajectory:
+        """Shift every pose in the vehicle's own frame: to the left, forward and up, in metres."""
+        shift = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[forward_m, left_m, up_m]]))
+        return replace(self, world_SE3_ego=self.world_SE3_ego @ shift)
 
     def resample(self, hz: float) -> Trajectory:
-        """So many poses a second, from the first on.
+        """Interpolate the trajectory at `hz` poses per second, starting at the first pose.
 
         Raises:
-            UsageError: no such rate.
+            UsageError: the rate is not positive, or above 1000 Hz.
         """
-        apart = _apart_ns(hz)
+        period_ns = _period_ns(hz)
         first, last = int(self.timestamps_ns[0]), int(self.timestamps_ns[-1])
-        # Half a nanosecond more: times of 30 Hz are rounded.
-        count = int((last - first + 0.5) // apart) + 1
-        stamps = first + np.round(np.arange(count) * apart).astype(np.int64)
+        # Half a nanosecond is added because times at 30 Hz are rounded.
+        count = int((last - first + 0.5) // period_ns) + 1
+        stamps = first + np.round(np.arange(count) * period_ns).astype(np.int64)
         stamps = stamps[stamps <= last]
         return Trajectory(stamps, interpolate(self.timestamps_ns, self.world_SE3_ego, stamps))
 
 
 def recorded_trajectory(dataset: Dataset, traversal_id: str) -> Trajectory:
-    """What a traversal drove from its first frame to its last, as dense as its poses are.
+    """Read the trajectory of a traversal from its first to its last frame, with all recorded poses between them.
 
     Raises:
-        DatasetError: it has no frames.
+        DatasetError: the traversal has no frames.
     """
     frames = dataset.where(traversal=traversal_id).frames()
     if not len(frames):
@@ -72,29 +72,29 @@ def recorded_trajectory(dataset: Dataset, traversal_id: str) -> Trajectory:
     stamps, poses = frames[0].track
     first, last = frames[0].timestamp_ns, frames[len(frames) - 1].timestamp_ns
     within = stamps[(stamps > first) & (stamps < last)]
-    every = np.unique(np.concatenate(([first], within, [last])))
-    return Trajectory(every, interpolate(stamps, poses, every))
+    times = np.unique(np.concatenate(([first], within, [last])))
+    return Trajectory(times, interpolate(stamps, poses, times))
 
 
 def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
-    """Poses of a vehicle in the world of the scene, from a file.
+    """Read a trajectory, in the world frame of the scene, from a file.
 
     Args:
-        path: CSV or Parquet with the columns ``qw qx qy qz tx_m ty_m tz_m``, a row a pose.
-        hz: how fast they follow each other where there is no column ``timestamp_ns``.
+        path: CSV or Parquet file with the columns ``qw qx qy qz tx_m ty_m tz_m`` and one pose in each row.
+        hz: rate of the poses if the file has no column ``timestamp_ns``.
 
     Raises:
-        UsageError: there is no such file, it cannot be read, columns are missing, or times do not increase.
+        UsageError: the file does not exist or cannot be read, columns are missing, or times do not increase.
     """
     import pandas as pd
 
-    apart = _apart_ns(hz)
+    period_ns = _period_ns(hz)
     if not path.is_file():
         raise UsageError("no such file", file=path)
     try:
         table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:
-        raise UsageError(f"not to be read: {error}", file=path, expected="CSV or Parquet") from error
+        raise UsageError(f"cannot be read: {error}", file=path, expected="CSV or Parquet") from error
     missing = [name for name in COLUMNS if name not in table]
     if missing or not len(table):
         raise UsageError(
@@ -113,7 +113,7 @@ def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
         stamps = (
             table[_STAMP].to_numpy(np.int64)
             if _STAMP in table
-            else np.round(np.arange(len(table)) * apart).astype(np.int64)
+            else np.round(np.arange(len(table)) * period_ns).astype(np.int64)
         )
     except (UsageError, ValueError) as error:
         raise UsageError(f"{error}", file=path) from error
@@ -123,24 +123,24 @@ def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
     return Trajectory(stamps, poses)
 
 
-def _apart_ns(hz: float) -> float:
-    if not 0.0 < hz <= _MOST_HZ:
-        raise UsageError(f"{hz:g} pictures a second", place="--hz", expected=f"more than none, at most {_MOST_HZ:g}")
+def _period_ns(hz: float) -> float:
+    if not 0.0 < hz <= _MAX_HZ:
+        raise UsageError(f"{hz:g} images per second", place="--hz", expected=f"more than 0, at most {_MAX_HZ:g}")
     return _SECOND_NS / hz
 
 
 def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> Trajectory:
-    """The trajectory that a command line names.
+    """Make the trajectory that a command-line option names.
 
     Args:
-        dataset: with the recorded ones.
-        text: ``lane-shift:METRES`` to the left of a traversal, ``forward:METRES`` ahead of it, the id of another
-            traversal, or a file of poses.
-        traversal_id: the one beside or ahead of which.
-        hz: how fast the poses of a file follow each other that says no times.
+        dataset: dataset with the recorded traversals.
+        text: ``lane-shift:METRES`` (to the left of the base traversal), ``forward:METRES`` (ahead of it), the id of
+            a traversal, or a file of poses.
+        traversal_id: base traversal that is shifted.
+        hz: rate of the poses of a file without times.
 
     Raises:
-        UsageError: it is none of these.
+        UsageError: the text is none of these.
     """
     kind, _, number = text.partition(":")
     if kind in ("lane-shift", "forward"):
@@ -150,10 +150,10 @@ def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float =
             metres = float("nan")
         if not np.isfinite(metres):
             raise UsageError(
-                f"{text!r} says no distance", place="--trajectory", expected=f"{kind}:METRES, such as {kind}:2.0"
+                f"{text!r} has no distance", place="--trajectory", expected=f"{kind}:METRES, such as {kind}:2.0"
             )
         base = recorded_trajectory(dataset, traversal_id)
-        return base.shifted(left_m=metres) if kind == "lane-shift" else base.shifted(forward_m=metres)
+        return base.shift(left_m=metres) if kind == "lane-shift" else base.shift(forward_m=metres)
     if text in dataset.traversals():
         return recorded_trajectory(dataset, text)
     if Path(text).suffix in (".csv", ".parquet"):
@@ -167,29 +167,29 @@ def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float =
 def plan_views_along(
     dataset: Dataset, traversal_id: str, trajectory: Trajectory, pixels: Pixels, cameras: Sequence[str] | None = None
 ) -> tuple[RenderView, ...]:
-    """What the cameras of a traversal's rig see along a trajectory.
+    """Plan the views of a traversal's cameras along a trajectory.
 
     Args:
-        dataset: with the traversal.
-        traversal_id: whose rig, lenses and appearance are taken.
-        trajectory: where.
-        pixels: the raster and lens of pictures.
-        cameras: of the rig; None: all.
+        dataset: dataset with the traversal.
+        traversal_id: traversal that gives rig, lenses and appearance.
+        trajectory: poses of the vehicle.
+        pixels: raster settings of the views.
+        cameras: names of the cameras; None: all cameras of the rig.
 
     Returns:
-        Views by time, then by camera.
+        Views ordered by time, then by camera.
 
     Raises:
-        UsageError: the rig has no such camera.
+        UsageError: the rig does not have one of the cameras.
     """
-    own = dataset.where(traversal=traversal_id)
-    images = {camera: image for frame in own.frames() for camera, image in frame.images.items()}
+    traversal = dataset.where(traversal=traversal_id)
+    images = {camera: image for frame in traversal.frames() for camera, image in frame.images.items()}
     unknown = sorted(set(cameras or ()) - set(images))
     if unknown:
         raise UsageError(
             f"no camera {', '.join(unknown)}", place=f"cameras of {traversal_id}", expected=", ".join(sorted(images))
         )
-    row = own.table("traversals", ["scene_id", "light", "weather"]).to_pylist()[0]
+    row = traversal.table("traversals", ["scene_id", "light", "weather"]).to_pylist()[0]
     rig = [
         (camera, final_camera(images[camera].camera_model, pixels), images[camera].calibration.ego_SE3_camera)
         for camera in (cameras or images)
@@ -200,7 +200,7 @@ def plan_views_along(
             group=GROUP,
             scene_id=row["scene_id"],
             traversal_id=traversal_id,
-            frame_index=place,
+            frame_index=index,
             camera=camera,
             timestamp_ns=int(stamp),
             light=row["light"],
@@ -213,8 +213,8 @@ def plan_views_along(
             cx_px=lens.cx_px,
             cy_px=lens.cy_px,
             distortion=lens.distortion,
-            world_SE3_camera=to_pose_numbers(trajectory.world_SE3_ego[place] @ ego_SE3_camera),
+            world_SE3_camera=to_pose_numbers(trajectory.world_SE3_ego[index] @ ego_SE3_camera),
         )
-        for place, stamp in enumerate(trajectory.timestamps_ns)
+        for index, stamp in enumerate(trajectory.timestamps_ns)
         for camera, lens, ego_SE3_camera in rig
     )

@@ -1,4 +1,4 @@
-"""One picture that a submission is asked for: its name, raster, lens, pose and what is edited in it."""
+"""A view: one image that a submission must render, with its path, raster, lens, pose and vehicle edits."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ PoseNumbers = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
 
 
 class Edit(Document):
-    """One vehicle that is moved, or taken out.
+    """One vehicle that is moved or removed.
 
     Attributes:
-        track_id: the vehicle, within its traversal.
-        category: its class.
+        track_id: track of the vehicle within its traversal.
+        category: box category of the vehicle.
         size_m: length, width, height.
-        world_SE3_box: its recorded pose.
-        world_SE3_target: where it is to be; None: nowhere.
+        world_SE3_box: recorded pose.
+        world_SE3_target: requested pose; None: the vehicle is removed.
     """
 
     track_id: str
@@ -34,28 +34,28 @@ class Edit(Document):
 
 
 class RenderView(Document):
-    """One picture.
+    """One image that a submission must render.
 
     Attributes:
-        path: of the render, relative to the submission.
-        group: the protocol's group.
-        scene_id: the scene.
-        traversal_id: the traversal.
-        frame_index: the frame within it.
-        camera: the camera's name.
-        timestamp_ns: mid-exposure.
-        light: condition of the traversal.
-        weather: condition of the traversal.
-        model: of the final lens: ``pinhole``, or the camera's own.
-        width_px: of the render.
-        height_px: of the render.
-        fx_px: of the final lens.
-        fy_px: of the final lens.
-        cx_px: of the final lens; the centre of the first pixel is at 0.5.
-        cy_px: of the final lens; the centre of the first pixel is at 0.5.
-        distortion: of the final lens.
-        world_SE3_camera: the pose to render from.
-        edits: what is moved or taken out.
+        path: path of the render, relative to the submission.
+        group: group of the protocol.
+        scene_id: scene.
+        traversal_id: traversal.
+        frame_index: index of the frame within the traversal.
+        camera: name of the camera.
+        timestamp_ns: time of mid-exposure.
+        light: light condition of the traversal.
+        weather: weather condition of the traversal.
+        model: model of the final lens: ``pinhole``, or that of the recorded camera.
+        width_px: width of the render.
+        height_px: height of the render.
+        fx_px: focal length of the final lens.
+        fy_px: focal length of the final lens.
+        cx_px: principal point of the final lens; the centre of the first pixel is at 0.5.
+        cy_px: principal point of the final lens; the centre of the first pixel is at 0.5.
+        distortion: distortion coefficients of the final lens.
+        world_SE3_camera: pose of the camera.
+        edits: vehicles that are moved or removed.
     """
 
     path: str
@@ -80,7 +80,7 @@ class RenderView(Document):
 
     @property
     def lens(self) -> Camera:
-        """The final camera."""
+        """The camera model of the render."""
         return Camera(
             self.model,
             self.width_px,
@@ -94,15 +94,15 @@ class RenderView(Document):
 
     @property
     def pose(self) -> Poses:
-        """``world_SE3_camera``, one pose."""
+        """``world_SE3_camera`` as one pose."""
         return to_pose(self.world_SE3_camera)
 
 
 def to_pose(numbers: tuple[float, ...]) -> Poses:
-    """One pose of its seven numbers."""
+    """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``."""
     return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))
 
 
 def to_pose_numbers(pose: Poses) -> tuple[float, ...]:
-    """The seven numbers of one pose."""
+    """Return the seven numbers ``qw qx qy qz tx_m ty_m tz_m`` of one pose."""
     return (*pose.rotation[0].tolist(), *pose.translation[0].tolist())

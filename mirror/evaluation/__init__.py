@@ -1,1 +1,1 @@
-"""The benchmark: protocols as data, submissions, their truth, scorers, results (docs/evaluation.md)."""
+"""Evaluation of submissions: check, scorers, figures, result, report and comparison (docs/evaluation.md)."""

@@ -1,4 +1,4 @@
-"""Results side by side: every figure with its difference from the first result's, and how likely chance makes it."""
+"""Comparison of results: the difference of every figure from the first result's, its interval and its p-value."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ class FigureComparison:
     """One figure of two results.
 
     Attributes:
-        metric: its name.
-        group: the protocol's group.
-        first: the first result's value.
-        other: the other's.
-        difference: other less first, over pictures where both are finite, in the protocol's order of means; None: the
-            figure is of a whole set, not of pictures, or none is finite.
-        low: lower end of the difference's interval.
-        high: upper end.
-        p_value: of flipping the signs of blocks of frames, two-sided.
-        n: pictures that were compared.
+        metric: name of the metric.
+        group: group of the protocol.
+        first: value of the first result.
+        other: value of the other result.
+        difference: other minus first, averaged in the protocol's order over images with finite values in both; None:
+            the figure is of a set of images, or no image has two finite values.
+        low: lower end of the difference's confidence interval.
+        high: upper end of the difference's confidence interval.
+        p_value: two-sided p-value of a sign-flip test over blocks of frames.
+        n: number of compared images.
         reason: why there is no interval or p-value.
-        better: ``first``, ``other``, or None: the interval holds 0, or the p-value says that it may be chance.
+        better: ``first`` or ``other``; None: the interval contains 0, or the p-value is above 1 - confidence level.
     """
 
     metric: str
@@ -55,12 +55,12 @@ class FigureComparison:
 
 @dataclass(frozen=True)
 class ResultComparison:
-    """Two results.
+    """The comparison of a result with the first one.
 
     Attributes:
-        name: of the other's method.
-        path: of the other.
-        rows: figure by figure.
+        name: method name of the other result.
+        path: path of the other result.
+        rows: comparisons, one for each figure.
     """
 
     name: str
@@ -72,84 +72,91 @@ def compare(paths: Sequence[Path]) -> tuple[Result, list[ResultComparison]]:
     """Compare results with the first of them.
 
     Args:
-        paths: two or more results or their folders.
+        paths: two or more result files or their folders.
 
     Returns:
         The first result, and one comparison for each of the others.
 
     Raises:
-        UsageError: fewer than two, or they are of other protocols, splits or datasets.
-        DatasetError: a file is missing or not that of its result.
+        UsageError: fewer than two results, or results of different protocols, views or hidden truth.
+        DatasetError: a file is missing or damaged.
     """
     if len(paths) < 2:
-        listed = ", ".join(map(str, paths)) or "none"
-        raise UsageError(f"one result alone: {listed}", expected="two or more")
+        listed = f": {paths[0]}" if paths else ""
+        raise UsageError(f"{len(paths)} results to compare{listed}", expected="two or more results")
     results = [read_result(path) for path in paths]
     first = results[0]
     for path, other in zip(paths[1:], results[1:]):
-        for what, one, two in (
-            ("protocol", first.protocol_hash, other.protocol_hash),
+        for what, first_hash, other_hash in (
+            ("protocols", first.protocol_hash, other.protocol_hash),
             ("views", first.dataset.plan_hash, other.dataset.plan_hash),
             ("hidden truth", first.dataset.hidden_truth, other.dataset.hidden_truth),
         ):
-            if one != two:
+            if first_hash != other_hash:
                 raise UsageError(
-                    f"its {what} is another than that of {paths[0]}",
+                    f"this result and {paths[0]} use different {what}",
                     file=path,
-                    expected="results of one protocol, split and dataset",
-                    remedy="evaluate both submissions in the same way",
+                    expected="results of the same protocol, split and dataset",
+                    remedy="evaluate both with the same protocol, split, dataset and hidden truth",
                 )
-    rows = [_images(path) for path in paths]
+    rows = [_read_image_rows(path) for path in paths]
     return first, [
-        ResultComparison(other.submission.method.name, str(path), tuple(_compare(first, other, rows[0], own)))
-        for path, other, own in zip(paths[1:], results[1:], rows[1:])
+        ResultComparison(other.submission.method.name, str(path), tuple(_compare(first, other, rows[0], other_rows)))
+        for path, other, other_rows in zip(paths[1:], results[1:], rows[1:])
     ]
 
 
-def _images(path: Path) -> dict[str, dict[str, Any]]:
+def _read_image_rows(path: Path) -> dict[str, dict[str, Any]]:
     file = (path if path.is_dir() else path.parent) / IMAGES
     try:
         return {row["path"]: row for row in pq.read_table(file).to_pylist()}
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(
-            f"cannot be read ({error})", file=file, expected="the table of pictures that lies beside result.json"
+            f"cannot be read ({error})", file=file, expected="the table of images beside result.json"
         ) from error
 
 
 def _compare(
-    first: Result, other: Result, mine: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]
+    first: Result, other: Result, first_rows: dict[str, dict[str, Any]], other_rows: dict[str, dict[str, Any]]
 ) -> list[FigureComparison]:
     figures = {(figure.group, figure.metric): figure for figure in other.figures if figure.level == "group"}
-    found = []
-    for figure in first.figures:
-        key = (figure.group, figure.metric)
-        if figure.level == "group" and key in figures:
-            found.append(_one(first, figure, figures[key], mine, theirs))
-    return found
+    return [
+        _compare_figure(first, figure, figures[figure.group, figure.metric], first_rows, other_rows)
+        for figure in first.figures
+        if figure.level == "group" and (figure.group, figure.metric) in figures
+    ]
 
 
-def _one(
-    result: Result, first: Figure, other: Figure, mine: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]
+def _compare_figure(
+    result: Result,
+    first: Figure,
+    other: Figure,
+    first_rows: dict[str, dict[str, Any]],
+    other_rows: dict[str, dict[str, Any]],
 ) -> FigureComparison:
     name = first.metric
     paths = [
         path
-        for path, row in mine.items()
-        if row["group"] == first.group and path in theirs and _finite(row.get(name)) and _finite(theirs[path].get(name))
+        for path, row in first_rows.items()
+        if row["group"] == first.group
+        and path in other_rows
+        and _is_finite(row.get(name))
+        and _is_finite(other_rows[path].get(name))
     ]
     if not paths:
-        reason = "a figure of a whole set has no pairs" if mine and name not in next(iter(mine.values())) else None
-        return _alone(first, other, reason or "no picture has a finite value in both")
-    views = [_view(mine[path]) for path in paths]
-    changes = np.array([theirs[path][name] - mine[path][name] for path in paths])
+        is_of_images = not first_rows or name in next(iter(first_rows.values()))
+        reason = "no image has a finite value in both" if is_of_images else "a figure of a set of images has no pairs"
+        return _without_difference(first, other, reason)
+    views = [_make_view(first_rows[path]) for path in paths]
+    changes = np.array([other_rows[path][name] - first_rows[path][name] for path in paths])
     weights = mean_weights(views, result.protocol.averaging)
     spread = linearise_mean(changes, weights)
     options = result.protocol.intervals
     blocks = assign_blocks(result.protocol, views)
     difference = math.fsum(weights * changes)
     if len(np.unique(blocks)) < MIN_BLOCKS:
-        return replace(_alone(first, other, TOO_FEW_BLOCKS), difference=difference, n=len(paths))
-    found = paired_difference(
+        return replace(_without_difference(first, other, TOO_FEW_BLOCKS), difference=difference, n=len(paths))
+    paired = paired_difference(
         spread,
         np.zeros_like(spread),
         blocks,
@@ -157,10 +164,10 @@ def _one(
         resamples=options.resamples,
         seed=options.seed,
     )
-    interval = found.interval
+    interval = paired.interval
     better = None
-    sure = found.p_value <= 1.0 - options.level
-    if first.better != "none" and sure and (interval.low > 0.0 or interval.high < 0.0):
+    is_significant = paired.p_value <= 1.0 - options.level
+    if first.better != "none" and is_significant and (interval.low > 0.0 or interval.high < 0.0):
         better = "other" if (interval.low > 0.0) == (first.better == "higher") else "first"
     return FigureComparison(
         metric=name,
@@ -170,23 +177,23 @@ def _one(
         difference=difference,
         low=finite_or_none(interval.low),
         high=finite_or_none(interval.high),
-        p_value=finite_or_none(found.p_value),
+        p_value=finite_or_none(paired.p_value),
         n=len(paths),
         reason=interval.reason,
         better=better,
     )
 
 
-def _alone(first: Figure, other: Figure, reason: str) -> FigureComparison:
+def _without_difference(first: Figure, other: Figure, reason: str) -> FigureComparison:
     return FigureComparison(
         first.metric, first.group, first.value, other.value, None, None, None, None, 0, reason, None
     )
 
 
-def _finite(value: object) -> bool:
+def _is_finite(value: object) -> bool:
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
-def _view(row: dict[str, Any]) -> RenderView:
-    """What means and blocks are taken by."""
+def _make_view(row: dict[str, Any]) -> RenderView:
+    """Make a view with only the fields that means and blocks use."""
     return RenderView.model_construct(**{key: row[key] for key in _KEYS})

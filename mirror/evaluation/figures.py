@@ -1,4 +1,4 @@
-"""From scores of pictures to figures: means in the protocol's order, their intervals, and the same by part."""
+"""Figures from the scores of images: means in the protocol's order and their intervals, for each group and part."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TOO_FEW_BLOCKS: Final = f"fewer than {MIN_BLOCKS} blocks of frames: an interval 
 
 @dataclass(frozen=True)
 class Measure:
-    """A metric of single pictures: its name, unit and direction."""
+    """A metric of single images: its name, its unit, and which direction is better."""
 
     name: str
     unit: str
@@ -42,67 +42,67 @@ class Measure:
 def compute_figures(
     protocol: Protocol, measure: Measure, group: str, views: Sequence[RenderView], scores: Sequence[Score]
 ) -> list[Figure]:
-    """The figures of one metric and group.
+    """Compute the figures of one metric and group.
 
     Args:
-        protocol: says how means are taken, and intervals.
+        protocol: protocol with the settings of means and intervals.
         measure: the metric.
-        group: the protocol's group.
-        views: (N,).
-        scores: (N,) one a view.
+        group: group of the protocol.
+        views: (N,) views.
+        scores: (N,) scores, one for each view.
 
     Returns:
-        The group's figure, then one a scene, traversal, camera and condition.
+        The figure of the group, then one for each scene, traversal, camera and condition.
     """
     if not views:
         return []
-    found = [_figure(protocol, measure, group, "group", "", views, scores, protocol.averaging)]
-    for level, key_of in _PARTS.items():
+    figures = [_compute_figure(protocol, measure, group, "group", "", views, scores, protocol.averaging)]
+    for level, part_key in _PARTS.items():
         members: dict[str, list[int]] = {}
-        for place, view in enumerate(views):
-            members.setdefault(key_of(view), []).append(place)
-        for key, places in members.items():
-            own, part = [views[place] for place in places], [scores[place] for place in places]
+        for index, view in enumerate(views):
+            members.setdefault(part_key(view), []).append(index)
+        for key, indices in members.items():
+            part_views, part_scores = [views[index] for index in indices], [scores[index] for index in indices]
             averaging = tuple(name for name in protocol.averaging if name == "traversal" and level != "traversal")
-            found.append(_figure(protocol, measure, group, level, key, own, part, averaging))
-    return found
+            figures.append(_compute_figure(protocol, measure, group, level, key, part_views, part_scores, averaging))
+    return figures
 
 
 def mean_weights(views: Sequence[RenderView], averaging: Sequence[str]) -> Float64:
-    """Weights (N,), of sum 1, of pictures in the mean of means; the last of ``averaging`` is the outermost.
+    """Compute the weights (N,), of sum 1, of images in the mean of means; ``averaging`` lists the outermost level last.
 
     Raises:
-        ValueError: there is no view.
+        ValueError: `views` is empty.
     """
     if not views:
         raise ValueError("no views")
     weights = np.ones(len(views))
-    # From the outermost mean inwards, every part of a whole gets the same share of it.
-    wholes = np.zeros(len(views), np.int64)
+    # From the outermost level inwards, all parts of a parent get equal shares of its weight.
+    parents = np.zeros(len(views), np.int64)
     for name in reversed(averaging):
         keys = [_PARTS["traversal" if name == "traversal" else "scene"](view) for view in views]
-        parts = np.unique([f"{whole} {key}" for whole, key in zip(wholes, keys)], return_inverse=True)[1]
-        for whole in np.unique(wholes):
-            weights[wholes == whole] /= len(np.unique(parts[wholes == whole]))
-        wholes = parts
-    return np.asarray(weights / np.bincount(wholes)[wholes])
+        parts = np.unique([f"{parent} {key}" for parent, key in zip(parents, keys)], return_inverse=True)[1]
+        for parent in np.unique(parents):
+            weights[parents == parent] /= len(np.unique(parts[parents == parent]))
+        parents = parts
+    return np.asarray(weights / np.bincount(parents)[parents])
 
 
 def linearise_mean(values: Float64, weights: Float64) -> Float64:
-    """Values (N,) whose plain mean is the weighted mean of the given ones, and varies as that does.
+    """Linearise a weighted mean: values (N,) that have it as their plain mean, with the same deviations.
 
-    The mean of means is linearised: under resampling it deviates as the mean of ``N w (x - mean)`` does.
+    Under resampling, the weighted mean deviates to first order like the plain mean of ``N w (x - mean)``.
 
     Args:
-        values: (N,) finite.
-        weights: (N,), of sum 1.
+        values: (N,) finite values.
+        weights: (N,) weights of sum 1.
     """
     mean = math.fsum(weights * values)
     return np.asarray(mean + len(values) * weights * (values - mean))
 
 
 def assign_blocks(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
-    """The block (N,) of consecutive frames that each view is resampled with."""
+    """Assign each view to a block of consecutive frames, which is resampled as a unit: block ids (N,)."""
     traversals, frames = [view.traversal_id for view in views], [view.frame_index for view in views]
     return frame_blocks(traversals, frames, protocol.intervals.block_frames)
 
@@ -110,7 +110,7 @@ def assign_blocks(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
 def weighted_interval(
     protocol: Protocol, views: Sequence[RenderView], values: Float64, weights: Float64
 ) -> tuple[float, Interval]:
-    """A weighted mean of finite values, and its interval under resampling of blocks of frames."""
+    """Compute a weighted mean of finite values, and its interval from resampling blocks of frames."""
     mean = math.fsum(weights * values)
     spread = linearise_mean(values, weights)
     options = protocol.intervals
@@ -121,7 +121,7 @@ def weighted_interval(
     return mean, interval
 
 
-def _figure(
+def _compute_figure(
     protocol: Protocol,
     measure: Measure,
     group: str,
@@ -136,9 +136,9 @@ def _figure(
     value: float | None = None
     interval: Interval | None = None
     if rows:
-        own = [views[row] for row in rows]
+        finite_views = [views[row] for row in rows]
         values = np.array([float(scores[row]) for row in rows])
-        value, interval = weighted_interval(protocol, own, values, mean_weights(own, averaging))
+        value, interval = weighted_interval(protocol, finite_views, values, mean_weights(finite_views, averaging))
     return Figure(
         metric=measure.name,
         group=group,

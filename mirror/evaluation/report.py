@@ -1,6 +1,6 @@
-"""A result on one page: its figures, by part too, and the worst, median and best renders beside truth and error.
+"""The report: a page with the figures of a result, and its worst, median and best renders beside truth and error.
 
-One HTML file with everything in it: no script, no network; readable on a phone and in dark mode.
+It is a single HTML file without scripts or network access, and is readable on a phone and in dark mode.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mirror.schema.files import write_bytes
 from mirror.version import __version__
 
 _WIDTH_PX: Final = 480
-_EACH: Final = 2
+_EXAMPLES_EACH: Final = 2
 _FULL_ERROR: Final = 64.0
 _LEVELS: Final[Sequence[tuple[Level, str]]] = (
     ("scene", "By scene"),
@@ -37,27 +37,27 @@ _LEVELS: Final[Sequence[tuple[Level, str]]] = (
 
 
 def write_report(done: Evaluation, out: Path) -> None:
-    """Write the page.
+    """Write the report of an evaluation.
 
     Args:
-        done: an evaluation that has a result.
-        out: the HTML file; replaced whole or not at all.
+        done: evaluation with a result.
+        out: HTML file; it is replaced atomically.
 
     Raises:
         UsageError: the evaluation has no result.
-        DatasetError: a picture cannot be read, or the file cannot be written.
+        DatasetError: an image cannot be read, or the file cannot be written.
     """
     if done.result is None or done.inputs is None:
         raise UsageError("nothing was scored", remedy="correct the submission's problems first")
     result = done.result
     title = f"{result.submission.method.name}: {result.protocol.name}"
     parts = [
-        f"<header><h1>{escape(title)}</h1>{_about(result)}</header>",
+        f"<header><h1>{escape(title)}</h1>{_format_header(result)}</header>",
         "<h2>Figures</h2>",
-        _table([figure for figure in result.figures if figure.level == "group"], keyed=False),
-        *_unavailable(result),
-        *_examples(done.scored, done.inputs),
-        *_by_part(result),
+        _format_table([figure for figure in result.figures if figure.level == "group"], keyed=False),
+        *_list_unavailable(result),
+        *_list_examples(done.scored, done.inputs),
+        *_list_parts(result),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
     ]
@@ -72,23 +72,23 @@ def write_report(done: Evaluation, out: Path) -> None:
 
 
 def error_map(render: UInt8, truth: UInt8, scored: Bool) -> UInt8:
-    """Absolute differences, mean over channels, from black over red and yellow to white at 64 levels.
+    """Colour the absolute difference, mean over channels: black is 0, then red and yellow, white is 64 levels or more.
 
     Args:
         render: (H, W, 3), RGB.
-        truth: (H, W, 3).
-        scored: (H, W); other pixels are grey.
+        truth: (H, W, 3), RGB.
+        scored: (H, W) mask; unscored pixels are grey.
     """
     import cv2
 
     difference = np.abs(render.astype(np.int16) - truth).mean(axis=2)
     level = np.minimum(difference * (255.0 / _FULL_ERROR), 255.0).astype(np.uint8)
-    shown = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_HOT), np.uint8)[..., ::-1].copy()
-    shown[~scored] = 96
-    return shown
+    coloured = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_HOT), np.uint8)[..., ::-1].copy()
+    coloured[~scored] = 96
+    return coloured
 
 
-def _about(result: Result) -> str:
+def _format_header(result: Result) -> str:
     submission, dataset = result.submission, result.dataset
     lines = [
         f"{escape(submission.method.name)} {escape(submission.method.version)}"
@@ -100,12 +100,12 @@ def _about(result: Result) -> str:
     return "".join(f'<p class="dim">{line}</p>' for line in lines)
 
 
-def _unavailable(result: Result) -> Iterable[str]:
+def _list_unavailable(result: Result) -> Iterable[str]:
     for metric, how in result.unavailable.items():
         yield f'<p class="dim"><b>{escape(metric)}</b>: unavailable: {escape(how)}</p>'
 
 
-def _table(figures: Sequence[Figure], *, keyed: bool) -> str:
+def _format_table(figures: Sequence[Figure], *, keyed: bool) -> str:
     head = ["group", *(["of"] if keyed else []), "metric", "n:value", "n:low", "n:high", "n:n", "note"]
     rows = []
     reasons: dict[str, int] = {}
@@ -119,58 +119,58 @@ def _table(figures: Sequence[Figure], *, keyed: bool) -> str:
         notes += [f"{figure.n_inf} equal to the truth" if figure.n_inf else None]
         notes += [f"{figure.n_missing} without a value" if figure.n_missing else None]
         note = "; ".join(part for part in notes if part)
-        own = [figure.group, *([figure.key] if keyed else []), figure.metric, value, *numbers, str(figure.n), note]
-        rows.append([escape(cell) for cell in own])
+        cells = [figure.group, *([figure.key] if keyed else []), figure.metric, value, *numbers, str(figure.n), note]
+        rows.append([escape(cell) for cell in cells])
     feet = (f'<p class="dim">[{number}] no interval: {escape(why)}</p>' for why, number in reasons.items())
     return html_table(head, rows) + "".join(feet)
 
 
-def _by_part(result: Result) -> Iterable[str]:
-    for level, words in _LEVELS:
-        own = [figure for figure in result.figures if figure.level == level]
-        if own:
-            yield f"<h2>{words}</h2>"
-            yield _table(own, keyed=True)
+def _list_parts(result: Result) -> Iterable[str]:
+    for level, title in _LEVELS:
+        figures = [figure for figure in result.figures if figure.level == level]
+        if figures:
+            yield f"<h2>{title}</h2>"
+            yield _format_table(figures, keyed=True)
 
 
-def _examples(scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
-    """Of each group some of the worst, middle and best renders by PSNR."""
+def _list_examples(scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
+    """List the worst, median and best renders of each group by PSNR."""
     ranked: dict[str, list[tuple[float, ScoredJob]]] = {}
-    for one in scored:
-        value = one.values.get("psnr")
+    for scored_job in scored:
+        value = scored_job.values.get("psnr")
         if isinstance(value, float) and not math.isnan(value):
-            ranked.setdefault(one.job.views[0].group, []).append((value, one))
-    for group, own in ranked.items():
-        own.sort(key=lambda item: item[0])
+            ranked.setdefault(scored_job.job.views[0].group, []).append((value, scored_job))
+    for group, group_ranked in ranked.items():
+        group_ranked.sort(key=lambda item: item[0])
         yield f"<h2>Renders of {escape(group)}</h2>"
         yield '<p class="dim">Render, truth, and error: white is 64 of 255 levels or more, grey is not scored.</p>'
-        for words, places in _places(len(own)).items():
-            for place in places:
-                value, one = own[place]
-                yield _triple(f"{words}: {value:.2f} dB", one.job.views[0], inputs)
+        for title, ranks in _select_ranks(len(group_ranked)).items():
+            for rank in ranks:
+                value, scored_job = group_ranked[rank]
+                yield _format_triple(f"{title}: {value:.2f} dB", scored_job.job.views[0], inputs)
 
 
-def _places(count: int) -> dict[str, range]:
-    """Which of so many sorted ones are shown, none twice."""
-    each = min(_EACH, max(count // 3, 1))
+def _select_ranks(count: int) -> dict[str, range]:
+    """Select disjoint ranges of ranks among `count` sorted renders: worst, median and best."""
+    each = min(_EXAMPLES_EACH, max(count // 3, 1))
     middle = max((count - each) // 2, 0)
-    found = {"worst": range(min(each, count))}
+    ranks = {"worst": range(min(each, count))}
     if count > 2:
-        found["median"] = range(middle, middle + each)
+        ranks["median"] = range(middle, middle + each)
     if count > 1:
-        found["best"] = range(count - each, count)
-    return found
+        ranks["best"] = range(count - each, count)
+    return ranks
 
 
-def _triple(words: str, view: RenderView, inputs: ScoringInputs) -> str:
+def _format_triple(title: str, view: RenderView, inputs: ScoringInputs) -> str:
     render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
-    pictures = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
+    images = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
     figures = ""
-    for name, picture in pictures:
-        inlined = inline_image(picture, f"{name} of {view.path}", _WIDTH_PX)
+    for name, image in images:
+        inlined = inline_image(image, f"{name} of {view.path}", _WIDTH_PX)
         figures += f"<figure>{inlined}<figcaption>{name}</figcaption></figure>"
     return (
-        f'<p><b>{escape(words)}</b> <span class="dim">{escape(view.camera)}, frame {view.frame_index} of '
+        f'<p><b>{escape(title)}</b> <span class="dim">{escape(view.camera)}, frame {view.frame_index} of '
         f"{escape(view.traversal_id)}, {escape(view.light)}, {escape(view.weather)}</span></p>"
         f'<div class="triple">{figures}</div>'
     )

@@ -1,4 +1,4 @@
-"""``result.json``: what a submission scored, and everything that decides whether two results can be compared."""
+"""``result.json``: the figures of a submission, and everything that decides whether two results are comparable."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ class Figure(Document):
     """One figure of a table.
 
     Attributes:
-        metric: its name.
-        group: the protocol's group.
-        level: what it is of: the whole group, or one scene, traversal, camera or condition in it.
-        key: which of these; empty for a group.
-        value: the figure; None: there is none, and ``reason`` says why.
-        reason: why there is none.
-        unit: of the figure.
-        better: which way is better.
-        n: how many pictures, clips or objects it is of.
-        n_inf: of those, how many are infinite, and in no mean.
-        n_missing: of those, how many have no value, and are in no mean.
-        low: lower end of the confidence interval; None: there is none.
-        high: upper end.
+        metric: name of the metric.
+        group: group of the protocol.
+        level: the part that the figure describes: the group, or one scene, traversal, camera or condition in it.
+        key: name of that scene, traversal, camera or condition; empty for a group.
+        value: value of the figure; None: it has none, and ``reason`` explains why.
+        reason: why there is no value.
+        unit: unit of the value.
+        better: which direction is better.
+        n: number of images, clips or objects.
+        n_inf: number of infinite ones among them, which are left out of the mean.
+        n_missing: number without a value among them, which are left out of the mean.
+        low: lower end of the confidence interval; None: there is no interval.
+        high: upper end of the confidence interval.
         interval_reason: why there is no interval.
-        note: what a reader must know.
+        note: remark for readers.
     """
 
     metric: str
@@ -58,13 +58,13 @@ class Figure(Document):
 
 
 class DatasetIdentity(Document):
-    """Which truth it was.
+    """Identifies the truth that a submission was scored against.
 
     Attributes:
         split: name of the split.
-        dataset_hash: of what the split was made of.
-        plan_hash: of the views that were asked for.
-        hidden_truth: hash of an organiser's pictures, where they were the truth.
+        dataset_hash: hash of the dataset that the split was made from.
+        plan_hash: hash of the plan, that is of the requested views.
+        hidden_truth: hash of the hidden images, if hidden truth was used.
     """
 
     split: str
@@ -78,18 +78,18 @@ class Result(Document):
 
     Attributes:
         format: always ``mirror-result``.
-        version: of this document.
-        protocol: the whole protocol, as data.
-        protocol_hash: of it.
-        dataset: the truth.
-        submission: the submission's manifest.
-        submission_hash: of all its renders.
-        figures: what it scored.
-        unavailable: metrics that could not be had, and how to get them.
-        weights: SHA-256 of the weights that were used, by name.
-        versions: of this toolkit and of what the figures depend on.
-        options: what else decides the figures, such as the extractor of edited regions.
-        warnings: what a reader must know.
+        version: version of this document's format.
+        protocol: the complete protocol.
+        protocol_hash: hash of the protocol.
+        dataset: identity of the truth.
+        submission: manifest of the submission.
+        submission_hash: hash of all renders of the submission.
+        figures: the figures.
+        unavailable: metrics that could not be computed, each with the way to make it available.
+        weights: SHA-256 of the network weights that were used, by name.
+        versions: versions of the toolkit and of packages that affect the figures.
+        options: options that affect the figures, such as the extractor of edited regions.
+        warnings: remarks for readers.
     """
 
     format: Literal["mirror-result"] = "mirror-result"
@@ -108,11 +108,11 @@ class Result(Document):
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the canonical content: what an entry of a board refers to."""
+        """SHA-256 of the canonical content; leaderboard entries refer to it."""
         plain = self.model_dump(mode="json")
         return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def finite_or_none(value: float) -> float | None:
-    """A figure as JSON has it: None for NaN and infinity."""
+    """Convert a value for JSON: None replaces NaN and infinity."""
     return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Scoring a submission: checked, scored in two processes, resumed where an earlier run stopped, written as a result."""
+"""Evaluation of a submission: check, scoring in worker processes (resumable), and the written result."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ _EDITING: Final = "editing-accuracy"
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """How a submission is scored, besides what the protocol says.
+    """Options of an evaluation that are not part of the protocol.
 
     Attributes:
-        hidden: folder of an organiser's true pictures, in the layout of a submission.
-        require: metrics that must be had; their names, or the part before the first ``_``.
-        stand_ins: other metrics are computed in place of those that cannot be had, under their own names.
-        workers: processes.
-        resolver: finds weights.
-        extractor: of edited regions; None: `DEFAULT_EXTRACTOR` where the protocol has some.
-        measured: an installed method and the folder of its model, whose speed is measured; None: none is.
-        features: folder of cached features; None: under the output folder.
+        hidden: folder of hidden truth, in the layout of a submission.
+        require: metrics that must be available, by name or by the part of the name before the first ``_``.
+        stand_ins: whether stand-in metrics are computed, under their own names, for metrics without weights.
+        workers: number of worker processes.
+        resolver: finds the weights of networks.
+        extractor: extractor of edited regions; None: `DEFAULT_EXTRACTOR` if the protocol needs one.
+        measured: an installed method and the folder of its model, for a measurement of its speed; None: no measurement.
+        features: folder of cached features; None: a folder under the output folder.
     """
 
     hidden: Path | None = None
@@ -70,15 +70,15 @@ class EvaluationOptions:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What came of it.
+    """The outcome of an evaluation.
 
     Attributes:
-        plan: the views that were asked for.
-        check: the submission's check.
-        result: as written; None: the submission has problems, and nothing was scored.
-        inputs: what was read; None as well.
-        scored: jobs and their values.
-        reused: how many of them an earlier run had scored.
+        plan: requested views.
+        check: report of the submission's check.
+        result: the written result; None: the submission has problems, and there is no result.
+        inputs: inputs of the scorers; None if there is no result.
+        scored: scored jobs with their values.
+        reused: number of jobs whose values an earlier run computed.
     """
 
     plan: Plan
@@ -101,18 +101,18 @@ def evaluate(
     """Score a submission and write ``result.json`` and ``images.parquet``.
 
     Args:
-        submission: its folder or zip.
-        truth: the dataset.
-        protocol: how it is scored.
+        submission: folder or zip of the submission.
+        truth: dataset with the truth.
+        protocol: protocol of the evaluation.
         split: name of the split.
-        out: folder for the results; what an interrupted run left there is used.
+        out: folder for the results; values from an interrupted run in this folder are reused.
         options: see `EvaluationOptions`.
-        progress: told what goes on.
+        progress: receives the progress.
 
     Raises:
-        UsageError: a required metric cannot be had, there is no such metric, weights that are named explicitly are not
-            those, hidden truth or an extractor is asked for and not given or given and not asked for, there are no
-            workers, or `out` is something else.
+        UsageError: a required metric is unknown or unavailable; explicitly named weights have another hash; hidden
+            truth or an extractor is missing or not used by the protocol; the number of workers is below 1; or `out`
+            is a folder of another kind.
         DatasetError: the truth is incomplete, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
@@ -124,7 +124,7 @@ def evaluate(
         require_output_folder(options.features, FolderKind.OTHER, place="--features")
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
-    _require_fitting(plan, options)
+    _require_matching_options(plan, options)
     files = open_untrusted(submission)
     progress.start("checking", len(plan.views))
     check = check_submission(files, plan, advance=progress.advance)
@@ -132,9 +132,9 @@ def evaluate(
         return Evaluation(plan, check)
     if options.hidden is not None:
         require_hidden_truth(options.hidden, plan)
-    available = _availability(plan, check.manifest, options)
+    available = _find_availability(plan, check.manifest, options)
     unavailable = available.unavailable
-    _require(options.require, protocol, unavailable)
+    _require_metrics(options.require, protocol, unavailable)
     inputs = ScoringInputs(
         protocol=protocol,
         submission=submission,
@@ -150,16 +150,16 @@ def evaluate(
         measured=options.measured,
     )
     scorer = load_scorer(protocol.task)
-    some = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
-    jobs = scorer.jobs(plan, inputs) if some else []
+    has_metrics = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
+    jobs = scorer.jobs(plan, inputs) if has_metrics else []
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
         jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
     )
     if outcome.failed:
-        problems = tuple(Problem("corrupt", name, why) for name, why in sorted(outcome.failed.items()))
-        broken = CheckReport(check.expected, check.present, problems, check.manifest, check.hash)
-        return Evaluation(plan, broken, reused=outcome.reused)
+        problems = tuple(Problem("corrupt", name, problem) for name, problem in sorted(outcome.failed.items()))
+        failed_check = CheckReport(check.expected, check.present, problems, check.manifest, check.hash)
+        return Evaluation(plan, failed_check, reused=outcome.reused)
     result = Result(
         protocol=protocol,
         protocol_hash=protocol.hash,
@@ -167,72 +167,74 @@ def evaluate(
             split=split,
             dataset_hash=plan.dataset_hash,
             plan_hash=plan.hash,
-            hidden_truth=None if options.hidden is None else _hidden_hash(plan, inputs),
+            hidden_truth=None if options.hidden is None else _hash_hidden_truth(plan, inputs),
         ),
         submission=check.manifest,
         submission_hash=check.hash,
-        figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if some else (),
+        figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if has_metrics else (),
         unavailable=unavailable,
         weights=available.weights,
-        versions=_versions(),
+        versions=_list_versions(),
         options={"extractor": inputs.extractor} if protocol.task == _EDITING else {},
-        warnings=tuple(_warnings(plan, check.manifest, available)),
+        warnings=tuple(_list_warnings(plan, check.manifest, available)),
     )
-    write_bytes(out / IMAGES, _table(outcome.scored, protocol))
+    write_bytes(out / IMAGES, _encode_image_table(outcome.scored, protocol))
     write_json(out / RESULT, result)
     return Evaluation(plan, check, result, inputs, outcome.scored, outcome.reused)
 
 
 @dataclass(frozen=True)
 class _Availability:
-    """Metrics that cannot be had, others that stand in for them, and the hashes of the weights of those that can."""
+    """Unavailable metrics with their reasons, the stand-ins that are computed, and the hashes of the used weights."""
 
     unavailable: dict[str, str]
     stand_ins: tuple[str, ...]
     weights: dict[str, str]
 
 
-def _availability(plan: Plan, manifest: SubmissionManifest, options: EvaluationOptions) -> _Availability:
+def _find_availability(plan: Plan, manifest: SubmissionManifest, options: EvaluationOptions) -> _Availability:
     scorer = load_scorer(plan.protocol.task)
     unavailable = dict(scorer.unavailable(plan, manifest))
-    lacking = set(unavailable)
+    without_data = set(unavailable)
     weights: dict[str, str] = {}
     stand_ins: list[str] = []
     for metric, names in scorer.needs(plan).items():
-        asked, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN_PREFIX)
-        # Who lacks more than weights has nothing to compute a stand-in of either.
-        if original in lacking or (not asked and (not options.stand_ins or original not in unavailable)):
+        in_protocol, original = metric in plan.protocol.metric_names, metric.removeprefix(STAND_IN_PREFIX)
+        # A metric that lacks more than weights has no stand-in.
+        if original in without_data or (not in_protocol and (not options.stand_ins or original not in unavailable)):
             continue
         for name in names:
             if name in options.resolver.paths:
                 _require_weights(options.resolver, name)
         try:
-            found = {name: options.resolver.resolve(name).sha256 for name in names}
+            hashes = {name: options.resolver.resolve(name).sha256 for name in names}
         except WeightsUnavailableError as error:
-            if asked:
+            if in_protocol:
                 unavailable[metric] = str(error)
             continue
         if importlib.util.find_spec("torch") is not None:
-            weights.update(found)
-            stand_ins += [] if asked else [metric]
-        elif asked:
+            weights.update(hashes)
+            stand_ins += [] if in_protocol else [metric]
+        elif in_protocol:
             unavailable[metric] = f"torch is not installed: {install_command('models')}"
     return _Availability(unavailable, tuple(stand_ins), weights)
 
 
-def _require_fitting(plan: Plan, options: EvaluationOptions) -> None:
-    """What is given is what the protocol uses, and what it cannot do without is given."""
+def _require_matching_options(plan: Plan, options: EvaluationOptions) -> None:
+    """Check that hidden truth and extractor are given exactly if the protocol uses them."""
     name, needed = plan.protocol.name, load_scorer(plan.protocol.task).needs_hidden(plan)
     if needed and options.hidden is None:
         raise UsageError(
-            f"nobody recorded the pictures of moved cameras that protocol {name} asks for",
+            f"protocol {name} scores images of moved cameras, which nobody recorded",
             place="--hidden",
-            expected="the folder of an organiser's true pictures",
-            remedy="of a synthetic street `mirror submission hidden` renders them",
+            expected="the folder of the organiser's true images",
+            remedy="for a synthetic street, `mirror submission hidden` renders them",
         )
     if not needed and options.hidden is not None:
         raise UsageError(
-            f"protocol {name} has recorded truth, and uses no other", place="--hidden", expected="no such option"
+            f"protocol {name} is scored against recorded images and uses no hidden truth",
+            place="--hidden",
+            expected="no such option",
         )
     if options.extractor is not None:
         if plan.protocol.task != _EDITING:
@@ -241,65 +243,66 @@ def _require_fitting(plan: Plan, options: EvaluationOptions) -> None:
 
 
 def _require_weights(resolver: WeightResolver, name: str) -> None:
-    """Who names a file means that file: another one is a mistake, and not a metric that cannot be had."""
+    """Raise if an explicitly named weights file is wrong: this is a usage error, not an unavailable metric."""
     try:
         resolver.resolve(name)
     except WeightsUnavailableError as error:
         raise UsageError(error.problem, file=error.file, place=f"--weights {name}", expected=error.expected) from error
 
 
-def _require(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:
+def _require_metrics(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:
     for name in required:
-        meant = [metric for metric in protocol.metric_names if name in (metric, metric.partition("_")[0])]
-        if not meant:
+        matching = [metric for metric in protocol.metric_names if name in (metric, metric.partition("_")[0])]
+        if not matching:
             raise UsageError(
                 f"protocol {protocol.name} has no metric {name!r}",
                 place="--require",
                 expected=f"one of {', '.join(protocol.metric_names)}",
             )
-        for metric in meant:
+        for metric in matching:
             if metric in unavailable:
                 raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
 
 
-def _hidden_hash(plan: Plan, inputs: ScoringInputs) -> str:
+def _hash_hidden_truth(plan: Plan, inputs: ScoringInputs) -> str:
     digest = hashlib.sha256()
     for view in plan.views:
         digest.update(f"{view.path} {inputs.truth.image_hash(view)}\n".encode())
     return digest.hexdigest()
 
 
-def _versions() -> dict[str, str]:
-    found = {"mirror": __version__, "python": platform.python_version()}
+def _list_versions() -> dict[str, str]:
+    versions = {"mirror": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
-def _warnings(plan: Plan, manifest: SubmissionManifest, available: _Availability) -> list[str]:
-    found = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
+def _list_warnings(plan: Plan, manifest: SubmissionManifest, available: _Availability) -> list[str]:
+    warnings = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
     for name in available.stand_ins:
-        found.append(
+        warnings.append(
             f"{name} stands in for {name.removeprefix(STAND_IN_PREFIX)}: another metric, with figures of its own"
         )
     if manifest.appearance.held_out_pixels:
-        found.append("the method's appearance was fitted to held-out pixels; they are not scored")
-    return found
+        warnings.append("the method's appearance was fitted to held-out pixels; they are not scored")
+    return warnings
 
 
-def _table(scored: Sequence[ScoredJob], protocol: Protocol) -> bytes:
-    """One row a picture, as Parquet."""
+def _encode_image_table(scored: Sequence[ScoredJob], protocol: Protocol) -> bytes:
+    """Encode the table of images, with one row for each image, as Parquet."""
     rows = []
     names: dict[str, None] = {}
-    for one in scored:
-        if not one.job.in_table:
+    for scored_job in scored:
+        if not scored_job.job.in_table:
             continue
-        view = one.job.views[0]
+        view = scored_job.job.views[0]
         keys = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
-        rows.append({"path": one.job.name, **{key: getattr(view, key) for key in keys}, **one.values})
+        fields = {key: getattr(view, key) for key in keys}
+        rows.append({"path": scored_job.job.name, **fields, **scored_job.values})
         names.update(dict.fromkeys(rows[-1]))
     columns = {name: [row.get(name) for row in rows] for name in names}
     table = pa.table(columns).replace_schema_metadata({"mirror_protocol_hash": protocol.hash})
@@ -309,17 +312,17 @@ def _table(scored: Sequence[ScoredJob], protocol: Protocol) -> bytes:
 
 
 def read_result(path: Path) -> Result:
-    """A result of its file, or of the folder that it lies in.
+    """Read a result from its file or from its folder.
 
     Raises:
-        DatasetError: there is none.
-        SchemaError: it is broken.
+        DatasetError: the file does not exist.
+        SchemaError: the file is invalid.
     """
     from mirror.schema.files import read_json
 
     file = path / RESULT if path.is_dir() else path
     if not file.is_file():
         raise DatasetError(
-            "no such result", file=file, expected=f"the {RESULT} of `mirror evaluate`, or the folder that it lies in"
+            "no such result", file=file, expected=f"the {RESULT} that `mirror evaluate` wrote, or its folder"
         )
     return read_json(file, Result)

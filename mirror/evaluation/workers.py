@@ -1,4 +1,4 @@
-"""Scores jobs in processes of their own; what an earlier run scored is taken from its log, by hash of what is read."""
+"""Worker processes that score jobs; values that an earlier run logged are reused if the hash of their inputs fits."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _CHUNK: Final = 8
 
 @dataclass(frozen=True)
 class ScoringOutcome:
-    """What came of all jobs.
+    """The outcome of all jobs.
 
     Attributes:
-        scored: jobs that were scored, in their order.
-        failed: why the others were not, by name.
-        reused: how many were taken from the log.
+        scored: scored jobs, in the order of the jobs.
+        failed: problems of the other jobs, by job name.
+        reused: number of jobs whose values were read from the log.
     """
 
     scored: tuple[ScoredJob, ...]
@@ -40,7 +40,7 @@ class ScoringOutcome:
 
 
 @dataclass(frozen=True)
-class _Done:
+class _JobOutcome:
     name: str
     key: str
     values: Values | None
@@ -49,10 +49,10 @@ class _Done:
 
 
 class ScoreLog:
-    """What was scored, one line a job, in a file that only grows: an interrupted run goes on where it stopped.
+    """Log of scored jobs, one JSON line each, in an append-only file, so that an interrupted run can be resumed.
 
     Args:
-        path: the file.
+        path: file of the log.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,7 +64,7 @@ class ScoreLog:
                     row = json.loads(line)
                     self.known[row["name"]] = (row["key"], row["values"])
                 except (ValueError, KeyError, TypeError):
-                    # The line that an interruption cut.
+                    # An interruption cut this line off.
                     continue
 
     def add(self, name: str, key: str, values: Values) -> None:
@@ -77,8 +77,8 @@ class ScoreLog:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("ab") as file:
-                # Begun anew if the last line was cut.
-                file.write(line.encode() if _ends_whole(self._path) else b"\n" + line.encode())
+                # A new line is started if an interruption cut the last one off.
+                file.write(line.encode() if _ends_with_newline(self._path) else b"\n" + line.encode())
         except OSError as error:
             raise unwritable_error(self._path, error) from error
 
@@ -94,16 +94,16 @@ def score_jobs(
     """Score all jobs.
 
     Args:
-        jobs: what to do.
-        inputs: what they read.
-        log: of this and earlier runs.
-        workers: processes; 1: this one.
-        advance: told of each job that is done.
+        jobs: jobs to score.
+        inputs: inputs of the scorer.
+        log: log of this run and earlier runs.
+        workers: number of processes; 1: the jobs run in this process.
+        advance: called with the number of finished jobs.
 
     Raises:
         DatasetError: the truth cannot be read, or a worker process died.
     """
-    found: dict[str, _Done] = {}
+    found: dict[str, _JobOutcome] = {}
     with closing(_run(jobs, inputs, log, workers)) as coming:
         for done in coming:
             for one in done:
@@ -117,7 +117,7 @@ def score_jobs(
 
 
 def job_key(job: Job, inputs: ScoringInputs) -> str:
-    """A hash of everything that decides what a job finds."""
+    """Hash everything that affects the values of a job."""
     protocol = inputs.protocol
     parts = [
         __version__,
@@ -136,18 +136,20 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _run(jobs: Sequence[Job], inputs: ScoringInputs, log: ScoreLog, workers: int) -> Generator[list[_Done], None, None]:
+def _run(
+    jobs: Sequence[Job], inputs: ScoringInputs, log: ScoreLog, workers: int
+) -> Generator[list[_JobOutcome], None, None]:
     chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
-    asked = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
+    logged = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
     if workers == 1 or len(chunks) < 2:
-        for chunk, known in asked:
-            yield _do(chunk, known, inputs)
+        for chunk, known in logged:
+            yield _score_chunk(chunk, known, inputs)
         return
-    waiting: set[Future[list[_Done]]] = set()
+    waiting: set[Future[list[_JobOutcome]]] = set()
     try:
-        with process_pool(workers, _begin, inputs) as pool:
-            for chunk, known in asked:
-                waiting.add(pool.submit(_do_here, chunk, known))
+        with process_pool(workers, _start_worker, inputs) as pool:
+            for chunk, known in logged:
+                waiting.add(pool.submit(_score_chunk_in_worker, chunk, known))
                 if len(waiting) >= 2 * workers:
                     ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                     yield from (future.result() for future in ready)
@@ -156,44 +158,46 @@ def _run(jobs: Sequence[Job], inputs: ScoringInputs, log: ScoreLog, workers: int
                 yield from (future.result() for future in ready)
     except BrokenProcessPool as error:
         raise DatasetError(
-            "a worker process died, as it does when memory runs out",
+            "a worker process died, for example because memory ran out",
             file=inputs.submission,
-            remedy="run the same command again: it goes on where it stopped; --workers 1 needs least memory",
+            remedy="run the same command again: it resumes where it stopped; --workers 1 needs the least memory",
         ) from error
 
 
-_inputs: list[ScoringInputs] = []
+_worker_inputs: list[ScoringInputs] = []
 
 
-def _begin(inputs: ScoringInputs) -> None:
+def _start_worker(inputs: ScoringInputs) -> None:
     import cv2
 
     cv2.setNumThreads(1)
-    _inputs[:] = [inputs]
+    _worker_inputs[:] = [inputs]
 
 
-def _do_here(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]]) -> list[_Done]:
-    return _do(jobs, known, _inputs[0])
+def _score_chunk_in_worker(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]]) -> list[_JobOutcome]:
+    return _score_chunk(jobs, known, _worker_inputs[0])
 
 
-def _do(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: ScoringInputs) -> list[_Done]:
+def _score_chunk(
+    jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: ScoringInputs
+) -> list[_JobOutcome]:
     scorer = load_scorer(inputs.protocol.task)
     done = []
     for job in jobs:
         try:
             key = job_key(job, inputs)
             if job.name in known and known[job.name][0] == key:
-                done.append(_Done(job.name, key, known[job.name][1], None, reused=True))
+                done.append(_JobOutcome(job.name, key, known[job.name][1], None, reused=True))
             else:
-                done.append(_Done(job.name, key, scorer.score(job, inputs), None, reused=False))
+                done.append(_JobOutcome(job.name, key, scorer.score(job, inputs), None, reused=False))
         except DatasetError:
             raise
         except MirrorError as error:
-            done.append(_Done(job.name, "", None, str(error), reused=False))
+            done.append(_JobOutcome(job.name, "", None, str(error), reused=False))
     return done
 
 
-def _ends_whole(path: Path) -> bool:
+def _ends_with_newline(path: Path) -> bool:
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         if not size:

@@ -30,7 +30,7 @@ def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, st
     unknown = [camera for camera, policy in named if camera not in cameras or not policy]
     if unknown:
         raise UsageError(
-            f"{policies!r}", place="--appearance", expected=f"CAMERA=LOOK,... of {', '.join(cameras)}"
+            f"{policies!r}", place="--appearance", expected=f"CAMERA=POLICY,... of {', '.join(cameras)}"
         )  # fmt: skip
     return {**dict.fromkeys(cameras, AppearancePolicy().policy), **dict(named)}
 

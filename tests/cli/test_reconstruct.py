@@ -190,7 +190,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
         assert files and all((out / camera / file.name).read_bytes() == file.read_bytes() for file in files)
     for wrong in ("rear=night", "front_wide=", "front_wide=night,mean"):
         problem = said(capsys, "render", model, *shifted, "--appearance", wrong, "--out", tmp_path / "x", code=2)
-        assert problem["expected"] == "CAMERA=LOOK,... of front_left, front_wide"
+        assert problem["expected"] == "CAMERA=POLICY,... of front_left, front_wide"
     of_split = ("--dataset", dataset.root, "--split", "novel", "--appearance", "front_wide=night")
     problem = said(capsys, "render", model, *of_split, "--out", tmp_path / "x", code=2)
     assert problem["problem"] == "appearances by camera are for trajectories"
@@ -387,9 +387,9 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
     none = {**document, "name": "none", "assignments": {}, "manifests": {}}
     words = ("render", dataset.root, model, "--protocol", narrow(tmp_path), "--out", tmp_path / "out")
     for split, message in (
-        (swapped, f"it was trained on {first}, which split swapped holds out"),
-        (anew, f"{first} was recorded anew since"),
-        (none, "none of the 3 traversals that it was trained on is in split none"),
+        (swapped, f"the model was trained on {first}, which split swapped holds out"),
+        (anew, f"the recorded data of {first} changed after the training"),
+        (none, "split none has none of the 3 traversals that the model was trained on"),
     ):
         (splits / f"{split['name']}.json").write_text(json.dumps(split))
         assert message in said(capsys, *words, "--split", split["name"], code=ExitCode.COULD_NOT_RUN)["problem"]
@@ -397,7 +397,7 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
     ply = ("export-ply", dataset.root, model, "--out", tmp_path / "street.ply")
     shifted = ("render", dataset.root, model, "--trajectory", "forward:1", "--out", tmp_path / "out")
     for verb in (ply, shifted):
-        assert "recorded anew" in said(capsys, *verb, code=ExitCode.COULD_NOT_RUN)["problem"]
+        assert "changed after the training" in said(capsys, *verb, code=ExitCode.COULD_NOT_RUN)["problem"]
     assert not (tmp_path / "out").exists() and not (tmp_path / "street.ply").exists()
 
 
@@ -482,7 +482,7 @@ def test_another_folder_is_left_alone(dataset: Dataset, tmp_path: Path, capsys: 
         capsys, "render", dataset.root, tmp_path, "--split", "novel", "--out", tmp_path / "new",
         code=ExitCode.COULD_NOT_RUN,
     )  # fmt: skip
-    assert problem["problem"] == "no reconstruction.json there"
+    assert problem["problem"] == "the folder has no reconstruction.json"
 
 
 def test_a_layer_that_one_traversal_lacks_is_told_of_and_an_empty_one_is_read(
@@ -541,7 +541,7 @@ def test_the_test_is_not_what_was_trained_on_where_a_protocol_asks_for_training_
     said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 3))
     words = ("--dataset", dataset.root, "--split", "novel", "--protocol", alone, "--out", tmp_path / "out")
     refused = said(capsys, "render", tmp_path / "model", *words, code=ExitCode.COULD_NOT_RUN)
-    assert "trained on the pictures that protocol" in refused["problem"] and "--hold-out" in refused["remedy"]
+    assert "trained on the images that protocol" in refused["problem"] and "--hold-out" in refused["remedy"]
     more = ("--steps", 3, "--hold-out", "--protocol", alone, "--initialise", "dataset")
     said(capsys, *reconstruct(dataset, tmp_path / "unseen", *more))
     assert said(capsys, "render", tmp_path / "unseen", *words)["views"] > 0
@@ -573,7 +573,7 @@ def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Datase
         method="hybridworldsim", scene="street", split="novel", poses="refined@1",
         trained=list_trained_traversals(dataset, "novel", "street"),
     )  # fmt: skip
-    with pytest.raises(UsageError, match=r"trained at poses refined@1, these are recorded.*with_layers"):
+    with pytest.raises(UsageError, match=r"trained at poses refined@1, the dataset .* poses recorded.*with_layers"):
         require_matching_split(dataset, "novel", model)
     require_matching_split(dataset, "novel", model.model_copy(update={"poses": "recorded"}))
 

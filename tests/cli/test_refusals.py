@@ -71,7 +71,7 @@ def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr()
     assert "there is nothing at this path" in said.err
     assert said.out == ""
-    assert "one result alone" in refused(fleet, capsys, "compare {fleet}/none")
+    assert "1 results to compare" in refused(fleet, capsys, "compare {fleet}/none")
     assert "no such result" in refused(fleet, capsys, "compare {fleet}/none {fleet}/none")
 
 

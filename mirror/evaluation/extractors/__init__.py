@@ -1,4 +1,4 @@
-"""Extractors of edited regions, one a file; an extractor sees two renders, and never the target box."""
+"""Extractors of edited regions, one in each file; an extractor gets two renders but never the target box."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from mirror.evaluation.extractors.extractor import Extractor
 __all__ = ["EXTRACTORS", "Extractor", "extractor_of"]
 
 EXTRACTORS: Final = {
-    "diff-grabcut": "what differs from the background, cut out by GrabCut; needs no weights",
-    "file": "file:FOLDER, masks that somebody else extracted",
+    "diff-grabcut": "diff-grabcut, the region that differs from the background, refined by GrabCut; needs no weights",
+    "file": "file:FOLDER, masks from files",
     "onnx-sam": "onnx-sam:FOLDER, Segment Anything as encoder.onnx and decoder.onnx",
 }
-"""By name, with their arguments."""
+"""Extractors by name, each with its argument and description."""
 
 
 def make_extractor(text: str) -> Extractor:
-    """The extractor of a name and its argument, as ``--extractor`` has them.
+    """Make an extractor from the text of ``--extractor``: a name, and for some extractors a colon and an argument.
 
     Raises:
-        UsageError: there is none of that name, or its argument is missing or too much.
+        UsageError: the name is unknown, or the argument is missing or superfluous.
     """
     name, colon, argument = text.partition(":")
     if name not in EXTRACTORS or bool(colon) == (name == "diff-grabcut"):

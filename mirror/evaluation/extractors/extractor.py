@@ -1,4 +1,4 @@
-"""What an extractor is."""
+"""The interface of extractors."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from mirror.arrays import Bool, UInt8
 
 
 class Extractor(Protocol):
-    """Finds the region of an edited object in a render. It is not told where the object was to be."""
+    """Finds the region of an edited object in a render, without knowing the requested position of the object."""
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
-        """The object's pixels.
+        """Extract the object's pixels.
 
         Args:
-            edited: (H, W, 3), RGB: the render with the object.
-            background: (H, W, 3): the same without it.
-            counted: (H, W): pixels that may belong to it.
+            edited: (H, W, 3), RGB: render with the object.
+            background: (H, W, 3), RGB: render of the same view without the object.
+            counted: (H, W) mask of the pixels that may belong to the object.
             name: path of the edited render in the submission.
 
         Returns:
-            (H, W); empty where nothing was found.
+            (H, W) mask of the object; all False if no object was found.
         """

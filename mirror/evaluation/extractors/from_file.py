@@ -1,4 +1,4 @@
-"""Masks that somebody else extracted, by whatever means, as files."""
+"""An extractor that reads masks from files, which any other program may have written."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from mirror.errors import DatasetError, UsageError
 
 
 class MaskFiles:
-    """Reads masks: grey PNGs by the names of renders, 128 and more where the object is.
+    """Reads masks: grey PNGs in which values of 128 or more mark the object.
 
     Args:
-        folder: of the masks, whose paths in it are those of renders below ``renders/``.
+        folder: folder of the masks; a mask has the same path in it as its render has below ``renders/``.
 
     Raises:
-        UsageError: there is no such folder.
+        UsageError: the folder does not exist.
     """
 
     def __init__(self, folder: str) -> None:
@@ -30,7 +30,7 @@ class MaskFiles:
         """See `Extractor`.
 
         Raises:
-            DatasetError: the mask is missing, broken or of another size.
+            DatasetError: the mask is missing, damaged or of another size.
         """
         file = self._folder / name.removeprefix("renders/")
         data = file.read_bytes() if file.is_file() else b""
@@ -38,6 +38,6 @@ class MaskFiles:
         if mask is None or mask.shape != counted.shape:
             height, width = counted.shape
             raise DatasetError(
-                "missing, broken or of another size", file=file, expected=f"a grey PNG of {width} x {height} px"
+                "missing, damaged or of another size", file=file, expected=f"a grey PNG of {width} x {height} px"
             )
         return np.asarray((mask > 127) & counted)

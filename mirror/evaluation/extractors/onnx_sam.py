@@ -1,4 +1,4 @@
-"""Segment Anything (Kirillov et al., ICCV 2023) as ONNX, prompted by where two renders differ."""
+"""Segment Anything (Kirillov et al., ICCV 2023) as ONNX, prompted by the region in which two renders differ."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ _BOX_LABELS: Final = (2.0, 3.0)
 
 
 class OnnxSam:
-    """Two networks, of which the first reads the picture and the second a prompt.
+    """Runs two networks: an encoder of the image, and a decoder of a prompt.
 
-    ``encoder.onnx`` takes (1, 3, 1024, 1024) normalised pixels and gives image embeddings; ``decoder.onnx`` is what the
-    model's own export script writes. The prompt is the rectangle of the region in which the renders differ
+    ``encoder.onnx`` maps normalised pixels (1, 3, 1024, 1024) to image embeddings; ``decoder.onnx`` is the file that
+    the model's own export script writes. The prompt is the bounding rectangle of the region in which the renders differ
     (`DiffGrabCut`), never the target box.
 
     Args:
-        folder: of both files.
+        folder: folder of both files.
 
     Raises:
         UsageError: a file is missing, or onnxruntime is not installed.
     """
 
     def __init__(self, folder: str) -> None:
-        self._encoder = _session(Path(folder) / "encoder.onnx")
-        self._decoder = _session(Path(folder) / "decoder.onnx")
-        self._differing = DiffGrabCut()
+        self._encoder = _open_session(Path(folder) / "encoder.onnx")
+        self._decoder = _open_session(Path(folder) / "decoder.onnx")
+        self._difference_extractor = DiffGrabCut()
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
         """See `Extractor`."""
-        differing = self._differing.extract(edited, background, counted, name)
+        differing = self._difference_extractor.extract(edited, background, counted, name)
         if not differing.any():
             return differing
         height, width = counted.shape
         scale = _SIDE / max(height, width)
-        embeddings = self._encoder.run(None, {self._encoder.get_inputs()[0].name: _prepared(edited, scale)})[0]
+        embeddings = self._encoder.run(None, {self._encoder.get_inputs()[0].name: _prepare_input(edited, scale)})[0]
         rows, columns = np.flatnonzero(differing.any(axis=1)), np.flatnonzero(differing.any(axis=0))
         rectangle = [[columns[0], rows[0]], [columns[-1] + 1, rows[-1] + 1]]
         inputs = {
@@ -60,15 +60,15 @@ class OnnxSam:
         return np.asarray((masks[0, int(np.argmax(scores[0]))] > 0.0) & counted)
 
 
-def _prepared(picture: UInt8, scale: float) -> Float32:
-    height, width = (round(side * scale) for side in picture.shape[:2])
-    resized = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+def _prepare_input(image: UInt8, scale: float) -> Float32:
+    height, width = (round(side * scale) for side in image.shape[:2])
+    resized = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
     padded = np.zeros((_SIDE, _SIDE, 3), np.float32)
     padded[:height, :width] = (resized.astype(np.float32) - _MEAN) / _DEVIATION
     return np.ascontiguousarray(padded.transpose(2, 0, 1)[None])
 
 
-def _session(path: Path) -> Any:
+def _open_session(path: Path) -> Any:
     if not path.is_file():
         raise UsageError("missing", file=path, place="--extractor", expected="encoder.onnx and decoder.onnx")
     try:

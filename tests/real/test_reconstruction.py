@@ -128,7 +128,7 @@ def test_photos_of_one_walk_are_held_out_rendered_and_scored(
     words = ("--dataset", street.dataset, "--split", "all", "--protocol", street.protocol, "--out", submission)
     assert street(capsys, "render", tmp_path / "model", *words)["views"] == 2
     manifest = json.loads((submission / "manifest.json").read_text())
-    assert manifest["method"]["trained_on"].endswith("without 2 of their images")
+    assert manifest["method"]["trained_on"].endswith("without 2 of their pictures")
     scores = tmp_path / "scores"
     scored = (street.dataset, submission, "--protocol", street.protocol, "--out", scores)
     street(capsys, "evaluate", *scored)

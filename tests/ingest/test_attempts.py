@@ -162,7 +162,7 @@ def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: DrivePasses, t
         late.finish(POINTS, [], {})
     assert tree(folder) == before
     del late
-    with pytest.raises(DatasetError, match="there already"):
+    with pytest.raises(DatasetError, match="exists already"):
         LayerWriter(Layout(out), name, "points", "made", "1")
     LayerWriter(Layout(out), name, "points", "made", "2").finish(POINTS, [], {})
     assert sorted(path.name for path in folder.parent.iterdir()) == ["made@1", "made@2"]

@@ -154,7 +154,7 @@ def crossing_errors(track: CleanTrack, passes: Iterable[Pass], rois: Iterable[Ro
             off_m = max(off_m, abs(globe.distance(place, centre) - roi.radius_m))
             after = int(np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1))
             a, b = (
-                Fix(int(stamps[i]), (float(track.first[kept[i]]), float(track.second[kept[i]])), None, False)
+                Fix(int(stamps[i]), (float(track.lon_or_x[kept[i]]), float(track.lat_or_y[kept[i]])), None, False)
                 for i in (after - 1, after)
             )
             if reference.radial_speed(globe, [a, b], t, centre) < 1.0:

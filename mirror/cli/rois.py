@@ -23,7 +23,7 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.ingest.propose import Proposal, Sparse
+    from mirror.ingest.propose import Proposal, SparseDrives
 
 _EXAMPLES = (
     "mirror rois propose demo/recordings --out rois.geojson",
@@ -118,7 +118,7 @@ def _propose(argv: Sequence[str]) -> int:
     return ExitCode.PARTLY_DONE if len(proposals.failures) < len(recordings.recordings) else ExitCode.COULD_NOT_RUN
 
 
-def _print(ranked: Sequence[Proposal], sparse: Sparse | None, arguments: Propose) -> None:
+def _print(ranked: Sequence[Proposal], sparse: SparseDrives | None, arguments: Propose) -> None:
     from rich.table import Table
 
     from mirror.cli.output import plain_console

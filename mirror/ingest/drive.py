@@ -11,9 +11,9 @@ import numpy as np
 
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, manifest_sha256, seal
 from mirror.errors import RecordingError
-from mirror.ingest.judge import DrivePasses
+from mirror.ingest.passes import DrivePasses
 from mirror.ingest.staging import Staging
-from mirror.ingest.tables import pass_table
+from mirror.ingest.tables import build_pass_table
 from mirror.ingest.traversal import images_without_pose, traversal_id
 from mirror.ingest.weather import weather_from_traversals
 from mirror.recordings.boundary import reader_errors
@@ -23,7 +23,7 @@ from mirror.schema.files import encode_table, read_json, read_table, write_bytes
 from mirror.schema.tables import IMAGES, PASSES
 
 
-def rig_document(drive: DrivePasses) -> Rig | None:
+def make_rig_document(drive: DrivePasses) -> Rig | None:
     """``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
     rig = drive.recording.rig
     if rig is None:
@@ -32,7 +32,7 @@ def rig_document(drive: DrivePasses) -> Rig | None:
         RigCamera(
             name=camera.name,
             source_name=camera.source_name,
-            static_mask=_mask_name(rig.rig_id, camera.name) if camera.static_mask is not None else None,
+            static_mask=_mask_file_name(rig.rig_id, camera.name) if camera.static_mask is not None else None,
         )
         for camera in rig.cameras
     )
@@ -44,7 +44,7 @@ def rig_document(drive: DrivePasses) -> Rig | None:
     )
 
 
-def refuse_other_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -> None:
+def refuse_conflicting_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -> None:
     """Refuse a rig whose id is taken by another, in the dataset or in this run.
 
     Args:
@@ -55,7 +55,7 @@ def refuse_other_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -
     Raises:
         RecordingError: cameras, reference camera or vehicle type differ.
     """
-    document = rig_document(drive)
+    document = make_rig_document(drive)
     if document is None:
         return
     path = layout.rig(document.rig_id)
@@ -71,17 +71,17 @@ def refuse_other_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -
 
 
 def _write_rig(staging: Staging, drive: DrivePasses) -> None:
-    document, rig, layout = rig_document(drive), drive.recording.rig, staging.layout
+    document, rig, layout = make_rig_document(drive), drive.recording.rig, staging.layout
     if document is None or rig is None or staging.dataset.rig(document.rig_id).exists():
         return
     for camera in rig.cameras:
         if camera.static_mask is not None:
             encoded = cv2.imencode(".png", np.ascontiguousarray(camera.static_mask))[1]
-            write_bytes(layout.root / "rigs" / _mask_name(rig.rig_id, camera.name), encoded.tobytes())
+            write_bytes(layout.root / "rigs" / _mask_file_name(rig.rig_id, camera.name), encoded.tobytes())
     write_json(layout.rig(document.rig_id), document)
 
 
-def _mask_name(rig_id: str, camera: str) -> str:
+def _mask_file_name(rig_id: str, camera: str) -> str:
     return f"{rig_id}.{camera}.png"
 
 
@@ -121,7 +121,7 @@ def seal_drive(
             images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
         )
     weather = weather_from_traversals(staging, drive, names, weather_plugin) if weather_plugin else {}
-    ledger = encode_table(pass_table(drive, names, weather, weather_plugin), PASSES)
+    ledger = encode_table(build_pass_table(drive, names, weather, weather_plugin), PASSES)
     folder = staging.layout.drive(info.drive_id)
     write_json(folder / "drive.json", document)
     write_bytes(folder / "passes.parquet", ledger)
@@ -135,7 +135,7 @@ def seal_drive(
     )
 
 
-def traversals_intact(layout: Layout, drive_id: str) -> bool:
+def are_traversals_intact(layout: Layout, drive_id: str) -> bool:
     """Whether every traversal of a complete drive is as it was sealed, pictures aside."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:

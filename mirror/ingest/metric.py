@@ -1,6 +1,7 @@
-"""Compiled distances on the surface that a track lives on: the WGS 84 ellipsoid, or the plane of a local frame.
+"""Compiled distances on the surface of a track: the WGS 84 ellipsoid, or the plane of a local metric frame.
 
-A track's coordinates are ``first`` and ``second``: longitude and latitude in degrees, or x and y in metres.
+Coordinates are ``lon_or_x`` and ``lat_or_y``: longitude and latitude in degrees if ``geodetic``, else x and y in
+metres. All functions take one place at a time.
 """
 
 from __future__ import annotations
@@ -11,24 +12,25 @@ from numba import njit
 
 from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
-_RAD = math.pi / 180.0
+_RAD_PER_DEG = math.pi / 180.0
 _EARTH_M = 6_371_000.0
 
 
 @njit(cache=True, nogil=True)
-def scales(second: float, geodetic: bool) -> tuple[float, float]:
-    """Metres per unit of the two coordinates at a place (exact first derivatives)."""
+def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
+    """Metres per unit of longitude (or x) and of latitude (or y) at a latitude: the exact first derivatives."""
     if not geodetic:
         return 1.0, 1.0
-    sin_lat = math.sin(second * _RAD)
+    sin_lat = math.sin(lat_or_y * _RAD_PER_DEG)
     inner = 1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat
     normal = SEMI_MAJOR_M / math.sqrt(inner)
-    return normal * math.cos(second * _RAD) * _RAD, normal * (1.0 - ECCENTRICITY_SQUARED) / inner * _RAD
+    north_m = normal * (1.0 - ECCENTRICITY_SQUARED) / inner
+    return normal * math.cos(lat_or_y * _RAD_PER_DEG) * _RAD_PER_DEG, north_m * _RAD_PER_DEG
 
 
 @njit(cache=True, nogil=True)
 def unwrap(difference: float, geodetic: bool) -> float:
-    """A difference of first coordinates, the short way round the globe."""
+    """Take a difference of longitudes the short way round the globe; leave a difference of x as it is."""
     if geodetic:
         if difference > 180.0:
             return difference - 360.0
@@ -38,39 +40,40 @@ def unwrap(difference: float, geodetic: bool) -> float:
 
 
 @njit(cache=True, nogil=True)
-def step_m(first0: float, second0: float, first1: float, second1: float, geodetic: bool) -> float:
-    """Length of one step of motion, by the metric at its middle: exact to 1e-8 of itself below 1 km."""
-    scale_x, scale_y = scales(0.5 * (second0 + second1), geodetic)
-    dx = unwrap(first1 - first0, geodetic) * scale_x
-    dy = (second1 - second0) * scale_y
+def step_m(lon_or_x0: float, lat_or_y0: float, lon_or_x1: float, lat_or_y1: float, geodetic: bool) -> float:
+    """Length of a step in metres, with the scales at its middle latitude; relative error below 1e-8 up to 1 km."""
+    scale_x, scale_y = scales(0.5 * (lat_or_y0 + lat_or_y1), geodetic)
+    dx = unwrap(lon_or_x1 - lon_or_x0, geodetic) * scale_x
+    dy = (lat_or_y1 - lat_or_y0) * scale_y
     return math.sqrt(dx * dx + dy * dy)
 
 
 @njit(cache=True, nogil=True)
-def distance_m(first: float, second: float, first0: float, second0: float, geodetic: bool) -> float:
-    """Geodesic distance of nearby places: the chord in closed form, bent to the arc of the mean curvature.
+def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: float, geodetic: bool) -> float:
+    """Geodesic distance in metres between nearby places.
 
-    The compiled twin of `mirror.geometry.geodesy.surface_distance_m`; below 1e-7 m of error within 2 km. The chord is
-    built from differences of sines, so that it keeps its digits when the places are close.
+    The chord is computed in closed form, and then the arc over it on a circle of the mean curvature. The error is below
+    1e-7 m within 2 km. This is the compiled form of `mirror.geometry.geodesy.surface_distance_m`. The chord is built
+    from differences of sines, which keeps its precision when the places are close.
     """
     if not geodetic:
-        return math.sqrt((first - first0) ** 2 + (second - second0) ** 2)
-    lat, lat0 = second * _RAD, second0 * _RAD
-    half_dlon = 0.5 * unwrap(first - first0, True) * _RAD
+        return math.sqrt((lon_or_x - lon_or_x0) ** 2 + (lat_or_y - lat_or_y0) ** 2)
+    lat, lat0 = lat_or_y * _RAD_PER_DEG, lat_or_y0 * _RAD_PER_DEG
+    half_dlon = 0.5 * unwrap(lon_or_x - lon_or_x0, True) * _RAD_PER_DEG
     sin_lat, cos_lat, sin_lat0, cos_lat0 = math.sin(lat), math.cos(lat), math.sin(lat0), math.cos(lat0)
     inner, inner0 = 1.0 - ECCENTRICITY_SQUARED * sin_lat**2, 1.0 - ECCENTRICITY_SQUARED * sin_lat0**2
     normal, normal0 = SEMI_MAJOR_M / math.sqrt(inner), SEMI_MAJOR_M / math.sqrt(inner0)
     # p = N cos(lat) is the distance from the axis: chord^2 = (p - p0)^2 + 4 p p0 sin^2(dlon / 2) + (z - z0)^2
-    across, across0 = normal * cos_lat, normal0 * cos_lat0
+    axis_m, axis_m0 = normal * cos_lat, normal0 * cos_lat0
     dz = (1.0 - ECCENTRICITY_SQUARED) * (normal * sin_lat - normal0 * sin_lat0)
-    chord2 = (across - across0) ** 2 + 4.0 * across * across0 * math.sin(half_dlon) ** 2 + dz * dz
+    chord2 = (axis_m - axis_m0) ** 2 + 4.0 * axis_m * axis_m0 * math.sin(half_dlon) ** 2 + dz * dz
     radius = SEMI_MAJOR_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED) / inner0
     return 2.0 * radius * math.asin(min(math.sqrt(chord2) / (2.0 * radius), 1.0))
 
 
 @njit(cache=True, nogil=True)
-def plane_error(second: float, radius: float, geodetic: bool) -> float:
-    """Bound of the relative error of distances up to a radius, measured by the metric at the centre."""
+def plane_error(lat_or_y: float, radius: float, geodetic: bool) -> float:
+    """Upper bound of the relative error of distances within a radius (m) that use the scales at the centre."""
     if not geodetic:
         return 1e-12
-    return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(second * _RAD))) + 1e-6
+    return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(lat_or_y * _RAD_PER_DEG))) + 1e-6

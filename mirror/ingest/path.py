@@ -1,89 +1,127 @@
-"""Compiled lengths of driven path, and the figures of a pass that follow from it.
+"""Compiled lengths of driven path, and the figures of a pass that follow from them.
 
-Path counts only from one *counted* point to the next: a fix counts once it lies ``min_step`` (or ``step_sigmas`` sigmas
-of the fix, if more) from the last counted one, so that the noise of a parked car adds nothing. The rest of the way to
-the exit is added at the end, so that nothing of a straight drive is lost. Between counted points path grows linearly
-with time, which is how it is shared out between inside and outside.
+Path is measured between *counted* points. A fix counts if it is at least ``min_step`` (or ``step_sigmas`` standard
+deviations of the fix, if that is more) from the last counted point, so that the noise of a parked car adds no path. The
+remaining way to the exit is added at the end, so that no part of a straight drive is missing. Between counted points
+path grows linearly with time; this divides it into the parts inside and outside of the ROI.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float64, Int64, Records, UInt8
-from mirror.ingest.clean import RESTART
+from mirror.arrays import Float64, Int64, Records
+from mirror.ingest.fix_status import RESTART, Fixes
 from mirror.ingest.metric import scales, step_m, unwrap
-from mirror.ingest.visits import CROSSING, STANDSTILL
+from mirror.ingest.visits import CROSSING, STANDSTILL, dtype_of_rows
 
-# Excursions count as equally long within this; of equals the first is the longest, whatever the rounding.
+# Excursions whose lengths or times differ by less than this count as equal, and the first of them is taken as longest:
+# the choice does not depend on rounding.
 _SAME_M = 1e-3
 _SAME_NS = 1_000_000
 
-FIGURES = np.dtype(
-    [
-        ("path_m", np.float64),
-        ("inside_path_m", np.float64),
-        ("heading_in_deg", np.float64),
-        ("heading_out_deg", np.float64),
-        ("closest_m", np.float64),
-        ("poses", np.int64),
-        ("inside_ns", np.int64),
-        ("cut", np.int64),
-    ]
-)
-"""What is measured of a pass: ``cut`` is the visit after its longest excursion; headings are NaN if nothing moved."""
+
+class StepRule(NamedTuple):
+    """Which fixes count for the path.
+
+    Attributes:
+        sigma_m: (N,) horizontal standard deviation of each fix, or (0,) if not known.
+        step_sigmas: a step counts from this many standard deviations.
+        min_step_m: a step counts from this length.
+    """
+
+    sigma_m: Float64
+    step_sigmas: float
+    min_step_m: float
+
+
+class Figures(NamedTuple):
+    """What is measured of a pass; also the columns of `FIGURES`.
+
+    Attributes:
+        path_m: driven length.
+        inside_path_m: the part of it within the ROI.
+        heading_in_deg: direction of the first counted step, clockwise from north; NaN without a step.
+        heading_out_deg: direction of the last counted step; NaN without a step.
+        closest_m: smallest distance from the ROI's centre.
+        poses: kept fixes between entry and exit.
+        inside_ns: time within the ROI.
+        cut: number of the visit after the longest excursion; -1 for a pass of one visit.
+    """
+
+    path_m: float
+    inside_path_m: float
+    heading_in_deg: float
+    heading_out_deg: float
+    closest_m: float
+    poses: int
+    inside_ns: int
+    cut: int
+
+
+FIGURES = dtype_of_rows(Figures)
+"""The dtype of arrays of figures."""
+
+
+class _Points(NamedTuple):
+    """Buffers for counted points: time, coordinates and cumulative path in metres."""
+
+    t: Int64
+    lon_or_x: Float64
+    lat_or_y: Float64
+    path_m: Float64
 
 
 @njit(cache=True, nogil=True)
-def _counted(
-    stamps: Int64,
-    first: Float64,
-    second: Float64,
-    fate: UInt8,
-    sigma: Float64,
-    step_sigmas: float,
-    min_step: float,
-    geodetic: bool,
-    candidate: Records,
-    t: Int64,
-    a: Float64,
-    b: Float64,
-    s: Float64,
-) -> tuple[int, int, bool]:
-    """Fill times, coordinates and cumulative path of the counted points.
+def _allocate_points(visits: Records) -> _Points:
+    """Buffers for the points of the longest of the visits."""
+    longest = 0
+    for row in range(len(visits)):
+        longest = max(longest, visits[row].stop - visits[row].start)
+    size = longest + 2
+    return _Points(np.empty(size, np.int64), np.empty(size), np.empty(size), np.empty(size))
+
+
+@njit(cache=True, nogil=True)
+def _fill_points(fixes: Fixes, rule: StepRule, candidate: Records, points: _Points) -> tuple[int, int, bool]:
+    """Fill the counted points of one pass.
 
     Returns:
-        The number of points, that of the fixes, and whether the last point is but the rest of the way to the exit.
+        The number of points, the number of kept fixes, and whether the last point is the exit itself.
     """
-    t[0], a[0], b[0], s[0] = candidate.entry_ns, candidate.entry_first, candidate.entry_second, 0.0
-    count, fixes = 1, 0
+    stamps, lon_or_x, lat_or_y, status, geodetic = fixes
+    sigma, step_sigmas, min_step = rule
+    t, a, b, s = points
+    t[0], a[0], b[0], s[0] = candidate.entry_ns, candidate.entry_lon_or_x, candidate.entry_lat_or_y, 0.0
+    count, kept = 1, 0
     for position in range(candidate.start, candidate.stop):
         stamp = stamps[position]
-        if fate[position] > RESTART or stamp < candidate.entry_ns or stamp > candidate.exit_ns:
+        if status[position] > RESTART or stamp < candidate.entry_ns or stamp > candidate.exit_ns:
             continue
-        fixes += 1
-        step = step_m(a[count - 1], b[count - 1], first[position], second[position], geodetic)
+        kept += 1
+        step = step_m(a[count - 1], b[count - 1], lon_or_x[position], lat_or_y[position], geodetic)
         least = min_step
         if len(sigma) and step_sigmas * sigma[position] > least:
             least = step_sigmas * sigma[position]
         if step >= least and stamp > t[count - 1]:
-            t[count], a[count], b[count], s[count] = stamp, first[position], second[position], s[count - 1] + step
+            t[count], a[count], b[count], s[count] = stamp, lon_or_x[position], lat_or_y[position], s[count - 1] + step
             count += 1
-    rest = candidate.exit_ns > t[count - 1]
-    if rest:
-        step = step_m(a[count - 1], b[count - 1], candidate.exit_first, candidate.exit_second, geodetic)
-        t[count], a[count], b[count] = candidate.exit_ns, candidate.exit_first, candidate.exit_second
+    ends_at_exit = candidate.exit_ns > t[count - 1]
+    if ends_at_exit:
+        step = step_m(a[count - 1], b[count - 1], candidate.exit_lon_or_x, candidate.exit_lat_or_y, geodetic)
+        t[count], a[count], b[count] = candidate.exit_ns, candidate.exit_lon_or_x, candidate.exit_lat_or_y
         s[count] = s[count - 1] + step
         count += 1
-    return count, fixes, rest
+    return count, kept, ends_at_exit
 
 
 @njit(cache=True, nogil=True)
 def _path_at(stamp: int, t: Int64, s: Float64, count: int) -> float:
-    """Cumulative path at a time, linear between counted points."""
+    """Cumulative path in metres at a time, linear between counted points."""
     index = np.searchsorted(t[:count], stamp)
     if index <= 0:
         return 0.0
@@ -95,6 +133,7 @@ def _path_at(stamp: int, t: Int64, s: Float64, count: int) -> float:
 
 @njit(cache=True, nogil=True)
 def _course_deg(a: Float64, b: Float64, index: int, geodetic: bool) -> float:
+    """Direction from point ``index`` to the next one in degrees, clockwise from north (from +y in a plane)."""
     scale_x, scale_y = scales(0.5 * (b[index] + b[index + 1]), geodetic)
     dx = unwrap(a[index + 1] - a[index], geodetic) * scale_x
     dy = (b[index + 1] - b[index]) * scale_y
@@ -102,165 +141,124 @@ def _course_deg(a: Float64, b: Float64, index: int, geodetic: bool) -> float:
 
 
 @njit(cache=True, nogil=True)
-def figures(
-    stamps: Int64,
-    first: Float64,
-    second: Float64,
-    fate: UInt8,
-    sigma: Float64,
-    step_sigmas: float,
-    min_step: float,
-    geodetic: bool,
-    candidates: Records,
-    begin: Int64,
-    end: Int64,
-    found: Records,
-    out: Records,
+def measure_passes(
+    fixes: Fixes, rule: StepRule, candidates: Records, begin: Int64, end: Int64, visits: Records, out: Records
 ) -> None:
-    """Measure passes.
+    """Measure P passes.
 
     Args:
-        stamps: (N,) time.
-        first: (N,) longitude or x.
-        second: (N,) latitude or y.
-        fate: (N,) of each fix.
-        sigma: (N,) horizontal 1-sigma of each fix, or (0,).
-        step_sigmas: steps below this many sigmas do not count.
-        min_step: nor do steps below this many metres.
-        geodetic: whether the coordinates are degrees.
-        candidates: (P,) `VISIT`: from the first visit's entry to the last one's exit, or the whole clip.
-        begin: (P,) first visit of each pass.
-        end: (P,) one behind its last.
-        found: (V,) `VISIT`.
+        fixes: N fixes.
+        rule: which fixes count for the path.
+        candidates: (P,) `VISIT`: from the entry of the first visit to the exit of the last one, or the whole clip.
+        begin: (P,) number of the first visit of each pass.
+        end: (P,) number after that of its last visit.
+        visits: (V,) `VISIT`.
         out: (P,) `FIGURES`, filled.
     """
-    longest = 0
+    points = _allocate_points(candidates)
+    t, a, b, s = points
     for row in range(len(candidates)):
-        longest = max(longest, candidates[row].stop - candidates[row].start)
-    t, a, b, s = np.empty(longest + 2, np.int64), np.empty(longest + 2), np.empty(longest + 2), np.empty(longest + 2)
-    for row in range(len(candidates)):
-        count, fixes, _ = _counted(
-            stamps, first, second, fate, sigma, step_sigmas, min_step, geodetic, candidates[row], t, a, b, s
-        )
-        inside, inside_ns, left_at, closest = 0.0, 0, 0.0, np.inf
+        count, kept, _ = _fill_points(fixes, rule, candidates[row], points)
+        inside_m, inside_ns, exit_at, closest = 0.0, 0, 0.0, np.inf
         longest_m, longest_ns, cut = -1.0, -1, -1
         for visit in range(begin[row], end[row]):
-            entered_at = _path_at(found[visit].entry_ns, t, s, count)
+            entry_at = _path_at(visits[visit].entry_ns, t, s, count)
             if visit > begin[row]:
-                away_ns = found[visit].entry_ns - found[visit - 1].exit_ns
-                away_m = entered_at - left_at
+                away_ns = visits[visit].entry_ns - visits[visit - 1].exit_ns
+                away_m = entry_at - exit_at
                 if away_m > longest_m + _SAME_M or (away_m > longest_m - _SAME_M and away_ns > longest_ns + _SAME_NS):
                     longest_m, longest_ns, cut = away_m, away_ns, visit
-            left_at = _path_at(found[visit].exit_ns, t, s, count)
-            inside += left_at - entered_at
-            inside_ns += found[visit].exit_ns - found[visit].entry_ns
-            closest = min(closest, found[visit].closest_m)
+            exit_at = _path_at(visits[visit].exit_ns, t, s, count)
+            inside_m += exit_at - entry_at
+            inside_ns += visits[visit].exit_ns - visits[visit].entry_ns
+            closest = min(closest, visits[visit].closest_m)
         figure = out[row]
-        figure.path_m, figure.inside_path_m, figure.closest_m = s[count - 1], inside, closest
-        figure.poses, figure.inside_ns, figure.cut = fixes, inside_ns, cut
+        figure.path_m, figure.inside_path_m, figure.closest_m = s[count - 1], inside_m, closest
+        figure.poses, figure.inside_ns, figure.cut = kept, inside_ns, cut
         figure.heading_in_deg, figure.heading_out_deg = np.nan, np.nan
         for index in range(count - 1):
             if s[index + 1] > s[index]:
-                figure.heading_in_deg = _course_deg(a, b, index, geodetic)
+                figure.heading_in_deg = _course_deg(a, b, index, fixes.geodetic)
                 break
         for index in range(count - 2, -1, -1):
             if s[index + 1] > s[index]:
-                figure.heading_out_deg = _course_deg(a, b, index, geodetic)
+                figure.heading_out_deg = _course_deg(a, b, index, fixes.geodetic)
                 break
 
 
 @njit(cache=True, nogil=True)
-def without_standstills(
-    stamps: Int64,
-    first: Float64,
-    second: Float64,
-    fate: UInt8,
-    sigma: Float64,
-    step_sigmas: float,
-    min_step: float,
-    geodetic: bool,
-    found: Records,
-    limit_ns: int,
-    out: Records,
-) -> int:
-    """Cut out of visits what stands still for longer than the limit; the parts are visits of their own.
+def cut_standstills(fixes: Fixes, rule: StepRule, visits: Records, limit_ns: int, out: Records) -> int:
+    """Cut standstills that are longer than a limit out of visits; the remaining parts are visits themselves.
 
-    A standstill lasts from a counted point to the last fix before the next counted one or the crossing; at the end of a
-    recording or before a gap, to the end. Of a visit that is nothing else, an empty part stays at its entry, so that
-    the ledger tells of it.
+    A standstill lasts from a counted point to the last fix before the next counted point or the crossing. At the end of
+    a recording and before a gap it lasts to the end. If a visit consists of nothing but a standstill, an empty part
+    stays at its entry, so that the ledger lists the visit.
 
     Args:
-        stamps: (N,) time.
-        first: (N,) longitude or x.
-        second: (N,) latitude or y.
-        fate: (N,) of each fix.
-        sigma: (N,) horizontal 1-sigma of each fix, or (0,).
-        step_sigmas: steps below this many sigmas do not count.
-        min_step: nor do steps below this many metres.
-        geodetic: whether the coordinates are degrees.
-        found: (V,) `VISIT`.
+        fixes: N fixes.
+        rule: which fixes count for the path.
+        visits: (V,) `VISIT`.
         limit_ns: the longest standstill that stays.
-        out: room for the parts.
+        out: (M,) array of dtype `VISIT` that is filled.
 
     Returns:
-        The number of parts; where it exceeds ``len(out)``, only the first are stored: call again with more room.
+        The number of parts. If it exceeds M, only the first M are stored: call again with a larger array.
     """
-    longest = 0
-    for row in range(len(found)):
-        longest = max(longest, found[row].stop - found[row].start)
-    t, a, b, s = np.empty(longest + 2, np.int64), np.empty(longest + 2), np.empty(longest + 2), np.empty(longest + 2)
+    stamps, _, _, status, _ = fixes
+    points = _allocate_points(visits)
+    t, a, b, _ = points
     parts = 0
-    for row in range(len(found)):
-        visit = found[row]
-        rest_ns, rest_first, rest_second, rest_kind = (
+    for row in range(len(visits)):
+        visit = visits[row]
+        part_ns, part_lon_or_x, part_lat_or_y, part_kind = (
             visit.entry_ns,
-            visit.entry_first,
-            visit.entry_second,
+            visit.entry_lon_or_x,
+            visit.entry_lat_or_y,
             visit.entry_kind,
         )
-        count, rest, before = 0, False, parts
+        count, ends_at_exit, before = 0, False, parts
         if visit.exit_ns - visit.entry_ns > limit_ns:
-            count, _, rest = _counted(
-                stamps, first, second, fate, sigma, step_sigmas, min_step, geodetic, visit, t, a, b, s
-            )
+            count, _, ends_at_exit = _fill_points(fixes, rule, visit, points)
         for index in range(count - 1):
             if t[index + 1] - t[index] <= limit_ns:
                 continue
-            left = t[index + 1]
-            if index + 2 < count or not rest or visit.exit_kind == CROSSING:
-                left = t[index]
+            standing_until = t[index + 1]
+            if index + 2 < count or not ends_at_exit or visit.exit_kind == CROSSING:
+                standing_until = t[index]
                 for position in range(visit.start, visit.stop):
-                    if fate[position] <= RESTART and left < stamps[position] < t[index + 1]:
-                        left = stamps[position]
-            if left - t[index] <= limit_ns:
+                    if status[position] <= RESTART and standing_until < stamps[position] < t[index + 1]:
+                        standing_until = stamps[position]
+            if standing_until - t[index] <= limit_ns:
                 continue
-            if t[index] > rest_ns:
-                _part(out, parts, visit, rest_ns, rest_first, rest_second, rest_kind)
-                _end(out, parts, t[index], a[index], b[index])
+            if t[index] > part_ns:
+                _store_part(out, parts, visit, part_ns, part_lon_or_x, part_lat_or_y, part_kind)
+                _end_part(out, parts, t[index], a[index], b[index])
                 parts += 1
-            rest_ns, rest_first, rest_second, rest_kind = left, a[index], b[index], STANDSTILL
-        if visit.exit_ns > rest_ns or rest_kind != STANDSTILL:
-            _part(out, parts, visit, rest_ns, rest_first, rest_second, rest_kind)
+            part_ns, part_lon_or_x, part_lat_or_y, part_kind = standing_until, a[index], b[index], STANDSTILL
+        if visit.exit_ns > part_ns or part_kind != STANDSTILL:
+            _store_part(out, parts, visit, part_ns, part_lon_or_x, part_lat_or_y, part_kind)
             parts += 1
         elif parts == before:
-            _part(out, parts, visit, visit.entry_ns, visit.entry_first, visit.entry_second, visit.entry_kind)
-            _end(out, parts, visit.entry_ns, visit.entry_first, visit.entry_second)
+            _store_part(out, parts, visit, visit.entry_ns, visit.entry_lon_or_x, visit.entry_lat_or_y, visit.entry_kind)
+            _end_part(out, parts, visit.entry_ns, visit.entry_lon_or_x, visit.entry_lat_or_y)
             parts += 1
     return parts
 
 
 @njit(cache=True, nogil=True)
-def _part(out: Records, number: int, visit: Records, entry_ns: int, first: float, second: float, kind: int) -> None:
-    """Store a copy of a visit with another entry, if there is room."""
+def _store_part(
+    out: Records, number: int, visit: Records, entry_ns: int, lon_or_x: float, lat_or_y: float, kind: int
+) -> None:
+    """Store a copy of a visit with another entry, if the array has space."""
     if number < len(out):
         out[number] = visit
         part = out[number]
-        part.entry_ns, part.entry_first, part.entry_second, part.entry_kind = entry_ns, first, second, kind
+        part.entry_ns, part.entry_lon_or_x, part.entry_lat_or_y, part.entry_kind = entry_ns, lon_or_x, lat_or_y, kind
 
 
 @njit(cache=True, nogil=True)
-def _end(out: Records, number: int, exit_ns: int, first: float, second: float) -> None:
-    """Let a stored part end in a standstill."""
+def _end_part(out: Records, number: int, exit_ns: int, lon_or_x: float, lat_or_y: float) -> None:
+    """End a stored part with a standstill."""
     if number < len(out):
         part = out[number]
-        part.exit_ns, part.exit_first, part.exit_second, part.exit_kind = exit_ns, first, second, STANDSTILL
+        part.exit_ns, part.exit_lon_or_x, part.exit_lat_or_y, part.exit_kind = exit_ns, lon_or_x, lat_or_y, STANDSTILL

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from mirror.dataset.layout import Layout, complete_manifest, is_intact
 from mirror.errors import RecordingError
-from mirror.ingest.drive import traversals_intact, verify_source
-from mirror.ingest.judge import DrivePasses, fingerprint, judge_drive
+from mirror.ingest.drive import are_traversals_intact, verify_source
+from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.settings import Settings
-from mirror.ingest.traversal import selected_pictures
+from mirror.ingest.traversal import select_images
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import Recording
@@ -21,7 +21,7 @@ from mirror.schema.files import read_json
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedDrive:
     """A drive that can be written, or need not be.
 
     Attributes:
@@ -37,7 +37,7 @@ class Prepared:
     images: int = 0
 
 
-def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settings, trigger: Trigger) -> Prepared:
+def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settings, trigger: Trigger) -> PreparedDrive:
     """Open and judge a recording, unless it is complete in the dataset.
 
     Args:
@@ -61,15 +61,15 @@ def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settin
         reader = options.reader or type(recording).__module__.rpartition(".")[2]
         source = fingerprint(recording, reader, path.resolve().name)
     if _is_unchanged(path, recording, source, layout, options, settings) and not options.dry_run:
-        return Prepared(drive_id, None)
-    drive = judge_drive(path, recording, source, trigger, settings.rois, settings.document.cleaning)
+        return PreparedDrive(drive_id, None)
+    drive = find_drive_passes(path, recording, source, trigger, settings.rois, settings.document.cleaning)
     images = 0
     if not options.dry_run:
         with reader_errors(path):
             for number in drive.slices:
-                images += sum(len(indices) for _, indices, _ in selected_pictures(drive, number).values())
+                images += sum(len(indices) for _, indices, _ in select_images(drive, number).values())
     replace = options.replace or not _same_source(layout, drive_id, source, settings.configuration)
-    return Prepared(drive_id, drive, replace, images)
+    return PreparedDrive(drive_id, drive, replace, images)
 
 
 def _is_unchanged(
@@ -99,7 +99,7 @@ def _is_unchanged(
     if options.verify:
         with reader_errors(path):
             verify_source(layout, recording, document.drive_id)
-    return set(document.scenes) >= settings.scenes and traversals_intact(layout, document.drive_id)
+    return set(document.scenes) >= settings.scenes and are_traversals_intact(layout, document.drive_id)
 
 
 def _same_source(layout: Layout, drive_id: str, source: Source, configuration: str) -> bool:

@@ -20,7 +20,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import MirrorError, RecordingError, UsageError
 from mirror.ingest.clean import CleanTrack
 from mirror.ingest.metric import scales
-from mirror.ingest.request import IngestOptions, thresholds
+from mirror.ingest.request import IngestOptions, validate_thresholds
 from mirror.ingest.trigger import Trigger
 from mirror.ingest.usable import clean_usable
 from mirror.progress import NullProgress, ProgressReporter
@@ -55,7 +55,7 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class _Driven:
+class _DriveTrack:
     drive_id: str
     track: CleanTrack
     frame: str | None
@@ -63,7 +63,7 @@ class _Driven:
 
 
 @dataclass(frozen=True)
-class Sparse:
+class SparseDrives:
     """Drives whose fixes are so far apart that gaps cut them to pieces.
 
     Attributes:
@@ -91,7 +91,7 @@ class Proposals:
 
     ranked: tuple[Proposal, ...]
     failures: tuple[tuple[Path, MirrorError], ...]
-    sparse: Sparse | None = None
+    sparse: SparseDrives | None = None
 
 
 def propose_rois(
@@ -120,17 +120,17 @@ def propose_rois(
         ROIs whose circles do not overlap, by drives, then accepted passes, then driven length.
     """
     options, progress = options or IngestOptions(), progress or NullProgress()
-    trigger_options = thresholds(TriggerOptions, options.trigger)
-    cleaning = thresholds(CleaningOptions, options.cleaning)
+    trigger_options = validate_thresholds(TriggerOptions, options.trigger)
+    cleaning = validate_thresholds(CleaningOptions, options.cleaning)
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
     if not 0.0 < radius_m <= 20_000.0:
         raise UsageError(f"a radius of {radius_m:g} m", place="--radius-m", expected="more than 0, at most 20,000 m")
-    driven: list[_Driven] = []
+    driven: list[_DriveTrack] = []
     failures: list[tuple[Path, MirrorError]] = []
     progress.start("reading poses", len(recordings))
 
-    def read(path: Path) -> _Driven | tuple[Path, MirrorError]:
+    def read(path: Path) -> _DriveTrack | tuple[Path, MirrorError]:
         try:
             with reader_errors(path):
                 recording = open_recording(path, reader=options.reader, options=options.reader_options)
@@ -140,11 +140,11 @@ def propose_rois(
             return path, error
         finally:
             progress.advance(1)
-        return _Driven(info.drive_id, track, info.frame, info.is_clip)
+        return _DriveTrack(info.drive_id, track, info.frame, info.is_clip)
 
     with ThreadPoolExecutor(max_workers=options.workers) as pool:
         for result in pool.map(read, recordings):
-            if isinstance(result, _Driven):
+            if isinstance(result, _DriveTrack):
                 driven.append(result)
             elif options.fail_fast:
                 raise result[1]
@@ -167,7 +167,7 @@ def propose_rois(
     return Proposals(tuple(chosen), tuple(failures), _sparse(driven, trigger_options.max_gap_s))
 
 
-def _sparse(driven: Sequence[_Driven], max_gap_s: float) -> Sparse | None:
+def _sparse(driven: Sequence[_DriveTrack], max_gap_s: float) -> SparseDrives | None:
     gaps: list[Float64] = []
     for one in driven:
         steps_s = np.diff(one.track.timestamp_ns[one.track.kept()]) * 1e-9
@@ -177,17 +177,17 @@ def _sparse(driven: Sequence[_Driven], max_gap_s: float) -> Sparse | None:
     if not gaps:
         return None
     spacing_s = math.ceil(float(np.quantile(np.concatenate(gaps), 0.95)))
-    return Sparse(len(gaps), len(driven), max_gap_s, max(float(spacing_s), math.floor(max_gap_s) + 1.0))
+    return SparseDrives(len(gaps), len(driven), max_gap_s, max(float(spacing_s), math.floor(max_gap_s) + 1.0))
 
 
-def _candidates(tracks: Sequence[_Driven], radius_m: float) -> Float64:
+def _candidates(tracks: Sequence[_DriveTrack], radius_m: float) -> Float64:
     """Centres worth judging, (N, 2): mean driven places of grid cells, those near most drives, then visits, first.
 
     A cell is a fraction of the radius wide; a visit is counted to every cell within the radius.
     """
     geodetic = tracks[0].track.geodetic
     kept = [one.track.kept() for one in tracks]
-    places = [np.column_stack([one.track.first[rows], one.track.second[rows]]) for one, rows in zip(tracks, kept)]
+    places = [np.column_stack([one.track.lon_or_x[rows], one.track.lat_or_y[rows]]) for one, rows in zip(tracks, kept)]
     middle = np.median(np.concatenate([place[:: max(1, len(place) // 1000)] for place in places]), axis=0)
     scale = np.array(scales(float(middle[1]), geodetic))
     size = radius_m / _CELLS_A_RADIUS
@@ -235,13 +235,13 @@ def _means(place: Float64, middle: Float64, scale: Float64, size: float) -> Floa
 
 
 def _roi(frame: str | None, place: Float64, radius_m: float, name: str) -> Roi:
-    first, second = (round(float(value), 7 if frame is None else 3) for value in place)
+    lon_or_x, lat_or_y = (round(float(value), 7 if frame is None else 3) for value in place)
     if frame is None:
-        return Roi(scene_id=name, longitude_deg=first, latitude_deg=second, radius_m=radius_m)
-    return Roi(scene_id=name, frame=frame, x_m=first, y_m=second, radius_m=radius_m)
+        return Roi(scene_id=name, longitude_deg=lon_or_x, latitude_deg=lat_or_y, radius_m=radius_m)
+    return Roi(scene_id=name, frame=frame, x_m=lon_or_x, y_m=lat_or_y, radius_m=radius_m)
 
 
-def _judge(tracks: Sequence[_Driven], rois: Sequence[Roi], trigger: Trigger) -> list[Proposal]:
+def _judge(tracks: Sequence[_DriveTrack], rois: Sequence[Roi], trigger: Trigger) -> list[Proposal]:
     accepted: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     drives: dict[str, set[str]] = defaultdict(set)

@@ -21,7 +21,7 @@ _OPTIONAL = ("vx_mps", "vy_mps", "vz_mps")
 _FARTHEST_M = 1e6
 
 
-def refuse_boxes(boxes: pa.Table, file: Path) -> None:
+def refuse_invalid_boxes(boxes: pa.Table, file: Path) -> None:
     """Refuse boxes that are nowhere or have no extent.
 
     Args:
@@ -55,7 +55,7 @@ def refuse_boxes(boxes: pa.Table, file: Path) -> None:
             )
 
 
-def refuse_other_rasters(
+def refuse_other_image_sizes(
     camera: str, width_px: Int64, height_px: Int64, files: Sequence[str], calibrations: pa.Table
 ) -> None:
     """Refuse images whose size is not that for which their camera is calibrated: every projection would be wrong.

@@ -11,7 +11,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from mirror.errors import MirrorError, UsageError
-from mirror.ingest.traversal import WriteOptions, Written
+from mirror.ingest.traversal import WriteOptions, WriteReport
 from mirror.ingest.trigger import Pass
 from mirror.recordings.protocol import DriveInfo
 from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
@@ -19,7 +19,7 @@ from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOpti
 Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 
 
-def thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Thresholds:
+def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Thresholds:
     """Defaults, with those thresholds that were given.
 
     Raises:
@@ -105,7 +105,7 @@ class IngestReport:
 
     drives: dict[str, DriveReport] = field(default_factory=dict)
     unchanged: list[str] = field(default_factory=list)
-    traversals: list[Written] = field(default_factory=list)
+    traversals: list[WriteReport] = field(default_factory=list)
     failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
 
     @property

@@ -123,7 +123,7 @@ def merge_rois(present: Sequence[Roi], given: Sequence[Roi], file: Path) -> list
     return sorted(known.values(), key=lambda roi: roi.scene_id)
 
 
-def refuse_swapped(rois: Sequence[Roi], longitude_deg: float, latitude_deg: float) -> None:
+def refuse_swapped_coordinates(rois: Sequence[Roi], longitude_deg: float, latitude_deg: float) -> None:
     """Refuse ROIs that are far from where was driven, but near with longitude and latitude exchanged.
 
     Args:

@@ -23,14 +23,14 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.drive import refuse_other_rig, seal_drive
-from mirror.ingest.judge import DrivePasses
-from mirror.ingest.prepare import Prepared, prepare
+from mirror.ingest.drive import refuse_conflicting_rig, seal_drive
+from mirror.ingest.passes import DrivePasses
+from mirror.ingest.prepare import PreparedDrive, prepare
 from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
 from mirror.ingest.rois import write_rois
-from mirror.ingest.settings import Settings, no_roi, settings_of
+from mirror.ingest.settings import Settings, merge_settings, missing_roi_error
 from mirror.ingest.staging import Staging
-from mirror.ingest.traversal import Written, write_traversal
+from mirror.ingest.traversal import WriteReport, write_traversal
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.weather import weather_plugins
@@ -98,17 +98,17 @@ def ingest_recordings(
             remedy="install the package that declares it",
         )
     if options.dry_run:
-        run = _Run(layout, options, progress, settings_of(layout, options, rois))
+        run = _Run(layout, options, progress, merge_settings(layout, options, rois))
         run.work(recordings)
         return run.report
     _refuse_recording_as_dataset(recordings, out)
     require_output_folder(out, FolderKind.DATASET)
     if not rois and not layout.document.exists():
-        raise no_roi()
+        raise missing_roi_error()
     with writer_lock(layout, wait=options.wait):
         try:
             recover(layout)
-            run = _Run(layout, options, progress, settings_of(layout, options, rois))
+            run = _Run(layout, options, progress, merge_settings(layout, options, rois))
             _write(run, recordings)
         except OSError as error:
             # Files are written through functions that say so themselves; what is left are folders.
@@ -156,7 +156,7 @@ class _Writing:
     """
 
     drive: DrivePasses
-    jobs: list[Future[Written | None]] = field(default_factory=list)
+    jobs: list[Future[WriteReport | None]] = field(default_factory=list)
     failed: threading.Event = field(default_factory=threading.Event)
 
 
@@ -206,17 +206,17 @@ class _Run:
                 raise
         self.report.traversals.sort(key=lambda one: one.traversal_id)
 
-    def _prepare(self, path: Path) -> Prepared:
+    def _prepare(self, path: Path) -> PreparedDrive:
         return prepare(path, self.layout, self.options, self.settings, self._trigger)
 
-    def _taken(self, path: Path, future: Future[Prepared], staging: Staging | None) -> Prepared | None:
+    def _taken(self, path: Path, future: Future[PreparedDrive], staging: Staging | None) -> PreparedDrive | None:
         """A drive that can be written; None: it failed."""
         try:
             prepared = future.result()
             self._own(path, prepared.drive_id)
             if prepared.drive is not None and staging is not None:
                 with reader_errors(path):
-                    refuse_other_rig(self.layout, prepared.drive, self._rigs)
+                    refuse_conflicting_rig(self.layout, prepared.drive, self._rigs)
         except MirrorError as error:
             self._fail(path, error)
             return None
@@ -241,7 +241,7 @@ class _Run:
         one = _Writing(drive)
         threads = max(1, self.options.workers // max(1, len(drive.slices) * side_by_side))
 
-        def write(number: int) -> Written | None:
+        def write(number: int) -> WriteReport | None:
             if one.failed.is_set():
                 return None
             try:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError, UsageError
-from mirror.ingest.request import IngestOptions, thresholds
+from mirror.ingest.request import IngestOptions, validate_thresholds
 from mirror.ingest.rois import merge_rois, read_rois
 from mirror.ingest.trigger import Trigger
 from mirror.schema.documents import CleaningOptions, DatasetDocument, Roi, TriggerOptions
@@ -41,7 +41,7 @@ class Settings:
         return Trigger(self.rois, self.document.trigger, self.document.cleaning)
 
 
-def settings_of(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> Settings:
+def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> Settings:
     """The dataset's settings with what a run adds.
 
     Raises:
@@ -71,16 +71,16 @@ def settings_of(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> 
     else:
         document = DatasetDocument(
             licence=options.licence,
-            trigger=thresholds(TriggerOptions, given_trigger),
-            cleaning=thresholds(CleaningOptions, given_cleaning),
+            trigger=validate_thresholds(TriggerOptions, given_trigger),
+            cleaning=validate_thresholds(CleaningOptions, given_cleaning),
         )
     merged = merge_rois(present, rois, layout.rois)
     if not merged:
-        raise no_roi()
+        raise missing_roi_error()
     return Settings(document, tuple(merged), _configuration(document, options))
 
 
-def no_roi() -> UsageError:
+def missing_roi_error() -> UsageError:
     """The error where there is no scene to cut out."""
     return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
 

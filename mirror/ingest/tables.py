@@ -16,8 +16,8 @@ from mirror.geometry.quaternions import (
     quaternion_from_matrix,
     quaternion_multiply,
 )
-from mirror.ingest.judge import DrivePasses, PoseSlice
 from mirror.ingest.metric import scales
+from mirror.ingest.passes import DrivePasses, PoseSlice
 from mirror.recordings.light import light_label, solar_elevation_deg
 from mirror.schema.documents import Roi
 from mirror.schema.files import conform
@@ -26,7 +26,7 @@ from mirror.schema.tables import EGO_POSES, PASSES
 _COURSE_STEP_M = 0.5
 
 
-def pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table:
+def build_pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table:
     """``ego_poses`` of one traversal, in the world of its scene.
 
     The world is the east-north-up frame at the ROI's centre; of a drive in a local metric frame it is that frame. Where
@@ -41,14 +41,14 @@ def pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table:
     longitude: Float64 | None = None
     latitude: Float64 | None = None
     if roi.longitude_deg is not None and roi.latitude_deg is not None:
-        longitude, latitude = poses.first, poses.second
+        longitude, latitude = poses.lon_or_x, poses.lat_or_y
         world = TangentFrame(roi.longitude_deg, roi.latitude_deg, roi.height_m)
         height = np.full(count, roi.height_m) if poses.height_m is None else poses.height_m
         translation = world.from_geodetic(longitude, latitude, height)
         turn = quaternion_from_matrix(world.world_R_enu(longitude, latitude))
     else:
         height = np.zeros(count) if poses.height_m is None else poses.height_m
-        translation = np.column_stack([poses.first, poses.second, height])
+        translation = np.column_stack([poses.lon_or_x, poses.lat_or_y, height])
         turn = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     try:
         world_SE3_ego = Poses(quaternion_multiply(turn, Poses(rotation, translation).rotation), translation)
@@ -87,8 +87,8 @@ def course(poses: PoseSlice, *, geodetic: bool) -> Float64:
     count = len(poses.timestamp_ns)
     if count == 0:
         return np.empty((0, 4))
-    scale_x, scale_y = scales(float(poses.second[0]), geodetic)
-    x, y = (poses.first - poses.first[0]) * scale_x, (poses.second - poses.second[0]) * scale_y
+    scale_x, scale_y = scales(float(poses.lat_or_y[0]), geodetic)
+    x, y = (poses.lon_or_x - poses.lon_or_x[0]) * scale_x, (poses.lat_or_y - poses.lat_or_y[0]) * scale_y
     seconds = (poses.timestamp_ns - poses.timestamp_ns[0]) * 1e-9
     times, angles = [], []
     last = 0
@@ -142,7 +142,7 @@ def _nearest(sorted_ns: Int64, query_ns: Int64) -> Int64:
     return np.where(query_ns - sorted_ns[left] <= sorted_ns[right] - query_ns, left, right)
 
 
-def pass_table(
+def build_pass_table(
     drive: DrivePasses, traversal_ids: Sequence[str | None], weather: Mapping[int, str], weather_plugin: str | None
 ) -> pa.Table:
     """The ledger of one drive.

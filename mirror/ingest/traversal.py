@@ -15,11 +15,11 @@ import pyarrow.compute as pc
 from mirror.arrays import Int64
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
-from mirror.ingest.judge import DrivePasses
-from mirror.ingest.pictures import Placed, Transfer, place_pictures, refer_to_pictures
-from mirror.ingest.refusals import refuse_boxes, refuse_other_rasters
+from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
+from mirror.ingest.passes import DrivePasses
+from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes
 from mirror.ingest.staging import Staging
-from mirror.ingest.tables import assign_frames, pose_table
+from mirror.ingest.tables import assign_frames, build_pose_table
 from mirror.ingest.trigger import Pass
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
@@ -46,7 +46,7 @@ class WriteOptions:
 
 
 @dataclass(frozen=True)
-class Written:
+class WriteReport:
     """What writing a traversal came to.
 
     Attributes:
@@ -84,7 +84,7 @@ def write_traversal(
     advance: Callable[[int], None],
     *,
     replace: bool = False,
-) -> Written:
+) -> WriteReport:
     """Write one accepted pass, or find it complete.
 
     Attempts at the same traversal do not meet: each writes a folder of its own, and the first that is complete stays.
@@ -117,7 +117,7 @@ def write_traversal(
         if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
             pictures = manifest.pictures or ImageTotals(count=0, bytes=0)
             advance(pictures.count)
-            written = Written(name, pictures.count, pictures.bytes, 0, reused=True)
+            written = WriteReport(name, pictures.count, pictures.bytes, 0, reused=True)
             return _with_lost_images(written, drive, number)
     with staging.attempt() as attempt:
         with reader_errors(drive.path):
@@ -136,15 +136,15 @@ def _write(
     options: WriteOptions,
     threads: int,
     advance: Callable[[int], None],
-) -> Written:
+) -> WriteReport:
     one, folder = drive.passes[number], layout.recorded(name)
-    streams = selected_pictures(drive, number)
+    streams = select_images(drive, number)
     _write_boxes(layout, name, drive, one, derived_from)
 
-    def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> Placed:
+    def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> PlacedImages:
         if isinstance(stream, ReferencedStream):
-            return refer_to_pictures(stream, indices, advance)
-        return place_pictures(
+            return refer_to_images(stream, indices, advance)
+        return place_images(
             stream,
             indices,
             stamps,
@@ -168,7 +168,7 @@ def _write(
     calibrations = _calibration_table(drive)
     for camera, (stream, indices, _) in streams.items():
         here = placed[camera]
-        refuse_other_rasters(
+        refuse_other_image_sizes(
             camera,
             here.width_px,
             here.height_px,
@@ -176,7 +176,7 @@ def _write(
             calibrations,
         )
     tables: list[tuple[Table, pa.Table]] = [
-        (EGO_POSES, pose_table(drive.slices[number], roi, drive)),
+        (EGO_POSES, build_pose_table(drive.slices[number], roi, drive)),
         (IMAGES, _image_table(name, drive, streams, placed)),
         (CALIBRATIONS, calibrations),
     ]
@@ -188,10 +188,10 @@ def _write(
     total = sum(sum(one_camera.sizes) for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, images=ImageTotals(count=count, bytes=total))
     linked = sum(one_camera.linked for one_camera in placed.values())
-    return _with_lost_images(Written(name, count, total, linked, reused=False), drive, number)
+    return _with_lost_images(WriteReport(name, count, total, linked, reused=False), drive, number)
 
 
-def selected_pictures(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
+def select_images(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
     """By camera, in order of name: its stream, the indices of the images to take, and their stamps.
 
     Taken are the images exposed within the pass at an instant at which the vehicle's pose is known
@@ -220,14 +220,14 @@ def images_without_pose(drive: DrivePasses, number: int) -> int:
         number: of the accepted pass in ``drive.passes``.
 
     Raises:
-        RecordingError: as `selected_pictures`.
+        RecordingError: as `select_images`.
     """
     poses = drive.slices[number]
     exposed = _exposed_within(drive, drive.passes[number]).values()
     return sum(int(np.count_nonzero(~poses.poses_known(stamps))) for _, _, stamps in exposed)
 
 
-def _with_lost_images(written: Written, drive: DrivePasses, number: int) -> Written:
+def _with_lost_images(written: WriteReport, drive: DrivePasses, number: int) -> WriteReport:
     """Count the images that the pass lacks: without a pose, and missing from the recording."""
     exposed = _exposed_within(drive, drive.passes[number]).values()
     missing = sum(count_missing_images(stamps) for _, _, stamps in exposed)
@@ -275,7 +275,7 @@ def _image_table(
     name: str,
     drive: DrivePasses,
     streams: dict[str, tuple[ImageStream, Int64, Int64]],
-    placed: dict[str, Placed],
+    placed: dict[str, PlacedImages],
 ) -> pa.Table:
     rig = drive.recording.rig
     frames = assign_frames(
@@ -343,7 +343,7 @@ def _write_boxes(layout: Layout, name: str, drive: DrivePasses, one: Pass, deriv
     if boxes is None:
         return
     boxes = conform(boxes, BOXES, file=drive.path)
-    refuse_boxes(boxes, drive.path)
+    refuse_invalid_boxes(boxes, drive.path)
     stamps = boxes.column("timestamp_ns")
     boxes = boxes.filter(pc.and_(pc.greater_equal(stamps, one.entry_ns), pc.less_equal(stamps, one.exit_ns)))
     origin = pa.table({key: boxes.column(key).cast(pa.string()) for key in ("source", "source_version")})

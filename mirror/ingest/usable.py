@@ -9,7 +9,8 @@ import numpy as np
 
 from mirror.arrays import Bool
 from mirror.errors import RecordingError
-from mirror.ingest.clean import LOCAL_LIMIT_M, CleanTrack, clean
+from mirror.ingest.clean import CleanTrack, clean
+from mirror.ingest.fix_status import LOCAL_LIMIT_M
 from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.protocol import Track
 from mirror.recordings.row_faults import RowFaults
@@ -88,12 +89,12 @@ def _without_bad_values(track: Track) -> Track:
 def _off_the_globe(track: Track) -> Bool:
     """Which (N,) rows have a position, but one that is infinite or that no vehicle can be at."""
     limits = (180.0, 90.0)
-    first, second = track.longitude_deg, track.latitude_deg
-    if first is None or second is None:
-        first, second = np.asarray(track.x_m), np.asarray(track.y_m)
+    lon_or_x, lat_or_y = track.longitude_deg, track.latitude_deg
+    if lon_or_x is None or lat_or_y is None:
+        lon_or_x, lat_or_y = np.asarray(track.x_m), np.asarray(track.y_m)
         limits = (LOCAL_LIMIT_M, LOCAL_LIMIT_M)
-    off = (np.abs(first) > limits[0]) | (np.abs(second) > limits[1])
-    return off & ~np.isnan(first) & ~np.isnan(second)
+    off = (np.abs(lon_or_x) > limits[0]) | (np.abs(lat_or_y) > limits[1])
+    return off & ~np.isnan(lon_or_x) & ~np.isnan(lat_or_y)
 
 
 def _uncovered_s(track: Track, off: Bool, max_gap_s: float) -> tuple[float, float, float]:

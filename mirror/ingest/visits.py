@@ -1,60 +1,96 @@
-"""Compiled search for visits: the maximal intervals that a track spends within a region of interest.
+"""Compiled search for visits: the maximal intervals in which a track is within a region of interest (ROI).
 
-A planar bound decides most poses, the exact distance only those close to the circle, and each crossing is solved for on
-the linear motion between two fixes.
+For most fixes a bound of the planar distance decides whether they are inside; the exact distance is computed only near
+the circle. The crossing of the circle is found on the linear motion between two fixes.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numba import njit
 
-from mirror.arrays import Float64, Int64, Records, UInt8
-from mirror.ingest.clean import RESTART
+from mirror.arrays import Int64, Records
+from mirror.ingest.fix_status import RESTART, Fixes
+from mirror.ingest.grid import Circles
 from mirror.ingest.metric import distance_m, plane_error, scales, unwrap
 
 CROSSING, RECORDING_EDGE, GAP, STANDSTILL = range(4)
 _TOLERANCE_M = 1e-6
 
-VISIT = np.dtype(
-    [
-        ("roi", np.int64),
-        ("entry_ns", np.int64),
-        ("exit_ns", np.int64),
-        ("entry_first", np.float64),
-        ("entry_second", np.float64),
-        ("exit_first", np.float64),
-        ("exit_second", np.float64),
-        ("start", np.int64),
-        ("stop", np.int64),
-        ("entry_kind", np.int64),
-        ("exit_kind", np.int64),
-        ("closest_m", np.float64),
-    ]
-)
-"""One visit; ``start:stop`` are the track's positions between entry and exit, dropped fixes included."""
+
+class Visit(NamedTuple):
+    """One visit of a ROI; also the columns of `VISIT`.
+
+    Attributes:
+        roi: number of the ROI.
+        entry_ns: time of the entry.
+        exit_ns: time of the exit.
+        entry_lon_or_x: place of the entry.
+        entry_lat_or_y: place of the entry.
+        exit_lon_or_x: place of the exit.
+        exit_lat_or_y: place of the exit.
+        start: first position in the track between entry and exit; dropped fixes count.
+        stop: position after the last one.
+        entry_kind: `CROSSING`, `RECORDING_EDGE`, `GAP` or `STANDSTILL`.
+        exit_kind: the same for the exit.
+        closest_m: smallest distance from the ROI's centre.
+    """
+
+    roi: int
+    entry_ns: int
+    exit_ns: int
+    entry_lon_or_x: float
+    entry_lat_or_y: float
+    exit_lon_or_x: float
+    exit_lat_or_y: float
+    start: int
+    stop: int
+    entry_kind: int
+    exit_kind: int
+    closest_m: float
+
+
+def dtype_of_rows(row: type[tuple[Any, ...]]) -> np.dtype[np.void]:
+    """The dtype of structured arrays with the fields of a named tuple: int64 for ``int``, else float64."""
+    return np.dtype([(name, np.int64 if kind is int else np.float64) for name, kind in get_type_hints(row).items()])
+
+
+VISIT = dtype_of_rows(Visit)
+"""The dtype of arrays of visits."""
 
 
 @njit(cache=True, nogil=True)
 def _solve(
     inside: float,
     outside: float,
-    first0: float,
-    second0: float,
-    dfirst: float,
-    dsecond: float,
-    centre_first: float,
-    centre_second: float,
+    lon_or_x0: float,
+    lat_or_y0: float,
+    dlon_or_dx: float,
+    dlat_or_dy: float,
+    centre_lon_or_x: float,
+    centre_lat_or_y: float,
     radius: float,
     geodetic: bool,
 ) -> float:
-    """Where on a step, between a share within the circle and one beyond it, the distance is the radius (Illinois)."""
+    """Find the share of a step at which the distance from the centre is the radius (Illinois method).
+
+    ``inside`` is a share of the step within the circle and ``outside`` one beyond it.
+    """
     low, high = inside, outside
-    f_low = distance_m(first0 + low * dfirst, second0 + low * dsecond, centre_first, centre_second, geodetic) - radius
+    f_low = (
+        distance_m(
+            lon_or_x0 + low * dlon_or_dx, lat_or_y0 + low * dlat_or_dy, centre_lon_or_x, centre_lat_or_y, geodetic
+        )
+        - radius
+    )
     f_high = (
-        distance_m(first0 + high * dfirst, second0 + high * dsecond, centre_first, centre_second, geodetic) - radius
+        distance_m(
+            lon_or_x0 + high * dlon_or_dx, lat_or_y0 + high * dlat_or_dy, centre_lon_or_x, centre_lat_or_y, geodetic
+        )
+        - radius
     )
     if f_low >= 0.0:
         return low
@@ -64,7 +100,9 @@ def _solve(
     middle = low
     for _ in range(100):
         middle = (low * f_high - high * f_low) / (f_high - f_low)
-        f = distance_m(first0 + middle * dfirst, second0 + middle * dsecond, centre_first, centre_second, geodetic)
+        f = distance_m(
+            lon_or_x0 + middle * dlon_or_dx, lat_or_y0 + middle * dlat_or_dy, centre_lon_or_x, centre_lat_or_y, geodetic
+        )
         f -= radius
         if abs(f) < _TOLERANCE_M:
             break
@@ -82,44 +120,28 @@ def _solve(
 
 
 @njit(cache=True, nogil=True)
-def visits(
-    stamps: Int64,
-    first: Float64,
-    second: Float64,
-    fate: UInt8,
-    geodetic: bool,
-    centre_first: Float64,
-    centre_second: Float64,
-    radius_m: Float64,
-    stretches: Int64,
-    max_gap_ns: int,
-    out: Records,
-) -> int:
-    """Visits of the given stretches, in their order.
+def find_visits(fixes: Fixes, circles: Circles, stretches: Int64, max_gap_ns: int, out: Records) -> int:
+    """Find the visits in the given stretches, in their order.
 
     Args:
-        stamps: (N,) time.
-        first: (N,) longitude or x.
-        second: (N,) latitude or y.
-        fate: (N,) of each fix.
-        geodetic: whether the coordinates are degrees.
-        centre_first: (R,) ROI centres.
-        centre_second: (R,) ROI centres.
-        radius_m: (R,) ROI radii.
-        stretches: (S, 3) from `near`.
-        max_gap_ns: a longer gap between fixes ends a visit.
-        out: room for visits, of dtype `VISIT`.
+        fixes: N fixes.
+        circles: R ROIs.
+        stretches: (S, 3) from `candidate_stretches`.
+        max_gap_ns: a longer gap between kept fixes ends a visit.
+        out: (M,) array of dtype `VISIT` that is filled.
 
     Returns:
-        The number of visits; where it exceeds ``len(out)``, only the first are stored: call again with more room.
+        The number of visits. If it exceeds M, only the first M are stored: call again with a larger array.
     """
+    stamps, lon_or_x, lat_or_y, status, geodetic = fixes
+    centre_lon_or_x, centre_lat_or_y, radius_m = circles
     count = 0
-    room = len(out)
+    capacity = len(out)
     for row in range(len(stretches)):
         roi, begin, last = stretches[row, 0], stretches[row, 1], stretches[row, 2]
-        c1, c2, radius = centre_first[roi], centre_second[roi], radius_m[roi]
+        c1, c2, radius = centre_lon_or_x[roi], centre_lat_or_y[roi], radius_m[roi]
         scale_x, scale_y = scales(c2, geodetic)
-        bend = _bend(c2, geodetic)
+        scale_slope = _scale_slope(c2, geodetic)
         error = plane_error(c2, radius, geodetic)
         sure_inside = (radius * max(0.0, 1.0 - error)) ** 2
         sure_outside = (radius * (1.0 + error)) ** 2
@@ -130,24 +152,29 @@ def visits(
         was_inside = False
         px, py = 0.0, 0.0
         for position in range(begin, last + 1):
-            if fate[position] > RESTART:
+            if status[position] > RESTART:
                 continue
-            y = second[position] - c2
-            x, y = unwrap(first[position] - c1, geodetic) * (scale_x + bend * y), y * scale_y
+            y = lat_or_y[position] - c2
+            x, y = unwrap(lon_or_x[position] - c1, geodetic) * (scale_x + scale_slope * y), y * scale_y
             r2 = x * x + y * y
             inside = r2 <= sure_inside
             if not inside and r2 <= sure_outside:
-                inside = distance_m(first[position], second[position], c1, c2, geodetic) <= radius
-            if previous < 0 or fate[position] == RESTART or stamps[position] - stamps[previous] > max_gap_ns:
+                inside = distance_m(lon_or_x[position], lat_or_y[position], c1, c2, geodetic) <= radius
+            if previous < 0 or status[position] == RESTART or stamps[position] - stamps[previous] > max_gap_ns:
                 if is_open:
-                    if count < room:
+                    if count < capacity:
                         closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
                         _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
-                        _leave(out, count, stamps[previous], first[previous], second[previous], GAP, position)
+                        _leave(out, count, stamps[previous], lon_or_x[previous], lat_or_y[previous], GAP, position)
                     count += 1
                 is_open = inside
                 if inside:
-                    entry_ns, entry_1, entry_2, entry_at = stamps[position], first[position], second[position], position
+                    entry_ns, entry_1, entry_2, entry_at = (
+                        stamps[position],
+                        lon_or_x[position],
+                        lat_or_y[position],
+                        position,
+                    )
                     entry_kind = RECORDING_EDGE if previous < 0 else GAP
                     closest2, closest_1, closest_2 = r2, entry_1, entry_2
                 previous, was_inside, px, py = position, inside, x, y
@@ -158,10 +185,10 @@ def visits(
             mx, my = px + nearest * ex, py + nearest * ey
             nearest2 = mx * mx + my * my
             within = was_inside or inside
-            f0, s0 = first[previous], second[previous]
-            d1, d2 = unwrap(first[position] - f0, geodetic), second[position] - s0
+            f0, s0 = lon_or_x[previous], lat_or_y[previous]
+            d1, d2 = unwrap(lon_or_x[position] - f0, geodetic), lat_or_y[position] - s0
             if not within and nearest2 <= sure_outside:
-                # Both ends outside: the step may still cut the circle between them.
+                # Both ends are outside, but the step may cut the circle between them.
                 within = distance_m(f0 + nearest * d1, s0 + nearest * d2, c1, c2, geodetic) < radius
             if within:
                 dt = stamps[position] - stamps[previous]
@@ -177,7 +204,7 @@ def visits(
                 if not inside:
                     share = 0.0 if was_inside else nearest
                     share = _solve(share, 1.0, f0, s0, d1, d2, c1, c2, radius, geodetic)
-                    if count < room:
+                    if count < capacity:
                         closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
                         _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
                         exit_ns, exit_1 = stamps[previous] + np.int64(round(share * dt)), f0 + share * d1
@@ -186,24 +213,27 @@ def visits(
                     is_open = False
             previous, was_inside, px, py = position, inside, x, y
         if is_open:
-            if count < room:
+            if count < capacity:
                 closest = distance_m(closest_1, closest_2, c1, c2, geodetic)
                 _enter(out, count, roi, entry_ns, entry_1, entry_2, entry_kind, entry_at, closest)
-                _leave(out, count, stamps[previous], first[previous], second[previous], RECORDING_EDGE, previous + 1)
+                _leave(
+                    out, count, stamps[previous], lon_or_x[previous], lat_or_y[previous], RECORDING_EDGE, previous + 1
+                )
             count += 1
     return count
 
 
 @njit(cache=True, nogil=True)
-def _bend(second: float, geodetic: bool) -> float:
-    """Half the change of metres a degree of longitude with each degree of latitude.
+def _scale_slope(lat_or_y: float, geodetic: bool) -> float:
+    """Half the derivative by latitude of the metres per degree of longitude.
 
-    With it, differences of longitude are scaled at the middle latitude, which takes the plane's first error away.
+    With it a difference of longitudes is scaled at the middle latitude, which removes the first-order error of the
+    planar distance.
     """
     if not geodetic:
         return 0.0
-    scale_y = scales(second, True)[1]
-    return -0.5 * scale_y * math.sin(second * math.pi / 180.0) * math.pi / 180.0
+    scale_y = scales(lat_or_y, True)[1]
+    return -0.5 * scale_y * math.sin(lat_or_y * math.pi / 180.0) * math.pi / 180.0
 
 
 @njit(cache=True, nogil=True)
@@ -212,20 +242,20 @@ def _enter(
     number: int,
     roi: int,
     entry_ns: int,
-    first: float,
-    second: float,
+    lon_or_x: float,
+    lat_or_y: float,
     kind: int,
     start: int,
     closest_m: float,
 ) -> None:
     visit = out[number]
     visit.roi = roi
-    visit.entry_ns, visit.entry_first, visit.entry_second, visit.entry_kind = entry_ns, first, second, kind
+    visit.entry_ns, visit.entry_lon_or_x, visit.entry_lat_or_y, visit.entry_kind = entry_ns, lon_or_x, lat_or_y, kind
     visit.start, visit.closest_m = start, closest_m
 
 
 @njit(cache=True, nogil=True)
-def _leave(out: Records, number: int, exit_ns: int, first: float, second: float, kind: int, stop: int) -> None:
+def _leave(out: Records, number: int, exit_ns: int, lon_or_x: float, lat_or_y: float, kind: int, stop: int) -> None:
     visit = out[number]
-    visit.exit_ns, visit.exit_first, visit.exit_second, visit.exit_kind = exit_ns, first, second, kind
+    visit.exit_ns, visit.exit_lon_or_x, visit.exit_lat_or_y, visit.exit_kind = exit_ns, lon_or_x, lat_or_y, kind
     visit.stop = stop

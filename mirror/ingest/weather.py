@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import UInt8
 from mirror.dataset.store import Store
 from mirror.errors import RecordingError
-from mirror.ingest.judge import DrivePasses
+from mirror.ingest.passes import DrivePasses
 from mirror.ingest.staging import Staging
 from mirror.recordings.weather import classify_weather
 from mirror.schema.files import read_table

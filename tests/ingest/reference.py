@@ -166,7 +166,7 @@ def counted_points(
     return points
 
 
-def without_standstills(surface: Surface, fixes: list[Fix], visit: Visit, options: TriggerOptions) -> list[Visit]:
+def cut_standstills(surface: Surface, fixes: list[Fix], visit: Visit, options: TriggerOptions) -> list[Visit]:
     """The visit without what stands still for longer than the limit."""
     if options.trim_standstill_s is None:
         return [visit]
@@ -291,7 +291,7 @@ def passes(
         max_gap_ns = math.inf if clip else round(options.max_gap_s * 1e9)
         visits = find_visits(surface, fixes, centre_of(roi), roi.radius_m, max_gap_ns, steps)
         if not clip:
-            visits = [part for one in visits for part in without_standstills(surface, fixes, one, options)]
+            visits = [part for one in visits for part in cut_standstills(surface, fixes, one, options)]
         joined: list[list[Visit]] = []
         for one in visits:
             together = joined and (

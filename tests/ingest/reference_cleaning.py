@@ -23,13 +23,13 @@ class Fix:
     unknown: bool
 
 
-def fates(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tuple[list[Fate], list[int]]:
+def statuses(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tuple[list[Fate], list[int]]:
     """The fate of every fix in time order, and the recorded row of each."""
     surface, recorded = surface_of(track)
     order = sorted(range(len(track)), key=lambda row: int(track.timestamp_ns[row]))
     stamps = [int(track.timestamp_ns[row]) for row in order]
     points = [recorded[row] for row in order]
-    fate: list[Fate] = ["invalid"] * len(order)
+    status: list[Fate] = ["invalid"] * len(order)
 
     def seconds(i: int, j: int) -> float:
         return (stamps[j] - stamps[i]) / 1e9
@@ -62,14 +62,14 @@ def fates(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tu
     row = 0
     while row < len(order):
         if not surface.usable(points[row]):
-            fate[row] = "invalid"
+            status[row] = "invalid"
         elif not track_rows:
-            fate[row] = "kept"
+            status[row] = "kept"
             track_rows = [row]
         elif stamps[row] == stamps[run[-1] if run else track_rows[-1]]:
-            fate[row] = "duplicate_time"
+            status[row] = "duplicate_time"
         elif points[row] == points[track_rows[-1]]:
-            fate[row] = "repeated"
+            status[row] = "repeated"
             run.append(row)
             rejected = []
         else:
@@ -80,37 +80,37 @@ def fates(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tu
             if reachable(before, row):
                 rejected = []
                 if off_the_line(before, row):
-                    fate[row] = "outlier"
+                    status[row] = "outlier"
                 else:
                     for one in [*run, row] if stood else [row]:
-                        fate[one] = "kept"
+                        status[one] = "kept"
                         track_rows.append(one)
                     run = []
             else:
-                fate[row] = "outlier"
+                status[row] = "outlier"
                 if rejected and not reachable(rejected[-1], row):
                     rejected = []
                 rejected.append(row)
                 moves = sum(points[a] != points[b] for a, b in itertools.pairwise(rejected))
                 if moves == 2:
                     for one in run:
-                        fate[one] = "kept"
+                        status[one] = "kept"
                         track_rows.append(one)
                     if len(track_rows) < 3:
                         for dropped in track_rows:
-                            fate[dropped] = "outlier"
+                            status[dropped] = "outlier"
                     row = rejected[0]
-                    fate[row] = "restart"
+                    status[row] = "restart"
                     track_rows, run, rejected = [row], [], []
         row += 1
     for one in run:
-        fate[one] = "kept"
-    return fate, order
+        status[one] = "kept"
+    return status, order
 
 
 def cleaned(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> list[Fix]:
     _, recorded = surface_of(track)
-    fate, order = fates(track, options, min_step_m)
+    status, order = statuses(track, options, min_step_m)
     return [
         Fix(
             int(track.timestamp_ns[row]),
@@ -118,6 +118,6 @@ def cleaned(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> 
             None if track.sigma_m is None else float(track.sigma_m[row]),
             one == "restart",
         )
-        for one, row in zip(fate, order)
+        for one, row in zip(status, order)
         if one in ("kept", "restart")
     ]

@@ -16,11 +16,11 @@ from mirror.dataset.layout import Layout, is_intact
 from mirror.dataset.owned_folder import LEFT_OVER_AGE_S, OwnedFolder, abandoned_folders
 from mirror.errors import DatasetError, RecordingError
 from mirror.ingest import traversal as traversal_module
-from mirror.ingest.judge import DrivePasses, fingerprint, judge_drive
-from mirror.ingest.pictures import place_pictures
+from mirror.ingest.images import place_images
+from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.staging import Staging
-from mirror.ingest.traversal import WriteOptions, Written, write_traversal
+from mirror.ingest.traversal import WriteOptions, WriteReport, write_traversal
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, TriggerOptions
@@ -33,10 +33,10 @@ def drive(tmp_path: Path) -> DrivePasses:
     path = write_recording(tmp_path / "fleet", "a")
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "a")
-    return judge_drive(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
+    return find_drive_passes(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
 
 
-def attempt(staging: Staging, drive: DrivePasses) -> Written:
+def attempt(staging: Staging, drive: DrivePasses) -> WriteReport:
     (number,) = drive.slices
     return write_traversal(staging, drive, number, SCENE, "0" * 64, WriteOptions(), 1, lambda steps: None)
 
@@ -50,7 +50,7 @@ def test_an_attempt_that_wakes_late_leaves_what_another_has_sealed(
     late = threading.local()
 
     def placing(stream, indices, stamps, folder, **more):  # type: ignore[no-untyped-def]
-        placed = place_pictures(stream, indices, stamps, folder, **more)
+        placed = place_images(stream, indices, stamps, folder, **more)
         if folder.name == "front_wide" and threading.current_thread().name.startswith("late"):
             paused.set()
             assert go_on.wait(20)

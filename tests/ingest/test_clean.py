@@ -18,8 +18,8 @@ from mirror.schema.documents import CleaningOptions, CleaningReport
 from tests.ingest import reference_cleaning
 from tests.ingest.drives import ANTIMERIDIAN, CITY, PLANE, T0_NS, Driver
 
-FATES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
-LETTERS = dict(zip(FATES, "KRidro"))
+STATUSES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
+LETTERS = dict(zip(STATUSES, "KRidro"))
 
 
 def cleaned(t_s: object, x_m: object, y_m: object = None, **options: object) -> tuple[str, CleanTrack, CleaningReport]:
@@ -27,7 +27,7 @@ def cleaned(t_s: object, x_m: object, y_m: object = None, **options: object) -> 
     x = np.asarray(x_m, np.float64)
     xy = np.column_stack([x, np.zeros(len(x)) if y_m is None else np.asarray(y_m, np.float64)])
     track, report = clean(PLANE.track(np.asarray(t_s, np.float64), xy), CleaningOptions(**options))
-    return "".join(LETTERS[FATES[fate]] for fate in track.fate), track, report
+    return "".join(LETTERS[STATUSES[status]] for status in track.status), track, report
 
 
 def test_a_clean_drive_stays() -> None:
@@ -63,7 +63,7 @@ def test_backward_time_is_sorted_or_refused() -> None:
     assert (word, report.backward_time) == ("KKKKK", 1)
     assert track.order is not None
     assert track.recorded(track.kept()).tolist() == [0, 1, 3, 2, 4]
-    assert track.first.tolist() == [0, 10, 20, 30, 40]
+    assert track.lon_or_x.tolist() == [0, 10, 20, 30, 40]
     with pytest.raises(RecordingError, match="time runs backward") as error:
         cleaned([0, 1, 3, 2, 4], [0, 10, 30, 20, 40], backward_time="refuse")
     assert error.value.place == "pose 3"
@@ -143,7 +143,7 @@ def test_the_antimeridian_is_no_leap() -> None:
     xy = np.column_stack([(t - 15.0) * 10.0, np.zeros(30)])
     track, report = clean(ANTIMERIDIAN.track(t, xy), CleaningOptions())
     assert report.kept == 30
-    assert (track.first.min(), track.first.max()) < (-179.9, 180.0)
+    assert (track.lon_or_x.min(), track.lon_or_x.max()) < (-179.9, 180.0)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_strided_and_narrow_columns_are_read_alike() -> None:
         y_m=table[:, 2].astype(np.float32),  # type: ignore[arg-type]
     )
     for track in (strided, narrow):
-        np.testing.assert_array_equal(clean(track, CleaningOptions())[0].fate, expected.fate)
+        np.testing.assert_array_equal(clean(track, CleaningOptions())[0].status, expected.status)
 
 
 def test_a_shift_in_time_or_place_changes_nothing() -> None:
@@ -204,7 +204,7 @@ def test_a_shift_in_time_or_place_changes_nothing() -> None:
     t, xy = driver.arrays()
     near = clean(PLANE.track(t, xy), CleaningOptions())[0]
     far = Track(timestamp_ns=near.timestamp_ns - T0_NS, x_m=xy[:, 0] + 2.0**20, y_m=xy[:, 1] - 2.0**20)
-    np.testing.assert_array_equal(clean(far, CleaningOptions())[0].fate, near.fate)
+    np.testing.assert_array_equal(clean(far, CleaningOptions())[0].status, near.status)
 
 
 def test_several_threads_at_once() -> None:
@@ -214,10 +214,10 @@ def test_several_threads_at_once() -> None:
             Driver.moves()[name](driver, 30)
     t, xy = driver.arrays()
     track = CITY.track(t, xy)
-    alone = clean(track, CleaningOptions())[0].fate
+    alone = clean(track, CleaningOptions())[0].status
     with ThreadPoolExecutor(8) as pool:
         for one, _ in pool.map(lambda _: clean(track, CleaningOptions()), range(32)):
-            np.testing.assert_array_equal(one.fate, alone)
+            np.testing.assert_array_equal(one.status, alone)
 
 
 def rsk_track(path: Path) -> Track:
@@ -245,8 +245,8 @@ def test_the_dirty_drives_of_rsk(real_data: Path) -> None:
         # The wild fix at longitude 1555 stands in three rows of one drive.
         assert report.invalid == np.count_nonzero(np.abs(track.longitude_deg) > 180.0)
         assert report.kept + report.invalid + report.duplicate_time + report.repeated + report.outliers == report.poses
-        assert np.all(np.abs(kept.first[kept.kept()]) <= 180.0)
-        expected, _ = reference_cleaning.fates(track, CleaningOptions())
-        assert [FATES[fate] for fate in kept.fate] == expected
+        assert np.all(np.abs(kept.lon_or_x[kept.kept()]) <= 180.0)
+        expected, _ = reference_cleaning.statuses(track, CleaningOptions())
+        assert [STATUSES[status] for status in kept.status] == expected
     assert (total["poses"], total["kept"], total["repeated"]) == (12_589, 1_459, 11_127)
     assert (total["invalid"], total["outliers"], total["restarts"]) == (3, 0, 0)

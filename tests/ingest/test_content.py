@@ -16,7 +16,7 @@ import mirror
 from mirror.dataset.layout import Layout
 from mirror.dataset.splits import make_split
 from mirror.errors import UsageError
-from mirror.ingest.judge import DriveContent
+from mirror.ingest.passes import DriveContent
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.integrity import check

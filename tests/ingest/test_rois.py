@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
-from mirror.ingest.rois import merge_rois, parse_roi, read_rois, refuse_swapped, write_rois
+from mirror.ingest.rois import merge_rois, parse_roi, read_rois, refuse_swapped_coordinates, write_rois
 from mirror.schema.documents import Roi
 
 MUNICH = Roi(scene_id="munich", longitude_deg=11.5755, latitude_deg=48.1374, city="Munich", scene_type="urban")
@@ -81,6 +81,6 @@ def test_same_id_with_another_centre_is_refused(tmp_path: Path) -> None:
 def test_exchanged_coordinates_are_recognised_by_where_was_driven() -> None:
     swapped = Roi(scene_id="s", longitude_deg=48.1374, latitude_deg=11.5755)
     with pytest.raises(UsageError, match="exchanged"):
-        refuse_swapped([swapped], 11.58, 48.14)
-    refuse_swapped([MUNICH, YARD], 11.58, 48.14)
-    refuse_swapped([MUNICH], -70.0, -33.0)
+        refuse_swapped_coordinates([swapped], 11.58, 48.14)
+    refuse_swapped_coordinates([MUNICH, YARD], 11.58, 48.14)
+    refuse_swapped_coordinates([MUNICH], -70.0, -33.0)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import heading_deg, matrix_from_quaternion
-from mirror.ingest.judge import DrivePasses, PoseSlice, fingerprint, judge_drive
-from mirror.ingest.tables import assign_frames, course, pose_table
+from mirror.ingest.passes import DrivePasses, PoseSlice, find_drive_passes, fingerprint
+from mirror.ingest.tables import assign_frames, build_pose_table, course
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
@@ -28,7 +28,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> DrivePasses:
     path = write_recording(tmp_path_factory.mktemp("drives"), "d0", cameras=())
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "d0")
-    return judge_drive(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
+    return find_drive_passes(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
 
 
 def made(first: np.ndarray, second: np.ndarray, **values: np.ndarray | None) -> PoseSlice:
@@ -50,7 +50,7 @@ def unit_quaternions(count: int) -> np.ndarray:
 def test_a_local_frame_is_the_world(drive: DrivePasses) -> None:
     x, y, z = np.random.default_rng(0).normal(0, 20, (3, 7))
     rotation = unit_quaternions(7)
-    table = pose_table(made(x, y, height_m=z, rotation=rotation, sigma_m=np.full(7, 0.2)), LOCAL, drive)
+    table = build_pose_table(made(x, y, height_m=z, rotation=rotation, sigma_m=np.full(7, 0.2)), LOCAL, drive)
     np.testing.assert_allclose(columns(table, ROTATION), rotation, atol=1e-15)
     np.testing.assert_array_equal(columns(table, PLACE), np.column_stack([x, y, z]))
     for name in ("longitude_deg", "latitude_deg", "height_m"):
@@ -60,7 +60,7 @@ def test_a_local_frame_is_the_world(drive: DrivePasses) -> None:
 
 
 def test_a_local_frame_without_heights_is_flat(drive: DrivePasses) -> None:
-    table = pose_table(made(np.arange(4.0), np.zeros(4)), LOCAL, drive)
+    table = build_pose_table(made(np.arange(4.0), np.zeros(4)), LOCAL, drive)
     assert table.column("tz_m").to_pylist() == [0.0] * 4
     assert set(table.column("orientation").to_pylist()) == {"course"}
 
@@ -75,7 +75,7 @@ def test_the_world_is_east_north_up_at_the_centre(drive: DrivePasses, with_heigh
     height = np.linspace(510, 530, 5)
     rotation = unit_quaternions(5)
     poses = made(lon, lat, rotation=rotation, height_m=height if with_height else None)
-    table = pose_table(poses, roi, drive)
+    table = build_pose_table(poses, roi, drive)
     steps = (
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
         f" +step +proj=topocentric +ellps=WGS84 +lon_0={LON} +lat_0={LAT} +h_0=500"
@@ -94,7 +94,7 @@ def test_a_pose_that_is_none_is_named(drive: DrivePasses) -> None:
     rotation = unit_quaternions(3)
     rotation[1] = 0.0
     with pytest.raises(RecordingError) as caught:
-        pose_table(made(np.arange(3.0), np.zeros(3), rotation=rotation), LOCAL, drive)
+        build_pose_table(made(np.arange(3.0), np.zeros(3), rotation=rotation), LOCAL, drive)
     assert str(START_NS) in str(caught.value)
 
 

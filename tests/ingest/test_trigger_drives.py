@@ -143,7 +143,9 @@ def test_rsk_drives_pass_the_middle_of_their_route(real_data: Path) -> None:
         kept, _ = clean(track, CleaningOptions())
         rows = kept.kept()
         middle = rows[len(rows) // 2]
-        roi = Roi(scene_id="route", longitude_deg=kept.first[middle], latitude_deg=kept.second[middle], radius_m=200.0)
+        roi = Roi(
+            scene_id="route", longitude_deg=kept.lon_or_x[middle], latitude_deg=kept.lat_or_y[middle], radius_m=200.0
+        )
         assert not any(one.accepted for one in run(track, roi))
         found = run(track, roi, max_gap_s=30.0)
         expected = reference.passes(track, [roi], TriggerOptions(max_gap_s=30.0))

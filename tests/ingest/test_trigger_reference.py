@@ -16,10 +16,10 @@ from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
 from tests.ingest.drives import PLACES, Driver, Place
-from tests.ingest.reference_cleaning import cleaned, fates
+from tests.ingest.reference_cleaning import cleaned, statuses
 from tests.ingest.surfaces import centre_of, surface_of
 
-_FATES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
+_STATUSES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,9 @@ def test_clips(case: Case) -> None:
 @given(case=cases(list(PLACES)))
 def test_fates(case: Case) -> None:
     options = CleaningOptions()
-    expected, order = fates(case.track, options)
+    expected, order = statuses(case.track, options)
     track, report = clean(case.track, options)
-    assert [_FATES[fate] for fate in track.fate] == expected
+    assert [_STATUSES[status] for status in track.status] == expected
     assert track.recorded(np.arange(len(order))).tolist() == order
     assert report.poses == len(order)
     for name, count in (
@@ -142,4 +142,4 @@ def test_fates(case: Case) -> None:
         assert getattr(report, name) == count
     kept = track.kept()
     assert np.all(np.diff(track.timestamp_ns[kept]) > 0)
-    assert not math.isnan(track.first[kept].sum())
+    assert not math.isnan(track.lon_or_x[kept].sum())

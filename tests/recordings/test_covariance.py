@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mirror.dataset.layout import Layout
 from mirror.errors import RecordingError
-from mirror.ingest.judge import fingerprint, judge_drive
+from mirror.ingest.passes import find_drive_passes, fingerprint
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, write_traversal
 from mirror.ingest.trigger import Trigger
@@ -123,7 +123,7 @@ def test_ingest_refuses_invalid_covariances_of_any_reader(tmp_path: Path) -> Non
     options = TriggerOptions()
     trigger = Trigger([SCENE], options, CleaningOptions())
     source = fingerprint(recording, "third", "drive")
-    drive = judge_drive(path, recording, source, trigger, [SCENE], CleaningOptions())
+    drive = find_drive_passes(path, recording, source, trigger, [SCENE], CleaningOptions())
     (number,) = drive.slices
     staging = Staging(Layout(tmp_path / "d"))
     with pytest.raises(RecordingError, match="not symmetric") as caught:

@@ -16,8 +16,9 @@ import pyarrow as pa
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
-from mirror.ingest.clean import RESTART, CleanTrack
-from mirror.ingest.rois import refuse_swapped
+from mirror.ingest.clean import CleanTrack
+from mirror.ingest.fix_status import RESTART
+from mirror.ingest.rois import refuse_swapped_coordinates
 from mirror.ingest.trigger import Pass, Trigger
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.boundary import reader_errors
@@ -42,8 +43,8 @@ class PoseSlice:
     """
 
     timestamp_ns: Int64
-    first: Float64
-    second: Float64
+    lon_or_x: Float64
+    lat_or_y: Float64
     height_m: Float64 | None
     rotation: Float64 | None
     sigma_m: Float64 | None
@@ -140,7 +141,7 @@ def fingerprint(recording: Recording, reader: str, name: str) -> Source:
     return Source(reader=reader, name=name, files=files, bytes=total, fingerprint=digest.hexdigest())
 
 
-def judge_drive(
+def find_drive_passes(
     path: Path,
     recording: Recording,
     source: Source,
@@ -169,7 +170,7 @@ def judge_drive(
         kept = cleaned.kept()
     if cleaned.geodetic:
         middle = kept[len(kept) // 2]
-        refuse_swapped(rois, float(cleaned.first[middle]), float(cleaned.second[middle]))
+        refuse_swapped_coordinates(rois, float(cleaned.lon_or_x[middle]), float(cleaned.lat_or_y[middle]))
     max_gap_ns = round(trigger.options.max_gap_s * 1e9)
     with reader_errors(path):
         passes = trigger.passes(cleaned, frame=info.frame, is_clip=info.is_clip)
@@ -201,7 +202,7 @@ def _slice(track: Track, cleaned: CleanTrack, kept: Int64, one: Pass, max_gap_ns
     # A margin never reaches across a gap or a restart: what was driven there is not known.
     start = low
     unknown = np.diff(stamps[low:high], prepend=stamps[low]) > max_gap_ns
-    unknown |= cleaned.fate[kept[low:high]] == RESTART
+    unknown |= cleaned.status[kept[low:high]] == RESTART
     cuts = low + 1 + np.flatnonzero(unknown[1:])
     inside_low = int(np.searchsorted(stamps, entry_ns, side="left"))
     inside_high = int(np.searchsorted(stamps, exit_ns, side="right"))
@@ -211,8 +212,8 @@ def _slice(track: Track, cleaned: CleanTrack, kept: Int64, one: Pass, max_gap_ns
     rows = cleaned.recorded(positions)
     return PoseSlice(
         timestamp_ns=cleaned.timestamp_ns[positions],
-        first=cleaned.first[positions],
-        second=cleaned.second[positions],
+        lon_or_x=cleaned.lon_or_x[positions],
+        lat_or_y=cleaned.lat_or_y[positions],
         height_m=None if track.height_m is None else track.height_m[rows],
         rotation=None if track.rotation is None else track.rotation[rows],
         sigma_m=None if track.sigma_m is None else track.sigma_m[rows],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import DatasetError, RecordingError
-from mirror.ingest.pictures import Placed, place_pictures
+from mirror.ingest.images import PlacedImages, place_images
 from mirror.recordings.protocol import FileStream
 
 HEADER = bytes.fromhex("ffd8 ffc0 0011 08 0438 0780 03 012200 021101 031101 ffda 000c 03 0100 0211 0311 003f00")
@@ -35,10 +35,10 @@ def stream(tmp_path: Path) -> FileStream:
 
 def place(
     stream: FileStream, folder: Path, transfer: Literal["link", "copy"], hashing: bool, told: list[int] | None = None
-) -> Placed:
+) -> PlacedImages:
     selected = np.arange(3, 38)
     advance = (lambda steps: None) if told is None else told.append
-    return place_pictures(stream, selected, selected * 100, folder, transfer=transfer, hashing=hashing, advance=advance)
+    return place_images(stream, selected, selected * 100, folder, transfer=transfer, hashing=hashing, advance=advance)
 
 
 @pytest.mark.parametrize(("transfer", "hashing"), WAYS)

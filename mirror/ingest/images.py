@@ -28,7 +28,7 @@ _NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedImages:
     """The N pictures of one camera of a traversal.
 
     Attributes:
@@ -50,7 +50,7 @@ class Placed:
     linked: int
 
 
-def refer_to_pictures(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> Placed:
+def refer_to_images(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> PlacedImages:
     """Leave a camera's selected pictures where they are; none is opened.
 
     Args:
@@ -62,10 +62,10 @@ def refer_to_pictures(stream: ReferencedStream, selected: Int64, advance: Callab
     advance(len(uris))
     nothing: list[bytes | None] = [None] * len(uris)
     width, height = stream.width_px[selected], stream.height_px[selected]
-    return Placed(uris, sizes.tolist(), nothing, stream.codec, width, height, 0)
+    return PlacedImages(uris, sizes.tolist(), nothing, stream.codec, width, height, 0)
 
 
-def place_pictures(
+def place_images(
     stream: ImageStream,
     selected: Int64,
     stamps_ns: Int64,
@@ -75,7 +75,7 @@ def place_pictures(
     hashing: bool,
     decoding: bool = False,
     advance: Callable[[int], None],
-) -> Placed:
+) -> PlacedImages:
     """Put a camera's selected pictures into a folder.
 
     Args:
@@ -131,7 +131,7 @@ class _Image:
 
 @dataclass(frozen=True)
 class _Inspection:
-    """How images are inspected on their way; see `place_pictures`."""
+    """How images are inspected on their way; see `place_images`."""
 
     codec: str
     hashing: bool
@@ -165,7 +165,7 @@ def _place(
     transfer: Transfer,
     inspection: _Inspection,
     advance: Callable[[int], None],
-) -> Placed:
+) -> PlacedImages:
     given: dict[int, _Image] = {}
     linked = 0
     if stream.path(indices[0]) is not None:
@@ -190,7 +190,7 @@ def _place(
     if len(given) != len(indices):
         raise RecordingError(f"gave {len(given)} of {len(indices)} pictures", place=f"camera {stream.camera}")
     images = [given[index] for index in indices]
-    return Placed(
+    return PlacedImages(
         names,
         [one.size for one in images],
         [one.sha256 for one in images],

@@ -68,7 +68,7 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     """
     path = Path(path)
     if not path.exists():
-        raise RecordingError("there is nothing at this path", file=path, expected="a recording")
+        raise RecordingError("there is no file or folder at this path", file=path, expected="a recording")
     if not (path.is_file() or path.is_dir()):
         raise not_a_file_error(path)
     known = load_readers(reader)

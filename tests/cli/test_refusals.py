@@ -69,7 +69,7 @@ def test_a_report_makes_no_folders(fleet: Path, capsys: pytest.CaptureFixture[st
 def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rois", "propose", f"{fleet}/none"]) == 2
     said = capsys.readouterr()
-    assert "there is nothing at this path" in said.err
+    assert "there is no file or folder at this path" in said.err
     assert said.out == ""
     assert "1 results to compare" in refused(fleet, capsys, "compare {fleet}/none")
     assert "no such result" in refused(fleet, capsys, "compare {fleet}/none {fleet}/none")

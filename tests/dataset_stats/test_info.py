@@ -102,5 +102,5 @@ def test_the_verb_on_real_recordings(real_data: Path, capsys: pytest.CaptureFixt
 
 def test_nothing_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(tmp_path / "none")]) == 2
-    assert "there is nothing at this path" in capsys.readouterr().err
+    assert "there is no file or folder at this path" in capsys.readouterr().err
     assert main(["info", str(tmp_path)]) == 2

@@ -123,7 +123,7 @@ def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fa
     with pytest.raises(UsageError, match="truth of other views"):
         scored("s", protocol, hidden=hidden)
     write_renders(dataset, small(), tmp_path / "plain")
-    with pytest.raises(UsageError, match="recorded truth"):
+    with pytest.raises(UsageError, match="recorded images"):
         scored("plain", small(), hidden=hidden)
     with pytest.raises(UsageError, match="extracts no regions"):
         scored("plain", small(), extractor="file:/nope")

@@ -62,7 +62,7 @@ def test_an_attempt_that_wakes_late_leaves_what_another_has_sealed(
         def __init__(self, threads: int) -> None:
             super().__init__(threads, thread_name_prefix=threading.current_thread().name)
 
-    monkeypatch.setattr(traversal_module, "place_pictures", placing)
+    monkeypatch.setattr(traversal_module, "place_images", placing)
     monkeypatch.setattr(traversal_module, "ThreadPoolExecutor", NamedPool)
     staging = Staging(Layout(tmp_path / "d"))
 

@@ -238,7 +238,7 @@ def test_bad_rows_may_not_uncover_a_tenth_of_the_drive(tmp_path: Path) -> None:
             continue
         with pytest.raises(RecordingError, match=r"the gaps they leave are 4\.0 s of the drive's 39\.9 s") as caught:
             cleaned(recording, max_bad_rows=0.5)
-        assert caught.value.remedy is not None and "--max-gap 4" in caught.value.remedy
+        assert caught.value.remedy is not None and "--max-gap-s 4" in caught.value.remedy
         assert "--max-bad-rows" not in caught.value.remedy
     spread = dict.fromkeys(range(1, COUNT - 1, 2), put(0, "x"))
     require_rest(cleaned(open_recording(folder(tmp_path / "spread", spread)), max_bad_rows=0.5)[0], sorted(spread))

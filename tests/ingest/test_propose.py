@@ -63,12 +63,12 @@ def test_where_sparse_fixes_are_why_nothing_is_found_it_names_the_threshold(
     words = ["rois", "propose", str(tmp_path / "fleet" / "0.csv"), str(tmp_path / "fleet" / "1.csv")]
     assert main(words) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "the fixes of 2 of 2 drives lie farther apart than --max-gap 2" in said
-    assert "try --max-gap 5" in said
+    assert "the fixes of 2 of 2 drives are farther apart than --max-gap-s 2" in said
+    assert "try --max-gap-s 5" in said
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sparse"]["spacing_s"] == 5.0
     # What it says helps.
-    assert main([*words, "--max-gap", "5"]) == 0
+    assert main([*words, "--max-gap-s", "5"]) == 0
     assert "farther apart" not in capsys.readouterr().out
 
 
@@ -84,7 +84,7 @@ def test_a_folder_of_recordings_is_all_that_lies_in_it(tmp_path: Path, capsys: p
     assert main(["ingest", str(fleet), *words, "--out", str(tmp_path / "a")]) == 0
     said = capsys.readouterr()
     assert said.err.splitlines() == [
-        f"passed over {fleet / name}: no reader recognises it" for name in ("notes", "rois.geojson")
+        f"skipped {fleet / name}: no reader recognises it" for name in ("notes", "rois.geojson")
     ]
     drives = [str(fleet / f"drive_{number}") for number in range(2)]
     assert main(["ingest", *drives, *words, "--out", str(tmp_path / "b")]) == 0

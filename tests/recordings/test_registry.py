@@ -90,7 +90,7 @@ def test_unrecognised_path_lists_the_readers(tmp_path: Path) -> None:
 
 
 def test_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="nothing at this path"):
+    with pytest.raises(RecordingError, match="no file or folder at this path"):
         registry.open_recording(tmp_path / "gone")
 
 

@@ -159,7 +159,7 @@ def test_renderer_that_skips_views_is_refused(dataset: Dataset, protocol: Protoc
 def test_protocol_without_renders_is_refused(dataset: Dataset, tmp_path: Path) -> None:
     for name in ("annotation", "runtime"):
         plan = plan_views(dataset, load_protocol(name), "novel")
-        with pytest.raises(UsageError, match="asks for no renders"):
+        with pytest.raises(UsageError, match="requests no renders"):
             write_submission(dataset, plan, render, METHOD, APPEARANCE, tmp_path / name)
 
 

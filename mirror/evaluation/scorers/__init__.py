@@ -1,4 +1,4 @@
-"""Scorers, one a file; `TASKS` says which a protocol's task has."""
+"""The scorers, one in each file; `TASKS` maps the task of a protocol to its scorer's module."""
 
 from __future__ import annotations
 
@@ -21,6 +21,6 @@ TASKS: Final[Mapping[ScoringTask, str]] = {
 
 
 def load_scorer(task: ScoringTask) -> Scorer:
-    """The scorer of a task."""
+    """Import the scorer of a task."""
     scorer: Scorer = import_module(f"mirror.evaluation.scorers.{TASKS[task]}").SCORER
     return scorer

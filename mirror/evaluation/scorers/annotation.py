@@ -1,4 +1,4 @@
-"""3D boxes against the dataset's, as nuScenes scores detection."""
+"""Scores a submission's 3D boxes against the dataset's by the nuScenes detection metrics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mirror.geometry.poses import Poses
 from mirror.metrics.detection.boxes import DetectionBoxes, in_range
 from mirror.metrics.detection.config import DETECTION_CVPR_2019, DetectionConfig
 from mirror.metrics.detection.nuscenes import NuScenesDetection, nuscenes_detection
-from mirror.protocols.document import Detection
+from mirror.protocols.document import Detection, Protocol
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document
@@ -35,14 +35,14 @@ _ERRORS: Final = {
 
 
 class DetectedBox(Document):
-    """One box, in the ego frame at the frame's instant.
+    """One detected box, in the ego frame at the time of its frame.
 
     Attributes:
         category: one of the protocol's classes.
-        score: confidence.
-        ego_SE3_box: pose, as ``qw qx qy qz tx_m ty_m tz_m``.
+        score: confidence, 0 to 1.
+        ego_SE3_box: pose of the box as ``qw qx qy qz tx_m ty_m tz_m``.
         size_m: length, width, height.
-        velocity_mps: over ground, along the ego's x and y; None: not known.
+        velocity_mps: velocity over ground along the ego's x and y axes; None if unknown.
     """
 
     category: str
@@ -68,60 +68,65 @@ class Detections(Document):
 
 
 class Annotation:
-    """See the module."""
+    """Scores the task ``annotation``."""
 
     version = 1
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Not here."""
+        """Return False: the truth is the dataset's boxes."""
         return False
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """No weights."""
+        """Return nothing: no metric has weights."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Nothing else is needed."""
+        """Return nothing: every metric is available."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """One a traversal: its table is held against the format."""
+        """Return one job for each traversal, which validates its table of boxes."""
         return [
             Job(path, tuple(views), (path,), truth=False, in_table=False)
-            for path, views in ((detections_path(key), views) for key, views in _frames(plan).items())
+            for path, views in ((detections_path(key), views) for key, views in _views_by_traversal(plan).items())
         ]
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Read a table; how many boxes it has."""
-        return {"boxes": sum(len(frame.boxes) for frame in _read(job, inputs).values())}
+        """Read a table, and count its boxes."""
+        return {"boxes": sum(len(frame.boxes) for frame in _read_detections(job, inputs).values())}
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """Match all frames together."""
+        """Compute the figures over the boxes of all frames together."""
         group = plan.protocol.groups[0].name
-        metric = next(one for one in plan.protocol.metrics if isinstance(one, Detection))
-        config = _config(metric)
-        true, predicted = [_none()], [_none()]
-        for one in scored:
-            found = _read(one.job, inputs)
-            for view in one.job.views:
+        metric = _detection_metric(plan.protocol)
+        config = _make_config(metric)
+        true, predicted = [_no_boxes()], [_no_boxes()]
+        for scored_job in scored:
+            frames = _read_detections(scored_job.job, inputs)
+            for view in scored_job.job.views:
                 sample = f"{view.traversal_id} {view.frame_index}"
-                true.append(_truth(sample, view, inputs, config))
-                predicted.append(_predicted(sample, found.get(view.frame_index), config))
+                true.append(_true_boxes(sample, view, inputs, config))
+                predicted.append(_predicted_boxes(sample, frames.get(view.frame_index), config))
         truth, predictions = (
             part[in_range(part, (0.0, 0.0), config)] for part in map(DetectionBoxes.concatenate, (true, predicted))
         )
-        return list(_figures(group, nuscenes_detection(truth, predictions, config, absent=metric.absent), len(truth)))
+        detection = nuscenes_detection(truth, predictions, config, absent=metric.absent)
+        return list(_make_figures(group, detection, len(truth)))
 
 
-def _frames(plan: Plan) -> dict[str, list[RenderView]]:
-    """One view a frame, by traversal."""
-    found: dict[str, dict[int, RenderView]] = {}
+def _detection_metric(protocol: Protocol) -> Detection:
+    return next(metric for metric in protocol.metrics if isinstance(metric, Detection))
+
+
+def _views_by_traversal(plan: Plan) -> dict[str, list[RenderView]]:
+    """Select one view of each frame, grouped by traversal."""
+    traversals: dict[str, dict[int, RenderView]] = {}
     for view in plan.views:
-        found.setdefault(view.traversal_id, {}).setdefault(view.frame_index, view)
-    return {key: list(frames.values()) for key, frames in found.items()}
+        traversals.setdefault(view.traversal_id, {}).setdefault(view.frame_index, view)
+    return {key: list(frames.values()) for key, frames in traversals.items()}
 
 
-def _config(metric: Detection) -> DetectionConfig:
+def _make_config(metric: Detection) -> DetectionConfig:
     standard = DETECTION_CVPR_2019
     return DetectionConfig(
         class_range=metric.class_range_m,
@@ -135,11 +140,12 @@ def _config(metric: Detection) -> DetectionConfig:
     )
 
 
-def _read(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame]:
-    """A submission's boxes by frame.
+def _read_detections(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame]:
+    """Read a submission's boxes by frame.
 
     Raises:
-        UntrustedError: not of the format, a frame twice or not asked for, a class that the protocol does not have.
+        UntrustedError: the table is invalid, repeats a frame, or has a frame that the plan does not request or a class
+            that the protocol does not have.
     """
     path = job.reads[0]
     raw = parse_untrusted(inputs.files.read(path, MAX_TABLE_BYTES), path, MAX_TABLE_BYTES)
@@ -149,13 +155,13 @@ def _read(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame]:
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         place = "" if first is None else ".".join(map(str, first["loc"]))
         raise UntrustedError("nested too deep" if first is None else first["msg"], file=path, place=place) from error
-    metric = next(one for one in inputs.protocol.metrics if isinstance(one, Detection))
-    asked = {view.frame_index for view in job.views}
-    found: dict[int, DetectedFrame] = {}
+    metric = _detection_metric(inputs.protocol)
+    requested = {view.frame_index for view in job.views}
+    by_index: dict[int, DetectedFrame] = {}
     for frame in frames:
         place = f"frame {frame.frame_index}"
-        if frame.frame_index not in asked or frame.frame_index in found:
-            raise UntrustedError("not asked for, or twice", file=path, place=place)
+        if frame.frame_index not in requested or frame.frame_index in by_index:
+            raise UntrustedError("not requested, or repeated", file=path, place=place)
         if len(frame.boxes) > metric.max_boxes_per_frame:
             raise UntrustedError(
                 f"{len(frame.boxes)} boxes", file=path, place=place, expected=f"at most {metric.max_boxes_per_frame}"
@@ -166,15 +172,17 @@ def _read(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame]:
             raise UntrustedError(f"class {min(unknown)!r:.60}", file=path, place=place, expected=expected)
         if any(not any(box.ego_SE3_box[:4]) for box in frame.boxes):
             raise UntrustedError("a quaternion of length 0", file=path, place=place)
-        found[frame.frame_index] = frame
-    return found
+        by_index[frame.frame_index] = frame
+    return by_index
 
 
-def _none() -> DetectionBoxes:
-    return _boxes("", (), Poses(np.empty((0, 4)), np.empty((0, 3))), np.empty((0, 3)), np.empty((0, 2)), np.empty(0))
+def _no_boxes() -> DetectionBoxes:
+    return _make_boxes(
+        "", (), Poses(np.empty((0, 4)), np.empty((0, 3))), np.empty((0, 3)), np.empty((0, 2)), np.empty(0)
+    )
 
 
-def _boxes(
+def _make_boxes(
     sample: str, category: Iterable[str], poses: Poses, lwh_m: np.ndarray, velocity: np.ndarray, score: np.ndarray
 ) -> DetectionBoxes:
     names = np.array(list(category), dtype=object)
@@ -182,28 +190,28 @@ def _boxes(
     return DetectionBoxes.from_poses(samples, names, poses, lwh_m, velocity_mps=velocity, score=score)
 
 
-def _truth(sample: str, view: RenderView, inputs: ScoringInputs, config: DetectionConfig) -> DetectionBoxes:
+def _true_boxes(sample: str, view: RenderView, inputs: ScoringInputs, config: DetectionConfig) -> DetectionBoxes:
     frame, _ = inputs.truth.recorded_frame_and_image(view)
     boxes = frame.boxes("ego")
     rows = np.flatnonzero(np.isin(np.array(boxes.category, dtype=object), list(config.class_range)))
     if not len(rows):
-        return _none()
+        return _no_boxes()
     names = [boxes.category[row] for row in rows]
     velocity = boxes.velocity_mps[rows, :2]
-    return _boxes(sample, names, boxes.pose[rows], boxes.size_m[rows], velocity, np.zeros(len(rows)))
+    return _make_boxes(sample, names, boxes.pose[rows], boxes.size_m[rows], velocity, np.zeros(len(rows)))
 
 
-def _predicted(sample: str, frame: DetectedFrame | None, config: DetectionConfig) -> DetectionBoxes:
+def _predicted_boxes(sample: str, frame: DetectedFrame | None, config: DetectionConfig) -> DetectionBoxes:
     if frame is None or not frame.boxes:
-        return _none()
+        return _no_boxes()
     numbers = np.array([box.ego_SE3_box for box in frame.boxes])
     velocity = np.array([box.velocity_mps or (np.nan, np.nan) for box in frame.boxes])
     sizes, scores = np.array([box.size_m for box in frame.boxes]), np.array([box.score for box in frame.boxes])
     names = [box.category for box in frame.boxes]
-    return _boxes(sample, names, Poses(numbers[:, :4], numbers[:, 4:]), sizes, velocity, scores)
+    return _make_boxes(sample, names, Poses(numbers[:, :4], numbers[:, 4:]), sizes, velocity, scores)
 
 
-def _figures(group: str, found: NuScenesDetection, count: int) -> Iterable[Figure]:
+def _make_figures(group: str, detection: NuScenesDetection, count: int) -> Iterable[Figure]:
     def figure(metric: str, value: float, reason: str | None, unit: str, *, lower: bool = False) -> Figure:
         return Figure(
             metric=metric,
@@ -213,19 +221,19 @@ def _figures(group: str, found: NuScenesDetection, count: int) -> Iterable[Figur
             unit=unit,
             better="lower" if lower else "higher",
             n=count,
-            interval_reason="a figure of all boxes together",
+            interval_reason="a single figure of all boxes",
         )
 
-    errors = {name: found.tp_errors[name] for name in _ERRORS}
-    yield figure("mean_ap", found.mean_ap, found.mean_ap.reason, "")
+    errors = {name: detection.tp_errors[name] for name in _ERRORS}
+    yield figure("mean_ap", detection.mean_ap, detection.mean_ap.reason, "")
     for name, (title, unit) in _ERRORS.items():
         yield figure(title, errors[name], errors[name].reason, unit, lower=True)
-    reasons = [score.reason for score in (found.mean_ap, *errors.values()) if score.reason is not None]
-    weight = found.config.mean_ap_weight
-    total = weight * found.mean_ap + sum(max(0.0, 1.0 - error) for error in errors.values())
+    reasons = [score.reason for score in (detection.mean_ap, *errors.values()) if score.reason is not None]
+    weight = detection.config.mean_ap_weight
+    total = weight * detection.mean_ap + sum(max(0.0, 1.0 - error) for error in errors.values())
     yield figure("nds_no_attr", total / (weight + len(errors)), reasons[0] if reasons else None, "")
-    for name, row in zip(found.config.class_range, found.label_aps):
-        if name not in found.absent_classes:
+    for name, row in zip(detection.config.class_range, detection.label_aps):
+        if name not in detection.absent_classes:
             yield figure(f"ap_{name}", float(np.mean(row)), None, "")
 
 

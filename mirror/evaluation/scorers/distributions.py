@@ -1,4 +1,7 @@
-"""Renders as a set against recorded pictures as a set: FID, KID, FVD. Features are computed once for equal pixels."""
+"""Scores the set of renders against the set of recorded images: FID, KID, FVD.
+
+Features are cached by the pixels that they were computed from.
+"""
 
 from __future__ import annotations
 
@@ -28,85 +31,89 @@ Side = Literal["render", "truth"]
 
 _TRUTH: Final = "truth:"
 _CLIP: Final = "clip:"
-_LEAST_FOR_KID: Final = 4
+_MIN_KID_SAMPLES: Final = 4
 
 
 class Distributions:
-    """See the module."""
+    """Scores the tasks ``vehicle-translation`` and ``generation``."""
 
     version = 1
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Not here."""
+        """Return False: the truth is the set of recorded images."""
         return False
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """The networks' weights."""
+        """Return the weights of the networks."""
         return {
             metric_name(metric): ("i3d-torchscript" if isinstance(metric, Fvd) else "inception-fid",)
             for metric in plan.protocol.metrics
         }
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Clips that are too short for the protocol."""
-        found = {}
+        """Return FVD if no camera has enough consecutive frames for a clip."""
+        unavailable = {}
         for metric in plan.protocol.metrics:
             if isinstance(metric, Fvd) and not any(split_into_clips(plan.views, metric.frames)):
-                found[metric_name(metric)] = (
+                unavailable[metric_name(metric)] = (
                     f"no camera has {metric.frames} consecutive frames in split {plan.split}: record longer, or denser"
                 )
-        return found
+        return unavailable
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """One a render, one a recorded picture whatever the groups that share it, and one a clip of either."""
-        found: list[Job] = []
-        seen: set[str] = set()
-        pictures = any(
+        """Return one job for each render, each recorded image (shared by all groups), and each clip of either kind."""
+        jobs: list[Job] = []
+        truth_names: set[str] = set()
+        needs_images = any(
             isinstance(metric, Fid | Kid) and metric_name(metric) not in inputs.unavailable
             for metric in plan.protocol.metrics
         )
-        for view in plan.views if pictures else ():
-            found.append(Job(view.path, (view,), (view.path,), truth=False))
-            if truth_job_name(view) not in seen:
-                seen.add(truth_job_name(view))
-                found.append(Job(truth_job_name(view), (view,), (), in_table=False))
+        for view in plan.views if needs_images else ():
+            jobs.append(Job(view.path, (view,), (view.path,), truth=False))
+            if truth_job_name(view) not in truth_names:
+                truth_names.add(truth_job_name(view))
+                jobs.append(Job(truth_job_name(view), (view,), (), in_table=False))
         for metric in plan.protocol.metrics:
             if isinstance(metric, Fvd) and metric_name(metric) not in inputs.unavailable:
                 for clip in split_into_clips(plan.views, metric.frames):
-                    found.append(_clip_job(clip, "render"))
-                    if _clip_job(clip, "truth").name not in seen:
-                        found.append(_clip_job(clip, "truth"))
-                        seen.add(found[-1].name)
-        return found
+                    jobs.append(_make_clip_job(clip, "render"))
+                    truth_job = _make_clip_job(clip, "truth")
+                    if truth_job.name not in truth_names:
+                        truth_names.add(truth_job.name)
+                        jobs.append(truth_job)
+        return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """The keys under which features are cached; they are computed if they are not there."""
-        clip = job.name.startswith(_CLIP)
-        pictures = [inputs.render(view) if job.reads else inputs.truth.image(view) for view in job.views]
-        pixels = np.stack(pictures) if clip else pictures[0]
+        """Return the cache keys of the job's features; features that are not cached are computed."""
+        is_clip = job.name.startswith(_CLIP)
+        images = [inputs.render(view) if job.reads else inputs.truth.image(view) for view in job.views]
+        pixels = np.stack(images) if is_clip else images[0]
         values: dict[str, float | int | str | None] = {}
-        for kind, network in networks(inputs, clips=clip).items():
-            values[f"feature.{kind}"] = _known_feature(pixels, network, inputs)
+        for kind, network in load_networks(inputs, clips=is_clip).items():
+            values[f"feature.{kind}"] = _cache_feature(pixels, network, inputs)
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """One distance a group, each against the recorded pictures of its own views."""
-        by_name = {one.job.name: one for one in scored}
-        found = []
+        """Return one distance for each group, against the recorded images of the same views."""
+        by_name = {scored_job.job.name: scored_job for scored_job in scored}
+        figures = []
         for group in plan.protocol.groups:
             views = [view for view in plan.views if view.group == group.name]
             for metric in plan.protocol.metrics:
                 if metric_name(metric) not in inputs.unavailable and views:
-                    found.append(_figure(plan.protocol, metric, group.name, views, by_name, inputs))
-        return found
+                    figures.append(_compute_figure(plan.protocol, metric, group.name, views, by_name, inputs))
+        return figures
 
 
 def split_into_clips(views: Iterable[RenderView], frames: int) -> list[tuple[RenderView, ...]]:
-    """Clips of so many consecutive frames of one camera, side by side; a rest that is shorter is left out."""
+    """Cut the views of each camera into clips of `frames` consecutive frames that do not overlap.
+
+    A shorter remainder is left out.
+    """
     runs: dict[tuple[str, str, str], list[RenderView]] = {}
     for view in views:
         runs.setdefault((view.group, view.traversal_id, view.camera), []).append(view)
-    found = []
+    clips = []
     for run in runs.values():
         run.sort(key=lambda view: view.frame_index)
         start = 0
@@ -114,39 +121,39 @@ def split_into_clips(views: Iterable[RenderView], frames: int) -> list[tuple[Ren
             if place == len(run) or run[place].frame_index != run[place - 1].frame_index + 1:
                 start = place
             elif place - start + 1 == frames:
-                found.append(tuple(run[start : place + 1]))
+                clips.append(tuple(run[start : place + 1]))
                 start = place + 1
-    return found
+    return clips
 
 
 def truth_job_name(view: RenderView) -> str:
-    """Name of the job on a view's recorded picture, the same for all groups."""
+    """Return the name of the job for a view's recorded image, which is the same for all groups."""
     return f"{_TRUTH}{view.traversal_id}/{view.camera}/{view.timestamp_ns}"
 
 
-def networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extractor]:
-    """The networks of the metrics that can be had, by what their features are called, loaded once a process."""
-    found: dict[str, Extractor] = {}
+def load_networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extractor]:
+    """Return the networks of the available metrics by the kind of their features; each process loads them once."""
+    networks: dict[str, Extractor] = {}
     for metric in inputs.protocol.metrics:
         if metric_name(metric) in inputs.unavailable or isinstance(metric, Fvd) != clips:
             continue
-        kind = _kind(metric)
+        kind = _feature_kind(metric)
         if kind not in inputs.made:
             inputs.made[kind] = load_network(metric, inputs)
-        found[kind] = inputs.made[kind]  # type: ignore[assignment]
-    return found
+        networks[kind] = inputs.made[kind]  # type: ignore[assignment]
+    return networks
 
 
-def _kind(metric: Metric) -> str:
+def _feature_kind(metric: Metric) -> str:
     if isinstance(metric, Fid | Kid):
         return f"inception-{metric.mode}"
     if isinstance(metric, Fvd):
         return f"i3d-{metric.crop}"
-    raise TypeError(f"{metric.metric} is no metric of sets")
+    raise TypeError(f"{metric.metric} is not a metric of sets")
 
 
 def load_network(metric: Metric, inputs: ScoringInputs) -> Extractor:
-    """Load the network whose features a metric compares."""
+    """Load the network of a metric."""
     if isinstance(metric, Fid | Kid):
         from mirror.metrics.features.fid import load_inception
 
@@ -155,10 +162,10 @@ def load_network(metric: Metric, inputs: ScoringInputs) -> Extractor:
         from mirror.metrics.features.fvd import load_i3d
 
         return load_i3d("direct224" if metric.crop == "squeeze" else "centre-crop", inputs.resolver)
-    raise TypeError(f"{metric.metric} is no metric of sets")
+    raise TypeError(f"{metric.metric} is not a metric of sets")
 
 
-def _known_feature(pixels: UInt8, network: Extractor, inputs: ScoringInputs) -> str:
+def _cache_feature(pixels: UInt8, network: Extractor, inputs: ScoringInputs) -> str:
     from mirror.metrics.features.extractor import extract
 
     extract(network, [pixels], _cache(inputs))
@@ -168,17 +175,17 @@ def _known_feature(pixels: UInt8, network: Extractor, inputs: ScoringInputs) -> 
 def _cache(inputs: ScoringInputs) -> FeatureCache:
     if "cache" not in inputs.made:
         inputs.made["cache"] = FeatureCache(inputs.features)
-    found: FeatureCache = inputs.made["cache"]  # type: ignore[assignment]
-    return found
+    cache: FeatureCache = inputs.made["cache"]  # type: ignore[assignment]
+    return cache
 
 
-def _clip_job(clip: tuple[RenderView, ...], side: Side) -> Job:
+def _make_clip_job(clip: tuple[RenderView, ...], side: Side) -> Job:
     first, reads = clip[0], tuple(view.path for view in clip) if side == "render" else ()
-    of = first.path if side == "render" else truth_job_name(first)
-    return Job(f"{_CLIP}{of}", clip, reads, truth=side == "truth", in_table=False)
+    name = first.path if side == "render" else truth_job_name(first)
+    return Job(f"{_CLIP}{name}", clip, reads, truth=side == "truth", in_table=False)
 
 
-def _figure(
+def _compute_figure(
     protocol: Protocol,
     metric: Metric,
     group: str,
@@ -187,19 +194,19 @@ def _figure(
     inputs: ScoringInputs,
 ) -> Figure:
     clips = split_into_clips(views, metric.frames) if isinstance(metric, Fvd) else [(view,) for view in views]
-    jobs = [_names(clip, isinstance(metric, Fvd)) for clip in clips]
-    column = f"feature.{_kind(metric)}"
+    jobs = [_job_names(clip, isinstance(metric, Fvd)) for clip in clips]
+    column = f"feature.{_feature_kind(metric)}"
     sides = [
-        np.stack([_feature(scored[names[place]], column, inputs) for names in jobs]) if jobs else np.empty((0, 0))
-        for place in (0, 1)
+        np.stack([_read_feature(scored[names[side]], column, inputs) for names in jobs]) if jobs else np.empty((0, 0))
+        for side in (0, 1)
     ]
-    distance, least = _distance(metric, protocol.intervals.seed)
+    distance, min_samples = _select_distance(metric, protocol.intervals.seed)
     name = metric_name(metric)
-    if len(jobs) < least:
-        reason = f"{len(jobs)} samples; at least {least} are needed"
+    if len(jobs) < min_samples:
+        reason = f"{len(jobs)} samples; at least {min_samples} are needed"
         return Figure(metric=name, group=group, value=None, reason=reason, better="lower", n=len(jobs))
     blocks = assign_blocks(protocol, [clip[0] for clip in clips])
-    low, high, why = _interval(distance, sides[0], sides[1], blocks, protocol, least)
+    low, high, interval_reason = _compute_interval(distance, sides[0], sides[1], blocks, protocol, min_samples)
     return Figure(
         metric=name,
         group=group,
@@ -208,49 +215,49 @@ def _figure(
         n=len(jobs),
         low=low,
         high=high,
-        interval_reason=why,
-        note=_warning(metric, len(jobs)),
+        interval_reason=interval_reason,
+        note=_warn_of_few_images(metric, len(jobs)),
     )
 
 
-def _names(clip: tuple[RenderView, ...], is_clip: bool) -> tuple[str, str]:
+def _job_names(clip: tuple[RenderView, ...], is_clip: bool) -> tuple[str, str]:
     if is_clip:
-        return _clip_job(clip, "render").name, _clip_job(clip, "truth").name
+        return _make_clip_job(clip, "render").name, _make_clip_job(clip, "truth").name
     return clip[0].path, truth_job_name(clip[0])
 
 
-def _feature(one: ScoredJob, column: str, inputs: ScoringInputs) -> Float32:
-    found = _cache(inputs).get(str(one.values[column]))
-    if found is None:
+def _read_feature(scored_job: ScoredJob, column: str, inputs: ScoringInputs) -> Float32:
+    feature = _cache(inputs).get(str(scored_job.values[column]))
+    if feature is None:
         raise DatasetError(
-            "a cached feature is gone or damaged",
+            "a cached feature is missing or damaged",
             file=inputs.features,
-            place=one.job.name,
+            place=scored_job.job.name,
             remedy="delete the folder `work` of the results and run the same command again",
         )
-    return found
+    return feature
 
 
-def _distance(metric: Metric, seed: int) -> tuple[Callable[[AnyArray, AnyArray], float], int]:
-    """The distance of two sets of features, and how many of either it needs."""
+def _select_distance(metric: Metric, seed: int) -> tuple[Callable[[AnyArray, AnyArray], float], int]:
+    """Return the distance between two sets of features, and the number of samples that it needs in each."""
     if isinstance(metric, Kid):
-        return lambda render, truth: kid(render, truth, seed=seed).value, _LEAST_FOR_KID
+        return lambda render, truth: kid(render, truth, seed=seed).value, _MIN_KID_SAMPLES
     ddof = metric.ddof if isinstance(metric, Fvd) else 1
     return lambda render, truth: frechet_distance(render, truth, ddof=ddof).value, 2
 
 
-def _interval(
+def _compute_interval(
     distance: Callable[[AnyArray, AnyArray], float],
     render: AnyArray,
     truth: AnyArray,
     blocks: Int64,
     protocol: Protocol,
-    least: int,
+    min_samples: int,
 ) -> tuple[float | None, float | None, str | None]:
-    """Percentile interval of a distance under resampling of blocks of frames, the same ones of both sets.
+    """Compute the percentile interval of a distance by resampling blocks of frames, the same blocks in both sets.
 
-    Resampled sets have doubles, by which a distance between sets grows: the interval is of spread, and is placed about
-    the figure by subtracting the median.
+    Resampled sets repeat samples, which increases a distance between sets. Therefore the interval is shifted: its
+    median becomes the figure.
     """
     members = [np.flatnonzero(blocks == block) for block in np.unique(blocks)]
     if len(members) < MIN_BLOCKS:
@@ -258,20 +265,20 @@ def _interval(
     rng = np.random.default_rng(protocol.intervals.seed)
     figures = []
     for _ in range(protocol.intervals.set_resamples):
-        rows = np.concatenate([members[place] for place in rng.integers(len(members), size=len(members))])
-        if len(rows) >= least:
+        rows = np.concatenate([members[block] for block in rng.integers(len(members), size=len(members))])
+        if len(rows) >= min_samples:
             figures.append(distance(render[rows], truth[rows]))
     tail = 0.5 * (1.0 - protocol.intervals.level)
-    low, middle, high = np.quantile(figures, [tail, 0.5, 1.0 - tail])
+    low, median, high = np.quantile(figures, [tail, 0.5, 1.0 - tail])
     value = distance(render, truth)
-    return finite_or_none(value + low - middle), finite_or_none(value + high - middle), None
+    return finite_or_none(value + low - median), finite_or_none(value + high - median), None
 
 
-def _warning(metric: Metric, count: int) -> str | None:
+def _warn_of_few_images(metric: Metric, count: int) -> str | None:
     if isinstance(metric, Fid) and count < metric.warn_below:
         return (
-            f"{count} pictures are fewer than {metric.warn_below}: the distance is too large by its bias; compare it "
-            "only with figures of the same pictures"
+            f"{count} images are fewer than {metric.warn_below}: the distance is biased upwards; compare it only with "
+            "figures of the same images"
         )
     return None
 

@@ -1,4 +1,4 @@
-"""Whether an edited vehicle is where it was asked to be: its region against its projected target box."""
+"""Scores edited vehicles: overlap of the edited image region with the projected target box."""
 
 from __future__ import annotations
 
@@ -32,93 +32,96 @@ _VARIANTS: Final[Mapping[str, HullVariant]] = {
 
 
 class EditingAccuracy:
-    """See the module."""
+    """Scores the task ``editing-accuracy``."""
 
     version = 1
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Not here."""
+        """Return False: the target boxes are part of the plan."""
         return False
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """No weights of the table: an extractor has its own."""
+        """Return nothing: no metric has weights; an extractor loads its own."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Nothing else is needed."""
+        """Return nothing: every metric is available."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """One an edited view; its background is read too."""
+        """Return one job for each edited view, which also reads the render without vehicles."""
         make_extractor(inputs.extractor)
-        background = _background(plan.protocol)
+        background = _background_group(plan.protocol)
         views = {view.path: view for view in plan.views}
-        found = []
+        jobs = []
         for view in plan.views:
             if view.group != background:
                 path = render_path(background, view.traversal_id, view.camera, view.timestamp_ns)
-                found.append(Job(view.path, (view, views[path]), (view.path, path), truth=False))
-        return found
+                jobs.append(Job(view.path, (view, views[path]), (view.path, path), truth=False))
+        return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """All variants of one view."""
+        """Compute all variants of the IoU of one view."""
         view, background = job.views
         edit = view.edits[0]
-        counted = inputs.scored_mask(view) & ~_nearer(view, edit, inputs)
-        region = _extractor(inputs).extract(inputs.render(view), inputs.render(background), counted, view.path)
+        scored = inputs.scored_mask(view) & ~_occluder_mask(view, edit, inputs)
+        region = _get_extractor(inputs).extract(inputs.render(view), inputs.render(background), scored, view.path)
         hull = target_hull(view, edit)
-        shown = int((polygon_mask(hull, view.width_px, view.height_px) & counted).sum())
+        target_px = int((polygon_mask(hull, view.width_px, view.height_px) & scored).sum())
         values: dict[str, float | int | str | None] = {
             "track_id": edit.track_id,
             "region_px": int(region.sum()),
-            "target_px": shown,
+            "target_px": target_px,
         }
         vehicles = inputs.protocol.vehicles
-        least = 1.0 if vehicles is None else vehicles.min_area_px
+        min_area_px = 1.0 if vehicles is None else vehicles.min_area_px
         for metric in inputs.protocol.metrics:
             if isinstance(metric, EditIou):
                 name = metric_name(metric)
-                found = hull_iou(region, hull, variant=_VARIANTS[metric.variant], valid=counted)
-                values[name] = float(found) if shown >= least else math.nan
-                reason = found.reason if shown >= least else f"the target shows fewer than {least:g} counted pixels"
+                iou = hull_iou(region, hull, variant=_VARIANTS[metric.variant], valid=scored)
+                value, reason = float(iou), iou.reason
+                if target_px < min_area_px:
+                    value, reason = math.nan, f"the target has fewer than {min_area_px:g} scored pixels"
+                values[name] = value
                 if reason is not None:
                     values[f"{name}.reason"] = reason
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """Means of each shift, and of all together."""
-        found: list[Figure] = []
-        names = [group.name for group in plan.protocol.groups if group.name != _background(plan.protocol)]
+        """Return the means of each group of shifted vehicles, and of all groups together."""
+        figures: list[Figure] = []
+        background = _background_group(plan.protocol)
+        names = [group.name for group in plan.protocol.groups if group.name != background]
         for group in (*names, ALL):
-            own = [one for one in scored if group in (ALL, one.job.views[0].group)]
-            views = [one.job.views[0] for one in own]
+            members = [scored_job for scored_job in scored if group in (ALL, scored_job.job.views[0].group)]
+            views = [scored_job.job.views[0] for scored_job in members]
             for metric in plan.protocol.metrics:
                 name = metric_name(metric)
-                scores = [find_score(one.values, name) for one in own]
-                found += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
-        return found
+                scores = [find_score(scored_job.values, name) for scored_job in members]
+                figures += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
+        return figures
 
 
-def _background(protocol: Protocol) -> str:
+def _background_group(protocol: Protocol) -> str:
     return next(group.name for group in protocol.groups if group.without_vehicles)
 
 
-def _extractor(inputs: ScoringInputs) -> Extractor:
+def _get_extractor(inputs: ScoringInputs) -> Extractor:
     if "extractor" not in inputs.made:
         inputs.made["extractor"] = make_extractor(inputs.extractor)
-    found: Extractor = inputs.made["extractor"]  # type: ignore[assignment]
-    return found
+    extractor: Extractor = inputs.made["extractor"]  # type: ignore[assignment]
+    return extractor
 
 
 def target_hull(view: RenderView, edit: Edit) -> Float64:
-    """The convex outline (K, 2) of the target box."""
+    """Return the convex hull (K, 2) of the projected target box, in pixels; empty if the edit has no target."""
     if edit.world_SE3_target is None:
         return np.empty((0, 2))
     return project_boxes(view.lens, view.pose.inverse() @ to_pose(edit.world_SE3_target), [edit.size_m]).hull(0)
 
 
-def _nearer(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
-    """Pixels (H, W) within hulls of other boxes that are nearer to the camera than the target: they may hide it."""
+def _occluder_mask(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
+    """Return the mask (H, W) of the hulls of other boxes that are nearer to the camera than the target."""
     lens = view.lens
     hidden = np.zeros((lens.height_px, lens.width_px), np.bool_)
     frame, _ = inputs.truth.recorded_frame_and_image(view)
@@ -126,10 +129,10 @@ def _nearer(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
     if edit.world_SE3_target is None or not len(boxes):
         return hidden
     camera_SE3_world = view.pose.inverse()
-    reach = np.linalg.norm((camera_SE3_world @ to_pose(edit.world_SE3_target)).translation[0])
+    target_distance_m = np.linalg.norm((camera_SE3_world @ to_pose(edit.world_SE3_target)).translation[0])
     poses = camera_SE3_world @ boxes.pose
     projected = project_boxes(lens, poses, boxes.size_m)
-    nearer = np.linalg.norm(poses.translation, axis=1) < reach
+    nearer = np.linalg.norm(poses.translation, axis=1) < target_distance_m
     for row in np.flatnonzero(projected.visible & nearer).tolist():
         if boxes.track_id[row] != edit.track_id:
             hidden |= polygon_mask(projected.hull(row), lens.width_px, lens.height_px)

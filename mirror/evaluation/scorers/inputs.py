@@ -1,4 +1,4 @@
-"""What a scorer reads: renders, their truth, pixels that are scored, weights. Made anew in each worker process."""
+"""Inputs of a scorer: renders, their truth, masks of scored pixels, weights. Each worker process opens its own."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ class ScoringInputs:
     """Everything that scoring reads.
 
     Attributes:
-        protocol: how it is scored.
-        submission: folder or zip.
-        manifest: of the submission.
-        dataset: the truth.
-        layers: of masks and boxes, by traversal.
-        hidden: folder of hidden truth; None: the dataset's own pictures.
+        protocol: the protocol to score by.
+        submission: folder or zip of the submission.
+        manifest: manifest of the submission.
+        dataset: dataset with the truth.
+        layers: names of the layers of masks and boxes, by traversal.
+        hidden: folder of hidden truth; None: the truth is the dataset's images.
         resolver: finds weights.
-        unavailable: metrics that cannot be had, and how to get them.
-        stand_ins: other metrics that can be had in their place, under their own names.
+        unavailable: unavailable metrics, each with its remedy.
+        stand_ins: metrics that are computed in place of unavailable ones, under their own names.
         features: folder of cached features.
-        extractor: of edited regions, and its argument.
-        measured: an installed method and the folder of its model, whose speed is measured; None: none is.
+        extractor: extractor of edited regions, with its argument.
+        measured: name of an installed method and the folder of its model, to measure its speed; None: not measured.
+        made: objects made in this process by name, such as networks; they are not pickled.
     """
 
     protocol: Protocol
@@ -57,42 +58,42 @@ class ScoringInputs:
     made: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, object]:
-        """Without what was made here: networks are loaded where they are used."""
+        """Return the state without open files and loaded networks: each process opens and loads its own."""
         return {**{key: value for key, value in vars(self).items() if key not in ("files", "truth")}, "made": {}}
 
     @cached_property
     def files(self) -> UntrustedFiles:
-        """The submission's files."""
+        """Files of the submission."""
         return open_untrusted(self.submission)
 
     @cached_property
     def truth(self) -> GroundTruth:
-        """The truth."""
+        """Truth of the views."""
         return GroundTruth(self.dataset, self.protocol, dict(self.layers), self.hidden)
 
     def render(self, view: RenderView) -> UInt8:
-        """A render's pixels (H, W, 3), RGB.
+        """Read a render's pixels (H, W, 3), RGB.
 
         Raises:
-            UntrustedError: it cannot be read.
-            RenderError: it is broken or of another size.
+            UntrustedError: the render cannot be read.
+            RenderError: the render is broken or has a wrong size.
         """
         data = self.files.read(view.path, max_png_bytes(view.width_px, view.height_px))
         return decode_render(data, view.width_px, view.height_px, view.path)
 
     def scored_mask(self, view: RenderView) -> Bool:
-        """The pixels (H, W) that are scored: the protocol's, but those that the method was fitted to."""
+        """Return the mask (H, W) of scored pixels: the protocol's, without pixels that the method was fitted to."""
         scored = self.truth.scored_mask(view)
         for part in self.manifest.appearance.held_out_pixels:
             scored[_slices(part, *scored.shape)] = False
         return scored
 
     def fingerprint(self, path: str) -> str:
-        """SHA-256 of a file of the submission."""
+        """Return the SHA-256 of a file of the submission."""
         return hashlib.sha256(self.files.read(path, MAX_TABLE_BYTES)).hexdigest()
 
 
 def _slices(part: Rectangle, height: int, width: int) -> tuple[slice, slice]:
-    """All pixels that a rectangle touches."""
+    """Return the rows and columns of all pixels that a rectangle touches."""
     rows = slice(int(np.floor(part.top * height)), int(np.ceil(part.bottom * height)))
     return rows, slice(int(np.floor(part.left * width)), int(np.ceil(part.right * width)))

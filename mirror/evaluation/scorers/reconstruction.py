@@ -1,4 +1,4 @@
-"""Renders against the pictures that were taken there: PSNR, PSNR*, SSIM, LPIPS of every view."""
+"""Scores renders against the recorded images of the same views: PSNR, PSNR*, SSIM and LPIPS."""
 
 from __future__ import annotations
 
@@ -31,34 +31,34 @@ _MEASURES: Final = {
 
 
 class Reconstruction:
-    """See the module."""
+    """Scores the tasks ``reconstruction`` and ``lane-shift``."""
 
     version = 1
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Pictures of moved cameras were not recorded."""
+        """Whether any group has moved cameras: nobody recorded their images."""
         return any(group.ego_shift_m for group in plan.protocol.groups)
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """LPIPS needs its trunk and heads, ST-LPIPS a file of its own."""
-        found: dict[str, tuple[str, ...]] = {}
+        """Return the weights of LPIPS (trunk and heads) and of ST-LPIPS (one file)."""
+        weights: dict[str, tuple[str, ...]] = {}
         for metric in plan.protocol.metrics:
             if isinstance(metric, Lpips):
-                found[metric_name(metric)] = (TRUNK_WEIGHTS[metric.net], f"lpips-heads-{metric.net}")
+                weights[metric_name(metric)] = (TRUNK_WEIGHTS[metric.net], f"lpips-heads-{metric.net}")
                 if metric.net != "squeeze":
-                    found[_stand_in(metric)] = (f"st-lpips-{metric.net}",)
-        return found
+                    weights[_stand_in(metric)] = (f"st-lpips-{metric.net}",)
+        return weights
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Nothing else is needed."""
+        """Return nothing: only weights can be missing."""
         return {}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """One a view."""
+        """Return one job for each view."""
         return [Job(view.path, (view,), (view.path,)) for view in plan.views]
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """All metrics of one view."""
+        """Compute all metrics of one view."""
         view = job.views[0]
         render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
         values: dict[str, float | int | str | None] = {
@@ -77,26 +77,29 @@ class Reconstruction:
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """Means in the protocol's order; PSNR also of all pixels together."""
-        found: list[Figure] = []
+        """Return the means of each group in the protocol's order, and the PSNR over all pixels of a group."""
+        figures: list[Figure] = []
         for group in plan.protocol.groups:
-            own = [one for one in scored if one.job.views[0].group == group.name]
-            views = [one.job.views[0] for one in own]
+            members = [scored_job for scored_job in scored if scored_job.job.views[0].group == group.name]
+            views = [scored_job.job.views[0] for scored_job in members]
             for metric in plan.protocol.metrics:
                 name = computed_metric_name(metric, inputs)
                 if name is None:
                     continue
-                scores = [find_score(one.values, name) for one in own]
+                scores = [find_score(scored_job.values, name) for scored_job in members]
                 measure = _MEASURES.get(name, Measure(name, "", "lower"))
-                figures = compute_figures(plan.protocol, measure, group.name, views, scores)
-                found += [_noted(figure, name, own) if figure.level == "group" else figure for figure in figures]
-                if name == "psnr" and own:
-                    found.append(_pooled(group.name, own))
-        return found
+                for figure in compute_figures(plan.protocol, measure, group.name, views, scores):
+                    figures.append(_add_rank_note(figure, name, members) if figure.level == "group" else figure)
+                if name == "psnr" and members:
+                    figures.append(_compute_pooled_psnr(group.name, members))
+        return figures
 
 
 def computed_metric_name(metric: Metric, inputs: ScoringInputs) -> str | None:
-    """What a metric's figure is called: where LPIPS cannot be had ST-LPIPS stands in, under its own name; or None."""
+    """Return the name of the computed metric; None if it is unavailable.
+
+    ST-LPIPS stands in for an unavailable LPIPS, under its own name.
+    """
     name = metric_name(metric)
     if name not in inputs.unavailable:
         return name
@@ -108,7 +111,7 @@ def _stand_in(metric: Lpips) -> str:
 
 
 def find_score(values: Values, name: str) -> Score:
-    """A job's value of one metric."""
+    """Return a job's value of one metric; NaN if it has none."""
     value, reason = values.get(name), values.get(f"{name}.reason")
     return Score(math.nan if value is None else float(value), None if reason is None else str(reason))
 
@@ -118,7 +121,7 @@ def _score(
 ) -> tuple[Score, dict[str, float | int | str | None]]:
     if not scored.any():
         return EMPTY_MASK, {}
-    # Without a mask the faster ways are open.
+    # Metrics without a mask are faster.
     mask = None if scored.all() else scored
     if isinstance(metric, Psnr):
         return psnr(render, truth, mask=mask), {}
@@ -128,17 +131,17 @@ def _score(
     if isinstance(metric, Ssim):
         return ssim(render, truth, mask=mask, preset=metric.preset, mask_mode=metric.mask), {}
     if isinstance(metric, Lpips):
-        return _network(metric, inputs)([render], truth, mask, metric.mask)[0], {}
-    raise TypeError(f"{metric.metric} is no metric of single pictures")
+        return _load_network(metric, inputs)([render], truth, mask, metric.mask)[0], {}
+    raise TypeError(f"{metric.metric} is not a metric of single images")
 
 
-def _network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
+def _load_network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
     from mirror.metrics.features.lpips import load_lpips
     from mirror.metrics.features.st_lpips import load_st_lpips
 
     name = computed_metric_name(metric, inputs)
     if name is None:
-        raise TypeError(f"{metric_name(metric)} cannot be had")
+        raise TypeError(f"{metric_name(metric)} is unavailable")
     if name not in inputs.made:
         if name == metric_name(metric) or metric.net == "squeeze":
             inputs.made[name] = load_lpips(metric.net, inputs.resolver)
@@ -148,22 +151,23 @@ def _network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
     return network
 
 
-def _noted(figure: Figure, name: str, scored: Sequence[ScoredJob]) -> Figure:
-    deficient = sum(f"{name}.rank" in one.values for one in scored)
+def _add_rank_note(figure: Figure, name: str, scored: Sequence[ScoredJob]) -> Figure:
+    deficient = sum(f"{name}.rank" in scored_job.values for scored_job in scored)
     if not deficient:
         return figure
-    note = f"of {deficient} pictures the colours do not determine the warp: the fit of least norm was taken"
+    note = f"the colours of {deficient} images do not determine the warp: the fit of least norm was used"
     return figure.model_copy(update={"note": note})
 
 
-def _pooled(group: str, scored: Sequence[ScoredJob]) -> Figure:
-    """PSNR of the mean square over all scored pixels of all pictures, as torchmetrics accumulates it."""
-    pairs = [(int(one.values["scored_px"] or 0), find_score(one.values, "psnr")) for one in scored]
+def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> Figure:
+    """Compute the PSNR of the mean squared error over all scored pixels of all images, as torchmetrics does."""
+    jobs_values = [scored_job.values for scored_job in scored]
+    pairs = [(int(values["scored_px"] or 0), find_score(values, "psnr")) for values in jobs_values]
     known = [(pixels, score) for pixels, score in pairs if not math.isnan(score)]
     total = sum(pixels for pixels, _ in known)
     squares = math.fsum(pixels * 10.0 ** (-score / 10.0) for pixels, score in known)
     value = -10.0 * math.log10(squares / total) if squares > 0.0 else None
-    reason = None if value is not None else "all pictures are equal to the truth" if total else "no pixel is scored"
+    reason = None if value is not None else "all images are equal to the truth" if total else "no pixel is scored"
     return Figure(
         metric="psnr_pooled",
         group=group,

@@ -1,4 +1,4 @@
-"""What a method costs: as its submission reports it, and measured again where it is installed."""
+"""Time and memory of a method: as its submission reports them, and its speed measured here if it is installed."""
 
 from __future__ import annotations
 
@@ -23,45 +23,45 @@ _UNITS: Final[Mapping[str, tuple[str, str]]] = {
     "training_s": ("s", "lower"),
     "peak_memory_bytes": ("B", "lower"),
 }
-_HOW: Final = "state it in the manifest under runtime"
+_REMEDY: Final = "state it in the manifest under runtime"
 
 
 class Runtime:
-    """See the module."""
+    """Scores the task ``runtime``."""
 
     version = 1
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Not here."""
+        """Return False: the task has no truth."""
         return False
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """No weights."""
+        """Return nothing: no metric has weights."""
         return {}
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """What the manifest does not state."""
-        return {name: _HOW for name in plan.protocol.metric_names if reported(manifest.runtime, name) is None}
+        """Return the metrics that the manifest does not state."""
+        return {name: _REMEDY for name in plan.protocol.metric_names if reported(manifest.runtime, name) is None}
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """None: nothing is read."""
+        """Return no jobs: no render is read."""
         return []
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Nothing."""
+        """Return no values."""
         return {}
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """What the manifest states, and what is measured."""
+        """Return the figures of the manifest, and the measured speed."""
         runtime = inputs.manifest.runtime
-        found = []
+        figures = []
         for metric in plan.protocol.metrics:
             name = metric_name(metric)
             value = reported(runtime, name)
             if value is None or runtime is None:
                 continue
             unit, better = _UNITS[name]
-            found.append(
+            figures.append(
                 Figure(
                     metric=name,
                     group="reported",
@@ -74,11 +74,11 @@ class Runtime:
                 )
             )
         if inputs.measured is not None:
-            found.append(_measured(plan, *inputs.measured))
-        return found
+            figures.append(_measure_speed(plan, *inputs.measured))
+        return figures
 
 
-def _measured(plan: Plan, name: str, model: Path) -> Figure:
+def _measure_speed(plan: Plan, name: str, model: Path) -> Figure:
     speed, count = frames_per_second(installed_method(name).open(model), plan.views)
     return Figure(
         metric="frames_per_second",
@@ -93,7 +93,7 @@ def _measured(plan: Plan, name: str, model: Path) -> Figure:
 
 
 def reported(runtime: Reported | None, name: str) -> float | None:
-    """One figure of a manifest; None: it does not state it."""
+    """Return one figure of a manifest; None if the manifest does not state it."""
     if runtime is None:
         return None
     if name == "model_bytes_per_100m":

@@ -1,4 +1,4 @@
-"""What a scorer is: jobs that workers do one by one, and figures of what they found."""
+"""The interface of scorers: independent jobs for worker processes, and figures computed from the jobs' values."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from mirror.protocols.views.view import RenderView
 STAND_IN_PREFIX: Final = "st_"
 
 Values: TypeAlias = Mapping[str, float | int | str | None]
-"""What a job found: a metric's name to its value; ``<name>.reason`` says why it is NaN."""
+"""Values of a job by name, such as a metric's; the key ``<name>.reason`` states why a value is NaN."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work.
+    """One unit of work of a scorer.
 
     Attributes:
-        name: within the evaluation.
-        views: that it is about; the first one's keys stand in the table of images.
+        name: name of the job, unique within the evaluation.
+        views: the views that it scores; the table of images has the keys of the first one.
         reads: files of the submission that it reads.
-        truth: whether it reads the recorded picture of its views.
-        tabled: whether it is a row of the table of images.
+        truth: whether it reads the recorded images of its views.
+        in_table: whether it is a row of the table of images.
     """
 
     name: str
@@ -39,36 +39,36 @@ class Job:
 
 @dataclass(frozen=True)
 class ScoredJob:
-    """A job and what it found."""
+    """A job with its values."""
 
     job: Job
     values: Values
 
 
 class Scorer(Protocol):
-    """Scores one task."""
+    """Scores the submissions of one task."""
 
     version: int
-    """Counted up when values change: what was scored before is scored again."""
+    """Version of the scorer's values: increased when they change, so that stored values are not reused."""
 
     def needs_hidden(self, plan: Plan) -> bool:
-        """Whether nobody recorded the truth of the views, so that it is an organiser's."""
+        """Whether the views have no recorded truth and need the organiser's hidden truth."""
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
-        """Names of the weights that each metric needs; a metric that needs none may be left out.
+        """Return the names of the weights that each metric needs; metrics without weights may be left out.
 
-        A name that begins with `STAND_IN_PREFIX` names a stand-in: another metric that is computed where the metric
-        named after the prefix has no weights.
+        A key that starts with `STAND_IN_PREFIX` names a stand-in: a metric that is computed if the metric named after
+        the prefix has no weights.
         """
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
-        """Metrics that cannot be had for another reason than weights, and how to get them."""
+        """Return the metrics that are unavailable for other reasons than weights, each with its remedy."""
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """The work to do, in an order in which neighbours share what they read."""
+        """Return the jobs, ordered so that neighbours read the same files."""
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Do one job; called in a worker process."""
+        """Compute the values of one job; called in a worker process."""
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """What it comes to."""
+        """Compute the figures of the result from the values of all jobs."""

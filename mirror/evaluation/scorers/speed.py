@@ -1,4 +1,4 @@
-"""How fast a method renders."""
+"""Measures how fast a method renders."""
 
 from __future__ import annotations
 
@@ -12,32 +12,35 @@ from mirror.protocols.views.view import RenderView
 
 _WARM_UP: Final = 3
 MIN_DURATION_S: Final = 5.0
-_MOST_VIEWS: Final = 500
+_MAX_VIEWS: Final = 500
 
 
 def frames_per_second(render: Callable[[RenderView], UInt8], views: Sequence[RenderView]) -> tuple[float, int]:
-    """How many pictures a second a renderer makes, one after the other, and of how many that is.
+    """Measure how many images per second a renderer makes, one after the other.
 
-    The first three warm it up; then views are rendered for five seconds at least, in their order and from the first
-    again.
+    The first three renders are a warm-up. Then the views are rendered in their order, repeatedly, for at least five
+    seconds or until 500 images.
 
     Args:
         render: the renderer.
-        views: what it is asked for; not empty.
+        views: the views to render; not empty.
+
+    Returns:
+        Images per second, and the number of measured images.
 
     Raises:
-        UsageError: a picture is not of the size that was asked for.
+        UsageError: a render does not have the size of its view.
     """
-    for place in range(_WARM_UP):
-        view = views[place % len(views)]
-        picture = render(view)
-        if picture.shape != (view.height_px, view.width_px, 3):
+    for number in range(_WARM_UP):
+        view = views[number % len(views)]
+        image = render(view)
+        if image.shape != (view.height_px, view.width_px, 3):
             raise UsageError(
-                f"a render of shape {picture.shape}", expected=f"{(view.height_px, view.width_px, 3)}", place=view.path
+                f"a render of shape {image.shape}", expected=f"{(view.height_px, view.width_px, 3)}", place=view.path
             )
-    begin, count, taken = time.perf_counter(), 0, 0.0
-    while taken < MIN_DURATION_S and count < _MOST_VIEWS:
+    begin, count, duration_s = time.perf_counter(), 0, 0.0
+    while duration_s < MIN_DURATION_S and count < _MAX_VIEWS:
         render(views[count % len(views)])
         count += 1
-        taken = time.perf_counter() - begin
-    return count / taken, count
+        duration_s = time.perf_counter() - begin
+    return count / duration_s, count

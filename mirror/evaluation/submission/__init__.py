@@ -1,1 +1,1 @@
-"""Submissions: their manifest, template, check, and reading of files that nobody vouches for (docs/submission.md)."""
+"""Submissions: their manifest, template and check, and the reading of untrusted files (docs/submission.md)."""

@@ -1,4 +1,4 @@
-"""Holds a submission against what is expected of it: everything that is wrong, at once."""
+"""Checks a submission against a plan and lists all its problems."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _THREADS: Final = 2
 _OWN: Final = {MANIFEST, VIEWS, README}
 
 Kind = Literal["manifest", "refused", "missing", "wrong size", "corrupt", "extra"]
-"""In the order in which problems are listed: causes before what follows from them."""
+"""The kinds of problems, in the order in which they are listed: causes before their consequences."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong.
+    """One problem of a submission.
 
     Attributes:
-        kind: what sort of thing.
+        kind: kind of the problem.
         path: the file in the submission.
-        message: what is wrong with it.
+        message: what is wrong with the file.
     """
 
     kind: Kind
@@ -41,15 +41,15 @@ class Problem:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What a check found.
+    """The result of a check.
 
     Attributes:
-        expected: how many files are expected.
-        present: how many of them are there.
-        problems: all that is wrong, by kind and path.
-        manifest: as read; None: it cannot be.
-        hash: SHA-256 over the expected files that could be read, by path.
-        not_checked: what was not looked at and may be wrong, with the way to check it.
+        expected: number of expected files.
+        present: number of expected files that exist.
+        problems: all problems, sorted by kind and path.
+        manifest: the manifest; None if it cannot be read.
+        hash: SHA-256 over the paths and contents of the expected files that can be read, sorted by path.
+        not_checked: what this check leaves out, each with the command that checks it.
     """
 
     expected: int
@@ -60,7 +60,7 @@ class CheckReport:
     not_checked: tuple[str, ...] = ()
 
     def counts(self) -> dict[str, int]:
-        """How many problems of each kind."""
+        """The number of problems of each kind."""
         return dict(Counter(problem.kind for problem in self.problems))
 
 
@@ -69,14 +69,14 @@ def check_submission(
 ) -> CheckReport:
     """Check a submission.
 
-    Every expected render is held against its size and checksums by its header and chunks. No file that is not expected
-    is opened.
+    The size of each expected render is read from its PNG header, and the checksums of its PNG chunks are verified. A
+    file that is not expected is never opened.
 
     Args:
         files: the submission.
-        plan: what was asked.
-        decode: decode every image too: pixels may be missing between whole checksums.
-        advance: told of each file that was looked at.
+        plan: the requested views.
+        decode: whether to decode every image: pixel data can be incomplete although all checksums are right.
+        advance: called with 1 after each checked file.
     """
     problems: list[Problem] = []
     manifest = None
@@ -85,7 +85,7 @@ def check_submission(
     except UntrustedError as error:
         problems.append(Problem("manifest", MANIFEST, _without_file(error)))
     else:
-        problems += _answers(manifest, plan)
+        problems += _find_manifest_problems(manifest, plan)
     expected = expected_files(plan)
     problems += [Problem("refused", path, why) for path, why in files.refused.items()]
     problems += [
@@ -98,27 +98,27 @@ def check_submission(
         for path in files.sizes
         if path not in expected and path not in _OWN and not path.startswith(MASKS)
     ]
-    there = [(path, size) for path, size in expected.items() if path in files.sizes]
+    present = [(path, size) for path, size in expected.items() if path in files.sizes]
 
-    def look(item: tuple[str, tuple[int, int] | None]) -> Problem | str:
-        found = _look(files, *item, decode=decode)
+    def check_and_advance(item: tuple[str, tuple[int, int] | None]) -> Problem | str:
+        problem_or_hash = _check_file(files, *item, decode=decode)
         advance(1)
-        return found
+        return problem_or_hash
 
     digest = hashlib.sha256()
     with thread_pool(_THREADS) as pool:
-        for (path, _), found in zip(sorted(there), pool.map(look, sorted(there))):
-            if isinstance(found, Problem):
-                problems.append(found)
+        for (path, _), problem_or_hash in zip(sorted(present), pool.map(check_and_advance, sorted(present))):
+            if isinstance(problem_or_hash, Problem):
+                problems.append(problem_or_hash)
             else:
-                digest.update(json.dumps([path, found]).encode())
+                digest.update(json.dumps([path, problem_or_hash]).encode())
     order = get_args(Kind)
     problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
-    left = tuple(_not_checked([size for _, size in there], decode=decode))
-    return CheckReport(len(expected), len(there), tuple(problems), manifest, digest.hexdigest(), left)
+    not_checked = tuple(_list_not_checked([size for _, size in present], decode=decode))
+    return CheckReport(len(expected), len(present), tuple(problems), manifest, digest.hexdigest(), not_checked)
 
 
-def _not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> Iterator[str]:
+def _list_not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> Iterator[str]:
     tables = sum(size is None for size in sizes)
     if len(sizes) > tables and not decode:
         yield f"the pixels of {len(sizes) - tables} images: `mirror submission check --decode` decodes them"
@@ -127,19 +127,19 @@ def _not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> It
 
 
 def report_unreadable_manifest(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
-    """What can be said of a submission that does not say what it answers: nothing is known to be expected.
+    """Report on a submission whose manifest names no protocol or split, so that its expected files are unknown.
 
     Args:
         files: the submission.
-        error: why its manifest does not say.
+        error: the problem of its manifest.
     """
     problems = [Problem("manifest", MANIFEST, _without_file(error))]
     problems += [Problem("refused", path, why) for path, why in sorted(files.refused.items())]
     return CheckReport(0, 0, tuple(problems), None, "")
 
 
-def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
-    wanted = {
+def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
+    expected = {
         "protocol": plan.protocol.name,
         "protocol_hash": plan.protocol.hash,
         "split": plan.split,
@@ -150,24 +150,24 @@ def _answers(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
         Problem(
             "manifest", MANIFEST, f"{key} is {getattr(manifest, key)!r}, not {value!r}: made for another evaluation"
         )
-        for key, value in wanted.items()
+        for key, value in expected.items()
         if getattr(manifest, key) != value
     ]
 
 
-def _look(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool) -> Problem | str:
-    """What is wrong with a file, or its SHA-256."""
-    most = MAX_TABLE_BYTES if size is None else max_png_bytes(*size)
-    if files.sizes[path] > most:
-        return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {most:,} can be needed")
+def _check_file(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool) -> Problem | str:
+    """Return the problem of a file, or its SHA-256 if it has none."""
+    max_bytes = MAX_TABLE_BYTES if size is None else max_png_bytes(*size)
+    if files.sizes[path] > max_bytes:
+        return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {max_bytes:,} can be needed")
     try:
-        data = files.read(path, most)
+        data = files.read(path, max_bytes)
     except UntrustedError as error:
         return Problem("corrupt", path, _without_file(error))
     if size is not None:
-        there = png_size(data)
-        if there is not None and there != size:
-            return Problem("wrong size", path, f"is {there[0]} x {there[1]} px, not {size[0]} x {size[1]} px")
+        actual = png_size(data)
+        if actual is not None and actual != size:
+            return Problem("wrong size", path, f"is {actual[0]} x {actual[1]} px, not {size[0]} x {size[1]} px")
         problem = find_png_problem(data)
         if problem is not None:
             return Problem("corrupt", path, problem)

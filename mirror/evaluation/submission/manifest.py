@@ -1,4 +1,4 @@
-"""``manifest.json`` of a submission: what it answers, by which method, and what the method was shown."""
+"""``manifest.json`` of a submission: protocol, split, method, appearance and measured costs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ MANIFEST: Final = "manifest.json"
 MAX_MANIFEST_BYTES: Final = 1 << 20
 FORMAT_VERSION: Final = "1.0"
 
-_NAME_THEM: Final = "to have the rest checked all the same, name --protocol and --split"
+_NAME_THEM: Final = "to check the other files nevertheless, give --protocol and --split"
 
-# Names and notes are printed: what steers a terminal, or turns the direction of text, has no place in them.
-_STEERING: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
-Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_STEERING}]*$")]
-Word = Annotated[str, Field(min_length=1, max_length=120, pattern=rf"^[^\t\n{_STEERING}]+$")]
+# Names and notes are printed: characters that control a terminal or the direction of text are refused.
+_CONTROL_CHARACTERS: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069"
+Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_CONTROL_CHARACTERS}]*$")]
+Word = Annotated[str, Field(min_length=1, max_length=120, pattern=rf"^[^\t\n{_CONTROL_CHARACTERS}]+$")]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Figure = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -28,12 +28,12 @@ class Method(Document):
     """Who made the renders.
 
     Attributes:
-        name: of the method, as it stands on the board.
-        version: of it.
-        authors: whose it is.
-        url: where more is said, or its code lies.
-        licence: of its code.
-        trained_on: what it was trained on besides the split's training traversals.
+        name: name of the method on the leaderboard.
+        version: version of the method.
+        authors: authors of the method.
+        url: address of its code or its description.
+        licence: licence of its code.
+        trained_on: data that it was trained on besides the split's training traversals.
     """
 
     name: Word
@@ -45,13 +45,14 @@ class Method(Document):
 
 
 class Appearance(Document):
-    """How pictures of traversals that were not trained on get their look.
+    """How the method chooses the appearance of views of traversals that it was not trained on.
 
     Attributes:
-        policy: ``none``: the method knows no looks. ``nearest-traversal``, ``mean``, ``zero``: of the trained looks.
-            ``fitted``: to the held-out pixels below. ``other``: as the description says.
-        description: in words.
-        held_out_pixels: parts of held-out pictures that the look was fitted to; they are not scored.
+        policy: ``none``: the method has no appearance codes. ``nearest-traversal``, ``mean``, ``zero``: the code of the
+            nearest trained traversal, the mean of the trained codes, or a zero vector. ``fitted``: fitted to the
+            held-out pixels below. ``other``: see ``description``.
+        description: free text.
+        held_out_pixels: parts of held-out images that the appearance was fitted to; they are not scored.
     """
 
     policy: Literal["none", "nearest-traversal", "mean", "zero", "fitted", "other"]
@@ -59,22 +60,22 @@ class Appearance(Document):
     held_out_pixels: Annotated[tuple[Rectangle, ...], Field(max_length=16)] = ()
 
     @model_validator(mode="after")
-    def _said(self) -> Appearance:
+    def _require_held_out_pixels(self) -> Appearance:
         if self.policy == "fitted" and not self.held_out_pixels:
-            raise ValueError("a fitted appearance says which held_out_pixels it was fitted to")
+            raise ValueError("a fitted appearance must list the held_out_pixels that it was fitted to")
         return self
 
 
 class Runtime(Document):
-    """What the method costs, as its authors measured it.
+    """Time and memory that the method needs, as its authors measured them.
 
     Attributes:
-        device: the processor.
-        frames_per_second: pictures a second at the protocol's size, once the model is open.
-        model_bytes: of everything that rendering needs, of all scenes together.
+        device: name of the processor.
+        frames_per_second: rendered images per second at the protocol's size; opening the model is not counted.
+        model_bytes: size of everything that rendering needs, summed over all scenes.
         driven_m: length of the road that the models cover, along the driven line.
-        training_s: of all scenes together.
-        peak_memory_bytes: of rendering.
+        training_s: training time, summed over all scenes.
+        peak_memory_bytes: peak memory of rendering.
     """
 
     device: Word
@@ -90,17 +91,17 @@ class SubmissionManifest(Document):
 
     Attributes:
         format: always ``mirror-submission``.
-        version: of this document.
+        version: version of this document.
         protocol: name of the protocol.
-        protocol_hash: what it said.
+        protocol_hash: hash of the protocol.
         split: name of the split.
-        dataset_hash: of what the split was made of.
-        plan_hash: of the views that were asked for.
-        method: who made it.
-        appearance: how held-out traversals get their look.
-        runtime: what it costs; None: not said.
-        seed: of what is left to chance, if the method has one.
-        notes: anything else.
+        dataset_hash: hash of the tables that the split was made from.
+        plan_hash: hash of the requested views.
+        method: the method that made the renders.
+        appearance: how the method chooses the appearance of held-out traversals.
+        runtime: time and memory that the method needs; None if not stated.
+        seed: seed of the method's random numbers, if it has one.
+        notes: free text.
     """
 
     format: Literal["mirror-submission"] = "mirror-submission"
@@ -118,43 +119,46 @@ class SubmissionManifest(Document):
 
 
 def read_protocol_and_split(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str]:
-    """Names of the protocol and split of a submission: as given, or as its manifest says, be the rest of it wrong.
+    """Return the names of a submission's protocol and split: the given ones, or else those of its manifest.
+
+    The other keys of the manifest may be wrong.
 
     Raises:
-        UntrustedError: it does not say, or names a file as its protocol, which its author would choose.
+        UntrustedError: the manifest does not name them, or gives a path as its protocol: a submission must not choose
+            the file that it is scored by.
     """
     if protocol is not None and split is not None:
         return protocol, split
     try:
-        raw = _raw(files)
+        raw = _read_json(files)
     except UntrustedError as error:
         remedy = f"{error.remedy}; {_NAME_THEM}" if error.remedy else _NAME_THEM
         raise UntrustedError(
             error.problem, file=error.file, place=error.place, expected=error.expected, remedy=remedy
         ) from error
-    said = [raw.get(key) if isinstance(raw, dict) else None for key in ("protocol", "split")]
-    for key, value in zip(("protocol", "split"), said):
+    stated = [raw.get(key) if isinstance(raw, dict) else None for key in ("protocol", "split")]
+    for key, value in zip(("protocol", "split"), stated):
         if not isinstance(value, str) or not is_identifier(value):
             raise UntrustedError(
-                f"does not say its {key}",
+                f"does not name its {key}",
                 file=f"{files.where}: {MANIFEST}",
                 remedy=_NAME_THEM,
             )
-    return protocol or str(said[0]), split or str(said[1])
+    return protocol or str(stated[0]), split or str(stated[1])
 
 
 def read_manifest(files: UntrustedFiles) -> SubmissionManifest:
-    """The manifest of a submission.
+    """Read the manifest of a submission.
 
     Raises:
-        UntrustedError: it is missing, too large, no JSON, or a key is wrong; the first is named, and how many more.
+        UntrustedError: it is missing, too large or not JSON, or a key is wrong; the first five wrong keys are named.
     """
-    raw = _raw(files)
+    raw = _read_json(files)
     try:
         return SubmissionManifest.model_validate(raw)
     except (ValidationError, RecursionError) as error:
-        found = error.errors() if isinstance(error, ValidationError) else []
-        listed = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'document'}: {one['msg']}" for one in found[:5])
+        details = error.errors() if isinstance(error, ValidationError) else []
+        listed = "; ".join(f"{'.'.join(map(str, item['loc'])) or 'document'}: {item['msg']}" for item in details[:5])
         raise UntrustedError(
             listed or "nested too deep",
             file=f"{files.where}: {MANIFEST}",
@@ -162,7 +166,7 @@ def read_manifest(files: UntrustedFiles) -> SubmissionManifest:
         ) from error
 
 
-def _raw(files: UntrustedFiles) -> Any:
+def _read_json(files: UntrustedFiles) -> Any:
     place = f"{files.where}: {MANIFEST}"
     if MANIFEST not in files.sizes:
         raise UntrustedError(

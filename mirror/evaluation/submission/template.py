@@ -1,4 +1,4 @@
-"""The template of a submission: every expected file with its pose, lens, size and mask, and a manifest to fill in."""
+"""The template of a submission: pose, lens, size and mask of each expected file, and a manifest to fill in."""
 
 from __future__ import annotations
 
@@ -25,13 +25,17 @@ _README: Final = """# Submission to {protocol}, split {split}
 
 {count} files are expected, listed in views.json: path, width and height, lens (fx, fy, cx, cy in pixels, the centre of
 the first pixel at 0.5; OpenCV axes: x right, y down, z forward) and world_SE3_camera as qw qx qy qz tx ty tz in metres.
-Renders are PNG, sRGB, 8 bit RGB, without alpha. `mask` names the pixels that are scored (255); without one all are.
+Renders are PNG, sRGB, 8 bit RGB, without alpha. `mask` is an image whose scored pixels are 255; if it is null, all
+pixels are scored.
 Fill in manifest.json: method.name and appearance.policy; then: mirror submission check DATASET THIS_FOLDER
 """
 
 
 def expected_files(plan: Plan) -> dict[str, tuple[int, int] | None]:
-    """Every file that a submission must have besides its manifest: width and height of renders, None for tables."""
+    """Return the path of every file that a submission needs besides its manifest.
+
+    The values are width and height of a render, and None for a table.
+    """
     if plan.protocol.task == "runtime":
         return {}
     if plan.protocol.task == "annotation":
@@ -40,15 +44,15 @@ def expected_files(plan: Plan) -> dict[str, tuple[int, int] | None]:
 
 
 def detections_path(traversal_id: str) -> str:
-    """Where the boxes of a traversal lie in a submission to an annotation protocol."""
+    """Return the path of a traversal's boxes in a submission to an annotation protocol."""
     return f"detections/{traversal_id}.json"
 
 
 def make_manifest(
     plan: Plan, method: Method, appearance: Appearance, runtime: Runtime | None = None, seed: int | None = None
 ) -> SubmissionManifest:
-    """The manifest of a submission that answers a plan."""
-    return SubmissionManifest(**_answered(plan), method=method, appearance=appearance, runtime=runtime, seed=seed)
+    """Make the manifest of a submission for a plan."""
+    return SubmissionManifest(**_identify(plan), method=method, appearance=appearance, runtime=runtime, seed=seed)
 
 
 def write_manifest(folder: Path, manifest: SubmissionManifest) -> None:
@@ -62,39 +66,39 @@ def write_template(
     """Write a template.
 
     Args:
-        out: a new or an empty folder, or one in which the same template was begun.
-        plan: what is asked.
-        truth: gives the masks; no picture is read.
-        blind: say nothing of where the recorded pictures lie: for whoever does not have the dataset.
-        advance: told of each view.
+        out: a new or an empty folder, or the folder of an interrupted call with the same arguments.
+        plan: the requested views.
+        truth: source of the masks; no image is read.
+        blind: whether to leave out the addresses of the recorded images: for participants without the dataset.
+        advance: called with 1 after each view.
 
     Returns:
-        How many files are expected.
+        The number of expected files.
 
     Raises:
-        UsageError: the folder holds something else than a template of the same that was interrupted.
+        UsageError: the folder holds other files.
         DatasetError: a mask is missing, or the folder cannot be written.
     """
     start_render_folder(out, ("template", plan.hash, str(blind)), last=MANIFEST)
     expected = expected_files(plan)
     rows = []
     for view in plan.views:
-        rows.append(_row(out, view, truth, blind=blind, rendered=view.path in expected))
+        rows.append(_write_row(out, view, truth, blind=blind, rendered=view.path in expected))
         advance(1)
     protocol = plan.protocol
-    views = {"format": "mirror-views", "version": "1.0", **_answered(plan), "blind": blind, "views": rows}
+    views = {"format": "mirror-views", "version": "1.0", **_identify(plan), "blind": blind, "views": rows}
     write_bytes(out / VIEWS, (json.dumps(views, indent=1) + "\n").encode())
     readme = _README.format(protocol=protocol.name, split=plan.split, count=len(expected))
     write_bytes(out / README, readme.encode())
     blank = {"name": "", "version": "1", "authors": "", "url": "", "licence": "", "trained_on": ""}
     appearance = {"policy": "", "description": "", "held_out_pixels": []}
-    manifest = {"format": "mirror-submission", "version": "1.0", **_answered(plan)}
+    manifest = {"format": "mirror-submission", "version": "1.0", **_identify(plan)}
     write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
     finish_render_folder(out)
     return len(expected)
 
 
-def _answered(plan: Plan) -> dict[str, Any]:
+def _identify(plan: Plan) -> dict[str, Any]:
     return {
         "protocol": plan.protocol.name,
         "protocol_hash": plan.protocol.hash,
@@ -104,7 +108,7 @@ def _answered(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _row(out: Path, view: RenderView, truth: GroundTruth, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
+def _write_row(out: Path, view: RenderView, truth: GroundTruth, *, blind: bool, rendered: bool) -> Mapping[str, Any]:
     row: dict[str, Any] = view.model_dump(mode="json")
     if not rendered:
         del row["path"]

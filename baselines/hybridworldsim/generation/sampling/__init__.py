@@ -1,0 +1,1 @@
+"""Flow matching: noise levels, the losses of training, and the sampler."""

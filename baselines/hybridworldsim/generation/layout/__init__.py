@@ -1,0 +1,1 @@
+"""The layout of a frame as images: boxes of road users, and lines of a map."""

@@ -1,0 +1,61 @@
+"""The layout images of a frame: those of all its views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
+from hybridworldsim.generation.layout.boxes import BoxStyle, draw_boxes
+from hybridworldsim.generation.layout.map_lines import MapLine, draw_map
+from mirror.arrays import Float32, Float64
+
+
+def draw_layout(
+    boxes: ClipBoxes,
+    intrinsics: Float64,
+    ego_SE3_camera: Float64,
+    size_px: tuple[int, int],
+    style: BoxStyle,
+    *,
+    lines: Sequence[MapLine] | None = None,
+    ego_SE3_line: Float64 | None = None,
+) -> Float32:
+    """Draw the boxes of one frame into all views, and the lines of a map.
+
+    Args:
+        boxes: boxes of one frame.
+        intrinsics: (V, 3, 3), pixels.
+        ego_SE3_camera: (V, 4, 4).
+        size_px: height and width of the images.
+        style: what is drawn of a box.
+        lines: lines of the map; None: no channels for a map.
+        ego_SE3_line: (4, 4) pose of the frame of the lines; None: they are in the ego frame.
+
+    Returns:
+        (V, channels, height, width) from 0 to 1; the map's three channels are the last ones.
+
+    Raises:
+        UsageError: a box or a line is not finite.
+    """
+    views = []
+    for lens, mount in zip(intrinsics, ego_SE3_camera):
+        camera_SE3_ego = np.linalg.inv(mount)
+        image = draw_boxes(camera_SE3_ego @ boxes.ego_SE3_box, boxes.lwh_m, boxes.category, lens, size_px, style)
+        if lines is not None:
+            pose = np.eye(4) if ego_SE3_line is None else ego_SE3_line
+            of_map = draw_map(lines, pose, camera_SE3_ego, lens, size_px, style.width_px)
+            image = np.concatenate([image, of_map])
+        views.append(image)
+    return np.stack(views)
+
+
+def draw_clip_layout(clip: Clip, style: BoxStyle) -> Float32:
+    """The layout of all frames of a clip: (F, V, channels, height, width)."""
+    return np.stack(
+        [
+            draw_layout(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style)
+            for frame in range(len(clip))
+        ]
+    )

@@ -1,0 +1,1 @@
+"""Generated traffic over the synthetic street: conditioning, steps, edits and drift, as declared in advance."""

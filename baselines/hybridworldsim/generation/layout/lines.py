@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from mirror.arrays import Float32, Float64
+from mirror.arrays import Bool, Float32, Float64
 from mirror.errors import UsageError
 
 NEAR_M = 0.05
 """Distance of the plane at which lines are cut, along the camera's axis."""
 
 
-def clip_at_near(segments_m: Float64, near_m: float = NEAR_M) -> tuple[Float64, npt.NDArray[np.bool_]]:
+def clip_at_near(segments_m: Float64, near_m: float = NEAR_M) -> tuple[Float64, Bool]:
     """Cut segments at the near plane.
 
     Args:
@@ -29,7 +28,7 @@ def clip_at_near(segments_m: Float64, near_m: float = NEAR_M) -> tuple[Float64, 
         share = (near_m - z[:, 0]) / (z[:, 1] - z[:, 0])
         crossing = segments_m[:, 0] + share[:, None] * (segments_m[:, 1] - segments_m[:, 0])
     crossing[:, 2] = near_m
-    return np.where(in_front[..., None], segments_m, crossing[:, None]), in_front.any(axis=1)
+    return np.where(in_front[..., None], segments_m, crossing[:, None]), np.asarray(in_front.any(axis=1))
 
 
 def draw_lines(

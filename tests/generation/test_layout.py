@@ -118,7 +118,7 @@ def test_boxes_agree_with_the_reference(style: BoxStyle) -> None:
         np.testing.assert_allclose(drawn[3], reference_depth(poses, sizes, style.depth_m), atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 10_000))
 def test_depth_agrees_with_the_reference(seed: int) -> None:
     poses, sizes, _ = random_boxes(2, seed)

@@ -150,12 +150,11 @@ def test_saved_background_adapter_is_loaded(tmp_path: Path) -> None:
     ],
 )
 def test_other_checkpoints_are_refused(tmp_path: Path, change: object, message: str) -> None:
-    path = synthetic_checkpoint(tmp_path / "ctsd.pth")
-    state = torch.load(path, weights_only=True)
+    state = make_network(SHORT).state_dict()
     change(state)  # type: ignore[operator]
-    torch.save(state, path)
+    torch.save(state, tmp_path / "own.pth")
     with pytest.raises(WeightsUnavailableError, match=message):
-        load_transformer(path, SMALL)
+        load_transformer(tmp_path / "own.pth", SHORT)
 
 
 def test_checkpoint_of_another_generation_is_named(tmp_path: Path) -> None:

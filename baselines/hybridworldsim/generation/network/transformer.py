@@ -29,7 +29,7 @@ from hybridworldsim.generation.network.masks import cross_view_mask, temporal_ma
 from hybridworldsim.generation.network.mixing_block import KeysValues, Mixer, MixingBlock
 from mirror.errors import UsageError
 
-_CAMERA_CHANNELS = 256
+_NUMBER_CHANNELS = 256
 
 
 class Transformer(nn.Module):
@@ -59,8 +59,12 @@ class Transformer(nn.Module):
         )
         self.norm_out = Modulation(width, 2)
         self.proj_out = nn.Linear(width, config.patch**2 * config.latent_channels)
+        if config.reference_channels:
+            self.reference_embedder = NumberEmbedding(_NUMBER_CHANNELS, width, width)
+            nn.init.zeros_(self.reference_embedder.linear_2.weight)
+            nn.init.zeros_(self.reference_embedder.linear_2.bias)
         if config.camera == "implicit":
-            self.view_embedding = NumberEmbedding(CAMERA_NUMBERS * _CAMERA_CHANNELS, width, width)
+            self.view_embedding = NumberEmbedding(CAMERA_NUMBERS * _NUMBER_CHANNELS, width, width)
         elif config.camera == "explicit":
             self.rayencoder = RayEncoder(width, config.origin_octaves, config.direction_octaves)
         self.temporal_transformer_blocks, self.crossview_transformer_blocks = (
@@ -123,7 +127,13 @@ class Transformer(nn.Module):
         )
 
     def forward(
-        self, latents: Tensor, timestep: Tensor, prepared: PreparedConditions, cache: ReferenceCache | None = None
+        self,
+        latents: Tensor,
+        timestep: Tensor,
+        prepared: PreparedConditions,
+        cache: ReferenceCache | None = None,
+        *,
+        reference_timestep: Tensor | None = None,
     ) -> Tensor:
         """The velocity, noise minus clean latents, of each frame.
 
@@ -132,6 +142,7 @@ class Transformer(nn.Module):
             timestep: (B, T, V) noise level of each frame, from 0 (clean) to 1000 (noise only).
             prepared: the conditions of these frames.
             cache: reference frames before these ones, for a causal network.
+            reference_timestep: (B, T, V) noise level of the references in further channels; None: they are clean.
 
         Returns:
             (B, T, V, latent_channels, H, W).
@@ -139,7 +150,7 @@ class Transformer(nn.Module):
         Raises:
             UsageError: shapes do not fit, or a cache is given to a network that is not causal.
         """
-        tokens, condition = self._run(latents, timestep, prepared, cache, None)
+        tokens, condition = self._run(latents, timestep, prepared, cache, None, reference_timestep)
         config, (rows, columns) = self.config, self._grid(latents)
         scale, shift = self.norm_out(condition)
         patches = self.proj_out(normalise(tokens) * (1 + scale) + shift)
@@ -172,6 +183,7 @@ class Transformer(nn.Module):
         prepared: PreparedConditions,
         cache: ReferenceCache | None,
         collected: list[KeysValues] | None,
+        reference_timestep: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Tokens (B * T * V, L, width) behind the last block, and the modulation (B * T * V, width)."""
         config = self.config
@@ -186,6 +198,9 @@ class Transformer(nn.Module):
         grid = self._grid(latents)
         image = self.pos_embed(latents.flatten(0, 2))
         text, condition = prepared.text, self.time_text_embed(timestep.flatten(), prepared.pooled)
+        if config.reference_channels and reference_timestep is not None:
+            encoded = encode_number(reference_timestep.flatten(), _NUMBER_CHANNELS)
+            condition = condition + self.reference_embedder(encoded.to(condition.dtype))
         for layer, block in enumerate(self.transformer_blocks):
             if layer < len(prepared.features):
                 image = image + prepared.features[layer]
@@ -280,7 +295,7 @@ class Transformer(nn.Module):
         if config.camera == "implicit":
             rate = conditions.rate_hz[:, None].expand(batch, frames * views).flatten()
             numbers = camera_numbers(rate, intrinsics, camera_to_ego, columns / rows)
-            encoded = encode_number(numbers.flatten(), _CAMERA_CHANNELS).view(len(numbers), -1)
+            encoded = encode_number(numbers.flatten(), _NUMBER_CHANNELS).view(len(numbers), -1)
             return self.view_embedding(encoded.to(conditions.pooled.dtype))[:, None]
         if config.camera == "explicit":
             to_first = conditions.ego_to_first[:, :, None].expand(-1, -1, views, -1, -1).flatten(0, 2)

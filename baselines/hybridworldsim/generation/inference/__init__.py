@@ -1,0 +1,1 @@
+"""Inference: one frame from its references, and rollouts frame by frame."""

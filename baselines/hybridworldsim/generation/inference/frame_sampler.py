@@ -1,0 +1,128 @@
+"""Samples one frame: references once, then the steps of the sampler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.generation.network.conditions import Conditions, PreparedConditions, ReferenceCache
+from hybridworldsim.generation.network.transformer import Transformer
+from hybridworldsim.generation.sampling.flow import TIMESTEPS, add_noise, noise_levels
+from hybridworldsim.generation.sampling.sampler import Velocity, guide, sample
+from mirror.errors import UsageError
+
+
+@dataclass(frozen=True)
+class SamplerSettings:
+    """How a frame is sampled.
+
+    Attributes:
+        steps: number of steps.
+        shift: shift of the noise levels; see `noise_levels`.
+        guidance: scale of classifier-free guidance; 1: none.
+        context_noise: noise level of the references, which hides errors that add up over a rollout; the network is told
+            the level. 0: the references are used as they are.
+        cache: whether a causal network encodes the references once for all steps.
+    """
+
+    steps: int = 4
+    shift: float = 1.0
+    guidance: float = 1.0
+    context_noise: float = 0.0
+    cache: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.context_noise < 1.0:
+            raise UsageError(f"context_noise {self.context_noise}", expected="from 0 to below 1")
+        noise_levels(self.steps, self.shift)
+
+
+def target_velocity(
+    network: Transformer,
+    references: Tensor,
+    prepared: PreparedConditions,
+    *,
+    reference_level: float = 0.0,
+    cache: bool = True,
+) -> Velocity:
+    """The velocity of a target frame, given its references.
+
+    Args:
+        network: the network.
+        references: (B, T, V, C, H, W) latents, at the noise level ``reference_level``.
+        prepared: conditions of the window, from `join_conditions`.
+        reference_level: noise level of the references.
+        cache: whether a causal network encodes the references once.
+
+    Returns:
+        From latents (B, 1, V, C, H, W) and their noise level to the velocity.
+    """
+    batch, count, views = references.shape[:3]
+    reference_steps = torch.full((batch, count, views), TIMESTEPS * reference_level).to(references)
+    in_channels = bool(network.config.reference_channels)
+    held: ReferenceCache | None = None
+    if network.config.causal and cache and not in_channels:
+        held = network.encode_references(references, reference_steps, prepared.frames(slice(0, count)))
+        prepared = prepared.frames(slice(count, count + 1))
+
+    def velocity(latents: Tensor, level: float) -> Tensor:
+        steps = torch.full((batch, 1, views), TIMESTEPS * level).to(latents)
+        if in_channels:
+            stacked = torch.cat([latents, references.transpose(1, 2).flatten(2, 3)[:, None]], dim=3)
+            return network(stacked, steps, prepared, reference_timestep=reference_steps[:, :1])
+        if held is not None:
+            return network(latents, steps, prepared, held)
+        window = torch.cat([references, latents], dim=1)
+        return network(window, torch.cat([reference_steps, steps], dim=1), prepared)[:, count:]
+
+    return velocity
+
+
+def sample_frame(
+    network: Transformer,
+    references: Tensor,
+    conditions: Conditions,
+    noise: Tensor,
+    settings: SamplerSettings,
+    *,
+    features: list[Tensor] | None = None,
+    context_noise: Tensor | None = None,
+    unconditional: Conditions | None = None,
+) -> Tensor:
+    """Sample the latents of one frame.
+
+    Args:
+        network: the network.
+        references: (B, T, V, C, H, W) clean latents.
+        conditions: of the window, from `join_conditions`.
+        noise: (B, 1, V, C, H, W) standard normal numbers.
+        settings: see `SamplerSettings`.
+        features: the adapters' features of the window; None: they are computed.
+        context_noise: (B, T, V, C, H, W) standard normal numbers, for `SamplerSettings.context_noise`.
+        unconditional: conditions without layout and text, for guidance.
+
+    Returns:
+        (B, 1, V, C, H, W).
+
+    Raises:
+        UsageError: guidance without `unconditional`, or a context noise level without its noise.
+    """
+    level = settings.context_noise
+    if level > 0.0:
+        if context_noise is None:
+            raise UsageError("a level of context noise without noise", expected="context_noise")
+        share = torch.full(references.shape[:3], level).to(references)
+        references = add_noise(references, context_noise.to(references), share)
+    velocity = target_velocity(
+        network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache
+    )
+    if settings.guidance != 1.0:
+        if unconditional is None:
+            raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")
+        without = target_velocity(
+            network, references, network.prepare(unconditional), reference_level=level, cache=settings.cache
+        )
+        velocity = guide(velocity, without, settings.guidance)
+    return sample(velocity, noise, noise_levels(settings.steps, settings.shift))

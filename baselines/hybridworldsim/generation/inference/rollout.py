@@ -1,0 +1,104 @@
+"""Rollouts: each frame is generated from the T frames before it, which are seeds at first and then its own output."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
+from hybridworldsim.generation.inference.windows import join_conditions, join_features
+from hybridworldsim.generation.network.conditions import Conditions
+from hybridworldsim.generation.network.transformer import Transformer
+from hybridworldsim.generation.sampling.sampler import draw_noise
+from mirror.errors import UsageError
+
+_CONTEXT = 1
+
+
+class Rollout:
+    """One rollout of B sequences. Seeds are not output.
+
+    Args:
+        network: the network.
+        seeds: (B, T, V, C, H, W) latents of the seeds.
+        seed_conditions: conditions of each seed, one frame each; `ego_to_first` is in a frame that all frames share.
+        settings: how a frame is sampled.
+        seed: seed of the noise; the noise of a frame depends on it and on the number of the frame only.
+        first: number of the first generated frame.
+
+    Attributes:
+        frame: number of the next frame.
+    """
+
+    def __init__(
+        self,
+        network: Transformer,
+        seeds: Tensor,
+        seed_conditions: Sequence[Conditions],
+        settings: SamplerSettings,
+        *,
+        seed: int = 0,
+        first: int = 0,
+    ) -> None:
+        if seeds.shape[1] != len(seed_conditions) or not seed_conditions:
+            raise UsageError(
+                f"{seeds.shape[1]} seeds with conditions of {len(seed_conditions)} frames",
+                expected="as many, at least one",
+            )
+        for conditions in seed_conditions:
+            conditions.require_finite()
+        self._network, self._settings, self._seed = network, settings, seed
+        self.frame = first
+        count = len(seed_conditions)
+        self._latents: deque[Tensor] = deque(seeds.split(1, dim=1), maxlen=count)
+        self._conditions: deque[Conditions] = deque(seed_conditions, maxlen=count)
+        # Features of a frame do not depend on its place in the window; as channels, they belong to the whole window.
+        self._keeps_features = not network.config.reference_channels
+        features = [network.encode_images(one) for one in seed_conditions] if self._keeps_features else []
+        self._features: deque[list[Tensor]] = deque(features, maxlen=count)
+
+    @torch.no_grad()
+    def step(self, conditions: Conditions, unconditional: Conditions | None = None) -> Tensor:
+        """Generate the next frame.
+
+        Args:
+            conditions: of the frame, as those of the seeds.
+            unconditional: the same without layout and text, for guidance.
+
+        Returns:
+            (B, 1, V, C, H, W) latents.
+
+        Raises:
+            UsageError: conditions are not finite or do not fit the seeds.
+        """
+        conditions.require_finite()
+        references = torch.cat(list(self._latents), dim=1)
+        batch, views = references.shape[0], references.shape[2]
+        if conditions.shape != (batch, 1, views):
+            raise UsageError(f"conditions of {conditions.shape}", expected=f"{(batch, 1, views)}, as the seeds")
+        window = join_conditions(self._network.config, [*self._conditions, conditions])
+        features: list[Tensor] | None = None
+        if self._keeps_features:
+            own = self._network.encode_images(conditions)
+            features = join_features([*self._features, own], (batch, views))
+        shape = (batch, 1, *references.shape[2:])
+        noise = draw_noise(shape, (self._seed, self.frame), device=references.device).to(references.dtype)
+        context_noise = None
+        if self._settings.context_noise > 0.0:
+            context_noise = draw_noise(references.shape, (self._seed, self.frame, _CONTEXT), device=references.device)
+        without = None
+        if unconditional is not None:
+            without = join_conditions(self._network.config, [*self._conditions, unconditional])
+        latents = sample_frame(
+            self._network, references, window, noise, self._settings,
+            features=features, context_noise=context_noise, unconditional=without,
+        )  # fmt: skip
+        self._latents.append(latents)
+        self._conditions.append(conditions)
+        if self._keeps_features:
+            self._features.append(own)
+        self.frame += 1
+        return latents

@@ -1,0 +1,146 @@
+"""Rollouts: windows, seeds, references as frames and as channels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
+from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.windows import join_conditions, seed_frames
+from hybridworldsim.generation.network.conditions import Conditions
+from hybridworldsim.generation.network.configuration import AdapterConfig
+from hybridworldsim.generation.sampling.sampler import draw_noise
+from mirror.errors import UsageError
+from tests.generation.builders import SHORT, make_conditions, make_network
+
+T = 3
+AS_CHANNELS = replace(
+    SHORT, latent_channels=4, reference_channels=4 * T, temporal_layers=(), causal=False, camera="explicit",
+    layout=AdapterConfig(2 * (T + 1), 8, scales=(1, 1)),
+)  # fmt: skip
+AS_FRAMES = replace(SHORT, latent_channels=4, camera="explicit", layout=AdapterConfig(2, 8, scales=(1, 1)))
+CONFIGS = {"channels": AS_CHANNELS, "frames": AS_FRAMES}
+
+
+def single_frames(count: int, seed: int = 1) -> list[Conditions]:
+    """Conditions of single frames; layouts have two channels."""
+    config = replace(AS_FRAMES)
+    return [make_conditions(config, frames=1, views=2, seed=seed + place) for place in range(count)]
+
+
+def seeds() -> Tensor:
+    return torch.randn((1, T, 2, 4, 4, 6), dtype=torch.float64, generator=torch.Generator().manual_seed(9))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_each_frame_is_generated_from_the_frames_before_it(name: str) -> None:
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 4)
+    settings = SamplerSettings(steps=2)
+    rollout = Rollout(network, seeds(), frames[:T], settings, seed=5, first=10)
+    generated = [rollout.step(conditions) for conditions in frames[T:]]
+    history = torch.cat([seeds(), *generated], dim=1)
+    for place, latents in enumerate(generated):
+        # The same frame on its own, with all features and without cached keys.
+        window = join_conditions(network.config, frames[place : place + T + 1])
+        noise = draw_noise(latents.shape, (5, 10 + place)).double()
+        alone = sample_frame(network, history[:, place : place + T], window, noise, replace(settings, cache=False))
+        torch.testing.assert_close(latents, alone, rtol=1e-9, atol=1e-9)
+    assert rollout.frame == 14
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_reference_and_every_layout_counts(name: str) -> None:
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 1)
+    settings, noise = SamplerSettings(steps=1), draw_noise((1, 1, 2, 4, 4, 6), (0,)).double()
+
+    def run(references: Tensor, of: list[Conditions]) -> Tensor:
+        return sample_frame(network, references, join_conditions(network.config, of), noise, settings)
+
+    base = run(seeds(), frames)
+    for place in range(T):
+        other = seeds()
+        other[:, place] += 1.0
+        assert not torch.allclose(run(other, frames), base)
+    for place in range(T + 1):
+        layout = frames[place].layout
+        assert layout is not None
+        changed = [*frames]
+        changed[place] = replace(frames[place], layout=layout + 1.0)
+        assert not torch.allclose(run(seeds(), changed), base)
+
+
+def test_a_bidirectional_network_rolls_out_without_a_cache() -> None:
+    network, frames = make_network(replace(AS_FRAMES, causal=False)), single_frames(T + 2)
+    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
+    assert all(bool(rollout.step(conditions).isfinite().all()) for conditions in frames[T:])
+
+
+def test_poses_of_a_window_are_relative_to_its_first_frame() -> None:
+    frames = single_frames(4)
+    joined = join_conditions(AS_FRAMES, frames)
+    torch.testing.assert_close(joined.ego_to_first[0, 0], torch.eye(4, dtype=torch.float64))
+    expected = torch.linalg.inv(frames[0].ego_to_first) @ frames[3].ego_to_first
+    torch.testing.assert_close(joined.ego_to_first[:, 3:], expected)
+    # The same motion of all frames changes nothing.
+    moved = [replace(one, ego_to_first=frames[2].ego_to_first @ one.ego_to_first) for one in frames]
+    torch.testing.assert_close(join_conditions(AS_FRAMES, moved).ego_to_first, joined.ego_to_first)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_context_noise_changes_the_frame_and_is_told_to_the_network(name: str) -> None:
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 1)
+    window = join_conditions(network.config, frames)
+    noise, context = draw_noise((1, 1, 2, 4, 4, 6), (0,)).double(), draw_noise((1, T, 2, 4, 4, 6), (1,))
+    settings = SamplerSettings(steps=1)
+    plain = sample_frame(network, seeds(), window, noise, settings)
+    noisy = sample_frame(network, seeds(), window, noise, replace(settings, context_noise=0.3), context_noise=context)
+    by_hand = sample_frame(network, 0.7 * seeds() + 0.3 * context, window, noise, settings)
+    assert not torch.allclose(noisy, plain)
+    assert not torch.allclose(noisy, by_hand), "the level has no effect"
+
+
+def test_guidance_of_one_is_no_guidance() -> None:
+    network, frames = make_network(AS_CHANNELS), single_frames(T + 1)
+    window = join_conditions(network.config, frames)
+    noise = draw_noise((1, 1, 2, 4, 4, 6), (0,)).double()
+    without = replace(window, layout=torch.zeros_like(window.layout))
+    plain = sample_frame(network, seeds(), window, noise, SamplerSettings(steps=2))
+    empty = sample_frame(network, seeds(), without, noise, SamplerSettings(steps=2))
+    for scale, expected in ((1.0, plain), (0.0, empty)):
+        settings = SamplerSettings(steps=2, guidance=scale)
+        guided = sample_frame(network, seeds(), window, noise, settings, unconditional=without)
+        torch.testing.assert_close(guided, expected, rtol=1e-9, atol=1e-9)
+    with pytest.raises(UsageError, match="guidance 2"):
+        sample_frame(network, seeds(), window, noise, SamplerSettings(guidance=2.0))
+
+
+def test_seeds_are_the_frames_before_the_window() -> None:
+    assert list(seed_frames(5)) == [0, 1, 2, 3, 4]
+    assert list(seed_frames(30)) == [25, 26, 27, 28, 29]
+    with pytest.raises(UsageError, match="frame 4 has 4 frames before it"):
+        seed_frames(4)
+
+
+def test_conditions_that_do_not_fit_are_refused() -> None:
+    network, frames = make_network(AS_FRAMES), single_frames(T + 1)
+    with pytest.raises(UsageError, match="3 seeds with conditions of 2 frames"):
+        Rollout(network, seeds(), frames[:2], SamplerSettings())
+    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings())
+    with pytest.raises(UsageError, match="camera_to_ego"):
+        rollout.step(replace(frames[T], camera_to_ego=frames[T].camera_to_ego * torch.nan))
+    with pytest.raises(UsageError, match="as the seeds"):
+        rollout.step(make_conditions(AS_FRAMES, frames=1, views=3))
+    with pytest.raises(UsageError, match="context_noise"):
+        SamplerSettings(context_noise=1.0)
+    with pytest.raises(UsageError, match="0 steps"):
+        SamplerSettings(steps=0)
+
+
+def test_some_frames_without_background_are_refused() -> None:
+    frames = single_frames(2)
+    with pytest.raises(UsageError, match="no background"):
+        join_conditions(AS_FRAMES, [replace(frames[0], background=None), frames[1]])

@@ -84,6 +84,9 @@ PLACES = (
     "tests/examples",
     "tests/mvs_networks",
     "tests/rasterizer",
+    "leaderboard",
+    "tests/leaderboard",
+    "mirror/evaluation",
 )
 """Where no retired word stands any more. A folder is added here when its words are swept."""
 _FLOORS = "baselines/mirror_baselines"
@@ -120,7 +123,7 @@ ALLOWED = (
     ("benchmarks/studies/static_reconstruction/truth/lighting.py", "pictures"),
     ("benchmarks/studies/static_reconstruction/truth/tables.py", "pictures"),
     ("docs/reconstruction.md", "pictures"),  # a folder of a run
-    ("tests/baselines/test_board.py", "pictures"),  # a folder of a board
+    ("leaderboard/mirror_leaderboard/entry.py", "pictures"),  # a folder of a board
     ("tests/real/test_reconstruction.py", "pictures"),  # a key of mirror reconstruct --json
     ("tests/static_reconstruction/test_records.py", "pictures"),  # a key of published records
     ("tests/static_reconstruction/test_tables.py", "pictures"),

@@ -1,4 +1,4 @@
-"""The leaderboard: one JSON an entry, and a static site built of them (docs/leaderboard.md)."""
+"""The leaderboard: one JSON file for each entry, and a static site built from the entries (docs/leaderboard.md)."""
 
 from __future__ import annotations
 

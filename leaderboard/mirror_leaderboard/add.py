@@ -1,4 +1,4 @@
-"""From a ``result.json`` to an entry: held against its own hashes, the protocol, and what is possible at all."""
+"""Makes an entry from a ``result.json``, after checks of its hashes, its protocol and its values."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
 
-_MOST_BYTES: Final = 64 << 20
+_MAX_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
-_NOTE_LETTERS: Final = 400
-_LEFT_OUT: Final = re.compile(r"psnr_pooled|ap_.+")
-"""Figures beside the protocol's, which stand in the result alone."""
+_MAX_NOTE_CHARACTERS: Final = 400
+_NOT_SHOWN: Final = re.compile(r"psnr_pooled|ap_.+")
+"""Additional figures of a result that are not metrics of its protocol."""
 
 _RUNTIME_GROUPS: Final = ("reported", "measured")
 
 
 def add_result(
-    path: Path, board: Path, dataset: str, *, setting: str | None = None, shown: ImageSources | None = None
+    path: Path, board: Path, dataset: str, *, setting: str | None = None, images: ImageSources | None = None
 ) -> Path:
     """Validate a result and write its entry.
 
     Args:
-        path: ``result.json``.
-        board: folder that holds ``entries`` and ``pictures``; made if it is not there.
-        dataset: what the data set is called on the board.
-        setting: what tells this row from others of the same method and version.
-        shown: where renders and their truth are, to show some of them.
+        path: path of ``result.json``.
+        board: folder of the board, with its entries and images; created if it does not exist.
+        dataset: name of the dataset on the board.
+        setting: setting that distinguishes this row from others of the same method and version.
+        images: submission and dataset, to show a few renders beside their truth; None: show none.
 
     Returns:
         The new entry's file.
 
     Raises:
-        UsageError: ``board`` is a folder of something else.
-        RefusedError: the result does not hold, or stands on the board already; what is wrong is named.
+        UsageError: ``board`` is another kind of folder.
+        RefusedError: the result is inconsistent, or is on the board already.
         DatasetError: the file cannot be read, or the entry cannot be written.
-        SchemaError: an entry that is there already is broken.
+        SchemaError: an existing entry is broken.
     """
     require_output_folder(board, FolderKind.BOARD, place="--board")
     result = read_result(path)
@@ -61,12 +61,12 @@ def add_result(
         if isinstance(other, Measured):
             _require_new(entry, other, path)
     try:
-        # First: an interrupted run leaves a board.
+        # Before the images: an interrupted run leaves a folder that is recognised as a board.
         (board / "entries").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable_error(board / "entries", error) from error
-    if shown is not None:
-        pairs = copy_pairs(result, shown.submission, shown.truth, board / IMAGE_FOLDER)
+    if images is not None:
+        pairs = copy_pairs(result, images, board / IMAGE_FOLDER)
         entry = entry.model_copy(update={"pairs": pairs}).sealed()
     out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
     write_json(out, entry)
@@ -74,19 +74,19 @@ def add_result(
 
 
 def read_result(path: Path) -> Result:
-    """A result, held against its own hashes.
+    """Read a result and verify its hashes.
 
     Raises:
-        DatasetError: it cannot be read.
-        RefusedError: it is no result, or its parts do not fit each other.
-        UntrustedError: it is too large, or no JSON.
+        DatasetError: the file cannot be read.
+        RefusedError: the document is not a result, or its parts contradict each other.
+        UntrustedError: the file is too large, or is not JSON.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise DatasetError(f"cannot be read: {error.strerror}", file=path, expected="a result.json") from error
-    raw = parse_untrusted(data, str(path), _MOST_BYTES)
+    raw = parse_untrusted(data, str(path), _MAX_BYTES)
     try:
         result = Result.model_validate(raw)
     except ValidationError as error:
@@ -97,15 +97,15 @@ def read_result(path: Path) -> Result:
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected="a result.json of `mirror evaluate`",
         ) from error
-    _require_whole(result, path)
+    _require_consistent(result, path)
     return result
 
 
 def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None = None) -> Measured:
-    """The entry of a result.
+    """Make the entry of a result.
 
     Raises:
-        RefusedError: the protocol is not the board's, or a figure is unknown or impossible.
+        RefusedError: the protocol is unknown or has another version, or a figure is unknown or impossible.
     """
     _require_protocol(result, file)
     method, runtime = result.submission.method, result.submission.runtime
@@ -113,50 +113,50 @@ def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None 
         entry = Measured(
             method=method.name,
             version=method.version,
-            link=_link(method.url),
+            link=_valid_link(method.url),
             protocol=result.protocol.name,
             protocol_version=result.protocol.version,
             protocol_hash=result.protocol_hash,
             dataset=dataset,
             dataset_hash=result.dataset.dataset_hash,
             split=result.dataset.split,
-            options=_options(result),
+            options=_list_options(result),
             setting=setting,
             result_hash=result.hash,
             toolkit=result.versions.get("mirror", __version__),
             frames_per_second=None if runtime is None else runtime.frames_per_second,
             device=None if runtime is None else runtime.device,
-            figures=tuple(_figures(result, file)),
-            notes=tuple(_plain(note) for note in result.warnings),
+            figures=tuple(_make_figures(result, file)),
+            notes=tuple(_to_plain_line(note) for note in result.warnings),
         )
     except ValidationError as error:
         first = error.errors()[0]
         raise RefusedError(
-            str(first["msg"]), file=file, place=".".join(map(str, first["loc"])), expected="what an entry can hold"
+            str(first["msg"]), file=file, place=".".join(map(str, first["loc"])), expected="a valid entry"
         ) from error
     if all(figure.value is None for figure in entry.figures):
         raise RefusedError("has no figure with a value", file=file, place="figures", expected="a scored submission")
     return entry.sealed()
 
 
-def _require_whole(result: Result, file: Path) -> None:
-    """What a result says twice must be the same twice."""
+def _require_consistent(result: Result, file: Path) -> None:
+    """Compare the values that a result states twice."""
     submission = result.submission
-    twice = {
-        "protocol_hash": (result.protocol_hash, result.protocol.hash, "the hash of the protocol in it"),
-        "submission.protocol": (submission.protocol, result.protocol.name, "the protocol in it"),
+    pairs = {
+        "protocol_hash": (result.protocol_hash, result.protocol.hash, "the hash of the result's protocol"),
+        "submission.protocol": (submission.protocol, result.protocol.name, "the result's protocol"),
         "submission.protocol_hash": (submission.protocol_hash, result.protocol_hash, "the result's"),
         "submission.dataset_hash": (submission.dataset_hash, result.dataset.dataset_hash, "the result's"),
         "submission.plan_hash": (submission.plan_hash, result.dataset.plan_hash, "the result's"),
         "submission.split": (submission.split, result.dataset.split, "the result's"),
     }
-    for place, (said, meant, whose) in twice.items():
-        if said != meant:
+    for place, (stated, expected, source) in pairs.items():
+        if stated != expected:
             raise RefusedError(
-                f"{said!r} is not {whose}: the result was put together or changed by hand",
+                f"{stated!r} is not {source}: the result was put together or changed by hand",
                 file=file,
                 place=place,
-                expected=meant,
+                expected=expected,
                 remedy="evaluate the submission again: mirror evaluate",
             )
 
@@ -167,27 +167,27 @@ def _require_protocol(result: Result, file: Path) -> None:
         raise RefusedError(
             f"unknown protocol {name!r}", file=file, place="protocol.name", expected=f"one of {', '.join(known)}"
         )
-    ours = load_protocol(name)
-    if ours.hash != result.protocol_hash:
+    current = load_protocol(name)
+    if current.hash != result.protocol_hash:
         raise RefusedError(
-            f"protocol {name} version {result.protocol.version} is not the board's version {ours.version}",
+            f"protocol {name} version {result.protocol.version} is not the board's version {current.version}",
             file=file,
             place="protocol_hash",
-            expected=ours.hash,
+            expected=current.hash,
             remedy="evaluate the submission again with this version of the toolkit",
         )
 
 
-def _figures(result: Result, file: Path) -> Iterator[Figure]:
-    groups = _groups(result)
+def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
+    groups = _list_groups(result)
     for number, figure in enumerate(result.figures):
-        if figure.level != "group" or _LEFT_OUT.fullmatch(figure.metric):
+        if figure.level != "group" or _NOT_SHOWN.fullmatch(figure.metric):
             continue
         place = f"figures.{number}"
         if figure.group not in (*groups, ALL):
             raise RefusedError(f"the protocol has no group {figure.group!r}", file=file, place=place)
         if figure.metric in MEASURES and figure.better != MEASURES[figure.metric].better:
-            raise RefusedError(f"{figure.metric} is better {figure.better}, it says", file=file, place=place)
+            raise RefusedError(f"{figure.metric} is stated to be better {figure.better}", file=file, place=place)
         try:
             yield Figure(
                 group=figure.group,
@@ -198,31 +198,31 @@ def _figures(result: Result, file: Path) -> Iterator[Figure]:
                 n=figure.n,
                 n_missing=figure.n_missing,
                 n_infinite=figure.n_inf,
-                note=_plain("; ".join(_remarks(figure))) or None,
+                note=_to_plain_line("; ".join(_list_remarks(figure))) or None,
             )
         except ValidationError as error:
             raise RefusedError(str(error.errors()[0]["msg"]), file=file, place=place) from error
     for metric, reason in result.unavailable.items():
-        note = _plain(f"unavailable: {reason.partition('; ')[0]}")
+        note = _to_plain_line(f"unavailable: {reason.partition('; ')[0]}")
         for group in groups[: 1 if result.protocol.task == "runtime" else None]:
             yield Figure(group=group, metric=metric, value=None, note=note)
 
 
-def _remarks(figure: Scored) -> Iterator[str]:
-    """Why a figure has no value or no interval, and what else its reader must know."""
+def _list_remarks(figure: Scored) -> Iterator[str]:
+    """List the note of a figure, and the reasons why it has no value or no interval."""
     if figure.reason or figure.note:
         yield figure.reason or figure.note or ""
     if figure.value is not None and figure.low is None and figure.interval_reason:
         yield f"no interval: {figure.interval_reason}"
 
 
-def _options(result: Result) -> dict[str, str]:
+def _list_options(result: Result) -> dict[str, str]:
     hidden = result.dataset.hidden_truth
     return {**result.options, **({} if hidden is None else {"hidden truth": hidden[:12]})}
 
 
-def _groups(result: Result) -> tuple[str, ...]:
-    """Groups that can have figures."""
+def _list_groups(result: Result) -> tuple[str, ...]:
+    """List the groups that can have figures."""
     if result.protocol.task == "runtime":
         return _RUNTIME_GROUPS
     return tuple(group.name for group in result.protocol.groups if not group.without_vehicles)
@@ -231,27 +231,27 @@ def _groups(result: Result) -> tuple[str, ...]:
 def _require_new(entry: Measured, other: Measured, file: Path) -> None:
     if other.result_hash == entry.result_hash:
         raise RefusedError(
-            f"result {entry.result_hash[:12]} of {entry.method} stands on the board already", file=file, place="figures"
+            f"result {entry.result_hash[:12]} of {entry.method} is on the board already", file=file, place="figures"
         )
     if entry_key(other) == entry_key(entry):
         raise RefusedError(
-            f"{entry.method} {entry.version} stands on the board already, for this protocol, data set and split",
+            f"{entry.method} {entry.version} is on the board already, for this protocol, dataset and split",
             file=file,
             place="submission.method",
-            remedy="give another version in the manifest, tell it apart with --setting, or remove the old entry",
+            remedy="give another version in the manifest, distinguish it with --setting, or remove the old entry",
         )
 
 
-def _link(url: str) -> str | None:
+def _valid_link(url: str) -> str | None:
     try:
         return _LINK.validate_python(url)
     except ValidationError:
         return None
 
 
-def _plain(text: str) -> str:
-    """One line, no control characters, not too long."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:_NOTE_LETTERS]
+def _to_plain_line(text: str) -> str:
+    """Return the text as one line without control characters, cut to the length limit of a note."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:_MAX_NOTE_CHARACTERS]
 
 
 def _slug(text: str) -> str:

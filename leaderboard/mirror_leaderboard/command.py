@@ -15,9 +15,9 @@ from mirror.errors import ExitCode, UsageError
 from mirror_leaderboard.refused import RefusedError
 
 PAPERS: Final = Path(__file__).parent / "papers"
-"""The board of what papers report."""
+"""The board of figures that papers report."""
 BOARD: Final = Path("leaderboard")
-"""Holds ``entries`` and ``pictures``."""
+"""The default board."""
 
 _BUILD_EXAMPLES = (
     "mirror leaderboard build --board demo/board --out site",
@@ -38,7 +38,7 @@ class Build:
     out: Path = Path("site")
     """Folder for the site."""
     board: Annotated[Path | None, help_text(default="./leaderboard if it is a board", metavar="FOLDER")] = None
-    """Board to show beside the figures of papers: a folder with `entries` and `pictures`."""
+    """Board to show beside the figures of papers: a folder that `mirror leaderboard add` wrote."""
     also: Annotated[tuple[Path, ...], help_text(default="none", metavar="FOLDER")] = ()
     """More boards. An entry replaces the same entry of a board before it."""
 
@@ -58,7 +58,7 @@ class Add:
     submission: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Show some renders of this submission beside the truth. Requires DATASET."""
     board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
-    """Board: a folder with `entries` and `pictures`, created if it does not exist."""
+    """Folder of the board, created if it does not exist."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -91,11 +91,11 @@ def _add(argv: Sequence[str]) -> int:
 
     if (arguments.submission is None) != (arguments.dataset is None):
         raise UsageError("--submission and DATASET require each other", expected="both, or neither")
-    shown = None
+    images = None
     if arguments.submission is not None and arguments.dataset is not None:
-        shown = ImageSources(arguments.submission, arguments.dataset)
+        images = ImageSources(arguments.submission, arguments.dataset)
     entry = add_result(
-        arguments.result, arguments.board, arguments.dataset_name, setting=arguments.setting, shown=shown
+        arguments.result, arguments.board, arguments.dataset_name, setting=arguments.setting, images=images
     )
     print(f"entry: {entry}")
     return ExitCode.DONE

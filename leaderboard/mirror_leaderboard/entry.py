@@ -1,4 +1,4 @@
-"""Entries: what stands on the board, one JSON each."""
+"""Entries of the leaderboard, one JSON file each."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from mirror.schema.files import read_json, sha256_bytes
 from mirror_leaderboard.measures import MEASURES
 
 ALL: Final = "all"
-"""The group of figures that are of all groups together, or of no group that a protocol has."""
+"""The group of figures over all groups of a protocol, or of figures that belong to none of its groups."""
 
 IMAGE_FOLDER: Final = "pictures"
-"""Folder of pictures, beside that of the entries and in the site."""
+"""Folder of images, in a board beside its folder of entries, and in the site."""
 
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f<>]+$")]
@@ -32,15 +32,15 @@ class Figure(Document):
     """One figure of one group of renders.
 
     Attributes:
-        group: of the protocol; ``all``: of everything.
-        metric: what, of `MEASURES`.
-        value: in the measure's own unit; None: there is none, and ``note`` says why.
-        low: of the confidence interval.
-        high: of the confidence interval.
-        n: how many pictures, clips or boxes it is of.
-        n_missing: of those, how many have no value, such as pictures without a pixel that is scored.
-        n_infinite: pictures that equal the truth: their PSNR is infinite, and they are not in ``value``.
-        note: what else is to be said.
+        group: group of the protocol; ``all``: all groups together.
+        metric: key of `MEASURES`.
+        value: the value; None if there is none, with the reason in ``note``.
+        low: lower end of the confidence interval.
+        high: upper end of the confidence interval.
+        n: number of images, clips or boxes.
+        n_missing: number of these without a value, such as images without scored pixels.
+        n_infinite: number of images that equal the truth: their PSNR is infinite and is not part of ``value``.
+        note: remark on the figure.
     """
 
     group: Name
@@ -57,29 +57,29 @@ class Figure(Document):
     def _possible(self) -> Figure:
         measure = MEASURES.get(self.metric)
         if measure is None:
-            raise ValueError(f"metric {self.metric!r} is not known to the board")
+            raise ValueError(f"metric {self.metric!r} is unknown")
         if self.value is None:
             if not self.note:
-                raise ValueError(f"{self.metric} of {self.group} has no value and no note that says why")
+                raise ValueError(f"{self.metric} of {self.group} has no value and no note with the reason")
             return self
         if not measure.low <= self.value <= measure.high:
             raise ValueError(f"{self.metric} {self.value:g} lies outside {measure.low:g} to {measure.high:g}")
         if (self.low is None) != (self.high is None):
-            raise ValueError(f"{self.metric} of {self.group} has half a confidence interval")
+            raise ValueError(f"{self.metric} of {self.group} has only one end of a confidence interval")
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ValueError(f"the interval of {self.metric} of {self.group} ends before it begins")
         return self
 
 
 class Paper(Document):
-    """Where a reported figure stands.
+    """The place of a reported figure in a paper.
 
     Attributes:
-        title: of the paper.
-        table: its number as LaTeX counts.
-        label: of the table in the paper's source.
-        row: what the paper calls the method.
-        about: what the figures are of, in the table's own words.
+        title: title of the paper.
+        table: number of the table.
+        label: label of the table in the paper's LaTeX source.
+        row: name of the method in the table.
+        about: description of the figures, in the words of the table.
     """
 
     title: str
@@ -90,18 +90,18 @@ class Paper(Document):
 
 
 class Reported(Document):
-    """Figures that a paper states; nothing of them was run here.
+    """Figures that a paper states; they were not measured here.
 
     Attributes:
-        kind: tag.
-        method: the method's name.
-        link: its home.
-        protocol: that the figures come nearest to.
-        dataset: of the figures; None: the paper does not say.
-        setting: what else tells rows of one method apart.
-        paper: where they stand.
-        figures: as printed.
-        notes: what a reader must know before comparing.
+        kind: tag of the type.
+        method: name of the method.
+        link: home page of the method.
+        protocol: the protocol that is most similar to the paper's evaluation.
+        dataset: dataset of the figures; None if the paper does not state it.
+        setting: setting that distinguishes rows of one method.
+        paper: place in the paper.
+        figures: the printed figures.
+        notes: remarks for a comparison.
     """
 
     kind: Literal["reported"] = "reported"
@@ -119,9 +119,9 @@ class Pair(Document):
     """One view of a method beside its truth.
 
     Attributes:
-        view: what is seen: scene, camera, condition.
-        render: file of the render, relative to the folder of pictures.
-        truth: file of the recorded picture.
+        view: scene, camera and condition of the view.
+        render: file of the render, relative to the folder of images.
+        truth: file of the recorded image.
     """
 
     view: Name
@@ -130,29 +130,29 @@ class Pair(Document):
 
 
 class Measured(Document):
-    """Figures that an evaluation found; written by ``mirror leaderboard add``.
+    """Figures of an evaluation; written by ``mirror leaderboard add``.
 
     Attributes:
-        kind: tag.
-        method: the method's name.
-        version: of the method.
-        link: its home.
-        protocol: by which it was scored.
-        protocol_version: of the protocol.
-        protocol_hash: what the protocol said.
-        dataset: what the data set is called here.
-        dataset_hash: of what the split was made of.
-        split: of the data set.
-        options: what else decides the figures: only entries with the same ones are comparable.
-        setting: what else tells rows of one method apart.
-        result_hash: of the result that the figures are from.
-        toolkit: version that measured.
-        frames_per_second: pictures a second, as the submission states it or as it was measured again.
-        device: on which.
-        figures: means over all that the protocol averages, with their intervals.
-        pairs: pictures to look at.
+        kind: tag of the type.
+        method: name of the method.
+        version: version of the method.
+        link: home page of the method.
+        protocol: name of the protocol.
+        protocol_version: version of the protocol.
+        protocol_hash: hash of the protocol.
+        dataset: name of the dataset on the board.
+        dataset_hash: hash of the tables that the split was made from.
+        split: split of the dataset.
+        options: other options that determine the figures: only entries with equal options are comparable.
+        setting: setting that distinguishes rows of one method.
+        result_hash: hash of the result.
+        toolkit: version of the toolkit that evaluated the submission.
+        frames_per_second: images per second, as the submission states it.
+        device: processor of ``frames_per_second``.
+        figures: means with their confidence intervals.
+        pairs: renders beside their truth.
         notes: warnings of the evaluation.
-        seal: hash of all the rest, so that no figure is changed by hand unnoticed.
+        seal: hash of all other fields, which reveals changes by hand.
     """
 
     kind: Literal["measured"] = "measured"
@@ -177,12 +177,12 @@ class Measured(Document):
     seal: Hash = "0" * 64
 
     def sealed(self) -> Measured:
-        """The same with its own seal."""
+        """Return a copy with its seal."""
         return self.model_copy(update={"seal": self.content_hash})
 
     @property
     def content_hash(self) -> str:
-        """What the seal must be."""
+        """The correct value of the seal."""
         plain = self.model_dump(mode="json", exclude={"seal"})
         return sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())
 
@@ -191,33 +191,33 @@ Entry = Reported | Measured
 
 
 class _File(RootModel[Annotated[Entry, Field(discriminator="kind")]]):
-    """What a file under ``entries/`` holds."""
+    """The document of a file under ``entries/``."""
 
 
 def load_entries(folder: Path) -> list[Entry]:
-    """All entries of a folder, in order of their file names.
+    """Load all entries of a folder, in the order of their file names.
 
     Raises:
-        DatasetError: there is no such folder.
-        SchemaError: a file is no entry, names an unknown protocol, was changed after it was added, or stands for the
-            same as another; it is named.
+        DatasetError: the folder does not exist.
+        SchemaError: a file is not an entry, names an unknown protocol, was changed after it was added, or repeats
+            another entry.
     """
     if not folder.is_dir():
         raise DatasetError("no such folder", file=folder, expected="a folder of entries")
-    found: dict[tuple[str | None, ...], Path] = {}
+    paths: dict[tuple[str | None, ...], Path] = {}
     entries: list[Entry] = []
     for path in sorted(folder.glob("*.json")):
         entry = read_json(path, _File).root
-        _require_sound(entry, path)
-        same = found.setdefault(entry_key(entry), path)
-        if same is not path:
-            raise SchemaError(f"stands for the same as {same.name}", file=path, remedy="keep one of them")
+        _require_valid(entry, path)
+        first = paths.setdefault(entry_key(entry), path)
+        if first is not path:
+            raise SchemaError(f"is another entry for the same as {first.name}", file=path, remedy="keep one of them")
         entries.append(entry)
     return entries
 
 
 def entry_key(entry: Entry) -> tuple[str | None, ...]:
-    """What there may be one entry of."""
+    """Return the key of an entry: a board may have one entry for each key."""
     if isinstance(entry, Reported):
         return (entry.kind, entry.method, entry.protocol, entry.dataset, entry.setting, entry.paper.title)
     return (
@@ -231,18 +231,19 @@ def entry_key(entry: Entry) -> tuple[str | None, ...]:
     )
 
 
-def _require_sound(entry: Entry, path: Path) -> None:
+def _require_valid(entry: Entry, path: Path) -> None:
     known = protocol_names()
     if entry.protocol not in known:
         raise SchemaError(
             f"unknown protocol {entry.protocol!r}", file=path, place="protocol", expected=f"one of {', '.join(known)}"
         )
-    repeated = [key for key, times in Counter((one.group, one.metric) for one in entry.figures).items() if times > 1]
-    if repeated:
-        raise SchemaError(f"{repeated[0][1]} of {repeated[0][0]} is there twice", file=path, place="figures")
+    counts = Counter((figure.group, figure.metric) for figure in entry.figures)
+    for (group, metric), count in counts.items():
+        if count > 1:
+            raise SchemaError(f"has {metric} of {group} {count} times", file=path, place="figures")
     if isinstance(entry, Measured) and entry.seal != entry.content_hash:
         raise SchemaError(
-            "was changed after it was added: its seal does not fit what it says",
+            "was changed after it was added: its seal does not match its content",
             file=path,
             place="seal",
             expected=entry.content_hash,

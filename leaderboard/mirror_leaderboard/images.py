@@ -1,4 +1,4 @@
-"""A few renders and their truth, small, to look at on the board."""
+"""Small copies of a few renders and their truth for the leaderboard."""
 
 from __future__ import annotations
 
@@ -28,45 +28,44 @@ _JPEG_QUALITY: Final = 80
 
 @dataclass(frozen=True)
 class ImageSources:
-    """Where pictures come from.
+    """Sources of an entry's images.
 
     Attributes:
         submission: folder or zip of renders.
-        truth: the dataset.
+        truth: folder of the dataset.
     """
 
     submission: Path
     truth: Path
 
 
-def copy_pairs(result: Result, submission: Path, truth: Path, pictures: Path) -> tuple[Pair, ...]:
-    """Copy a few renders and their truth; of one plan always the same views, so that methods can be compared.
+def copy_pairs(result: Result, sources: ImageSources, out: Path) -> tuple[Pair, ...]:
+    """Copy a few renders and their truth; a plan determines the views, so that methods can be compared.
 
     Args:
-        result: of the submission.
-        submission: folder or zip.
-        truth: the dataset.
-        pictures: folder of the board's pictures.
+        result: result of the submission.
+        sources: the submission and the dataset.
+        out: folder of the board's images.
 
     Raises:
-        RefusedError: the submission or the dataset is not that of the result, or has no recorded truth.
-        DatasetError: a picture cannot be read or written.
+        RefusedError: the submission or the dataset is not the one of the result, or the protocol has no recorded truth.
+        DatasetError: an image cannot be read or written.
     """
     if result.protocol.task != "reconstruction":
         raise RefusedError(
-            f"pictures of {result.protocol.name} have no recorded truth", remedy="add it without --submission"
+            f"images of {result.protocol.name} have no recorded truth", remedy="add it without --submission"
         )
-    plan = plan_views(mirror.open(truth), result.protocol, result.dataset.split)
+    plan = plan_views(mirror.open(sources.truth), result.protocol, result.dataset.split)
     if plan.hash != result.dataset.plan_hash:
-        raise RefusedError("is not the dataset that the result is of", file=truth, expected=result.dataset.plan_hash)
-    files = open_untrusted(submission)
+        raise RefusedError("is not the dataset of the result", file=sources.truth, expected=result.dataset.plan_hash)
+    files = open_untrusted(sources.submission)
     if check_submission(files, plan).hash != result.submission_hash:
         raise RefusedError(
-            "is not the submission that the result is of", file=submission, expected=result.submission_hash
+            "is not the submission of the result", file=sources.submission, expected=result.submission_hash
         )
-    source = GroundTruth(mirror.open(truth), result.protocol, plan.layers)
+    truth = GroundTruth(mirror.open(sources.truth), result.protocol, plan.layers)
     folder, pairs = plan.hash[:16], []
-    for number, view in enumerate(_chosen(plan)):
+    for number, view in enumerate(_select_views(plan)):
         data = files.read(view.path, max_png_bytes(view.width_px, view.height_px))
         render = decode_render(data, view.width_px, view.height_px, view.path)
         pair = Pair(
@@ -74,14 +73,14 @@ def copy_pairs(result: Result, submission: Path, truth: Path, pictures: Path) ->
             render=f"{folder}/{number}-{result.hash[:12]}.jpg",
             truth=f"{folder}/{number}-recorded.jpg",
         )
-        for name, pixels in ((pair.render, render), (pair.truth, source.image(view))):
-            write_bytes(pictures / name, _jpeg(pixels))
+        for name, pixels in ((pair.render, render), (pair.truth, truth.image(view))):
+            write_bytes(out / name, _encode_jpeg(pixels))
         pairs.append(pair)
     return tuple(pairs)
 
 
-def _chosen(plan: Plan) -> list[RenderView]:
-    """Views of the rig's first camera, evenly through the protocol's last group that has any."""
+def _select_views(plan: Plan) -> list[RenderView]:
+    """Select views of the rig's first camera at even distances in the protocol's last group with views."""
     group = next(group.name for group in reversed(plan.protocol.groups) if group.name not in plan.empty_groups)
     views = [view for view in plan.views if view.group == group]
     views = [view for view in views if view.camera == views[0].camera]
@@ -89,7 +88,7 @@ def _chosen(plan: Plan) -> list[RenderView]:
     return [views[place] for place in places]
 
 
-def _jpeg(pixels: UInt8) -> bytes:
+def _encode_jpeg(pixels: UInt8) -> bytes:
     height, width = pixels.shape[:2]
     if width > _WIDTH_PX:
         size = (_WIDTH_PX, round(height * _WIDTH_PX / width))

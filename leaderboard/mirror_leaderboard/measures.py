@@ -1,4 +1,4 @@
-"""The figures that the board knows: what each is called, which way is better, and what it can be at all."""
+"""The metrics that the leaderboard shows: title, unit, direction and possible values of each."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Final, Literal
 
 @dataclass(frozen=True)
 class Measure:
-    """One kind of figure.
+    """One metric.
 
     Attributes:
-        title: head of its column.
-        about: one line for those who do not know it.
-        better: which way.
-        digits: after the point.
-        low: least value that it can have.
-        high: greatest value that it can have.
-        unit: shown in the head.
-        scale: what values are multiplied by where they are shown.
+        title: title of its column.
+        about: description in one line.
+        better: whether higher or lower values are better.
+        digits: number of decimal places that are shown.
+        low: smallest possible value.
+        high: largest possible value.
+        unit: unit of the shown values.
+        scale: factor by which values are multiplied before they are shown.
     """
 
     title: str
@@ -31,18 +31,18 @@ class Measure:
     unit: str = ""
     scale: float = 1.0
 
-    def shown(self, value: float) -> str:
-        """The value as a table shows it."""
+    def format(self, value: float) -> str:
+        """Format a value for a table."""
         return f"{value * self.scale:.{self.digits}f}"
 
     @property
     def head(self) -> str:
-        """Title and unit."""
+        """The title with its unit."""
         return f"{self.title} ({self.unit})" if self.unit else self.title
 
     @property
     def arrow(self) -> str:
-        """Which way is better."""
+        """An arrow up or down: the direction of better values."""
         return "↑" if self.better == "higher" else "↓"
 
 
@@ -75,8 +75,8 @@ MEASURES: Final = {
     "maoe_rad": Measure("mAOE", "orientation error of true positives", "lower", 3, unit="rad"),
     "mave_mps": Measure("mAVE", "velocity error of true positives", "lower", 3, unit="m/s"),
     "maae": Measure("mAAE", "attribute error of true positives", "lower", 3, high=1.0),
-    "frames_per_second": Measure("Rendering", "pictures a second", "higher", 1, unit="FPS"),
-    "mvs_frames_per_second": Measure("MVS initialisation", "pictures a second, 1280 × 960", "higher", 1, unit="FPS"),
+    "frames_per_second": Measure("Rendering", "images per second", "higher", 1, unit="FPS"),
+    "mvs_frames_per_second": Measure("MVS initialisation", "images per second, 1280 × 960", "higher", 1, unit="FPS"),
     "model_bytes_per_100m": Measure("Model", "size of the static model", "lower", 1, unit="MB / 100 m", scale=1e-6),
     "training_s": Measure("Training", "time", "lower", 2, unit="h", scale=1 / 3600),
     "peak_memory_bytes": Measure("Peak memory", "while rendering", "lower", 2, unit="GB", scale=1e-9),

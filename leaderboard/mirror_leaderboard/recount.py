@@ -1,4 +1,4 @@
-"""Counts a result's means again from the table of pictures beside it."""
+"""Computes a result's means again from the table of images beside it."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ from mirror_leaderboard.entry import ALL
 from mirror_leaderboard.refused import RefusedError
 
 _TOLERANCE: Final = 1e-9
-_MOST_BYTES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 30
 
 
 def require_recomputed_means(result: Result, path: Path) -> None:
-    """Hold every mean over pictures against the table of pictures.
+    """Compare every mean over images with the table of images.
 
-    Figures of whole sets, such as FID, cannot be had from it.
+    Figures of whole sets, such as FID, cannot be computed from the table.
 
     Args:
-        result: as read.
-        path: its file; the table lies beside it.
+        result: the result.
+        path: file of the result; the table lies beside it.
 
     Raises:
         DatasetError: the table is missing or broken.
-        RefusedError: a figure is not the mean of its pictures, not of as many, or left out.
+        RefusedError: a figure differs from the mean of its images, states a wrong number of images, or is missing.
     """
-    rows = _rows(path.parent / IMAGES)
+    rows = _read_rows(path.parent / IMAGES)
     columns = set(rows[0]) if rows else set()
     for number, figure in enumerate(result.figures):
         if figure.level == "group" and figure.metric in columns:
-            own = [row for row in rows if figure.group in (ALL, row["group"])]
-            _require(result, figure, own, path, f"figures.{number}")
-    there = {(figure.group, figure.metric) for figure in result.figures if figure.level == "group"}
+            members = [row for row in rows if figure.group in (ALL, row["group"])]
+            _require_mean(result, figure, members, path, f"figures.{number}")
+    present = {(figure.group, figure.metric) for figure in result.figures if figure.level == "group"}
     for metric in sorted(columns & set(result.protocol.metric_names)):
         for group in dict.fromkeys(row["group"] for row in rows):
-            if (group, metric) not in there:
+            if (group, metric) not in present:
                 raise RefusedError(
-                    f"{metric} of {group} was measured, by {IMAGES}, and is not there",
+                    f"{metric} of {group} is missing, although {IMAGES} has its values",
                     file=path,
                     place="figures",
                     remedy="evaluate the submission again: mirror evaluate",
                 )
 
 
-def _require(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], path: Path, place: str) -> None:
+def _require_mean(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], path: Path, place: str) -> None:
     values = [row[figure.metric] for row in rows]
     infinite = sum(value is not None and math.isinf(value) for value in values)
     if (figure.n, figure.n_inf) != (len(rows), infinite):
         raise RefusedError(
-            f"{figure.metric} of {figure.group} is said to be of {figure.n} pictures, {figure.n_inf} of them infinite",
+            f"{figure.metric} of {figure.group} states {figure.n} images, {figure.n_inf} of them infinite",
             file=path,
             place=place,
-            expected=f"{len(rows)} and {infinite}, by {IMAGES}",
+            expected=f"{len(rows)} and {infinite}, as in {IMAGES}",
             remedy="evaluate the submission again: mirror evaluate",
         )
     finite = [row for row in rows if row[figure.metric] is not None and math.isfinite(row[figure.metric])]
@@ -71,30 +71,30 @@ def _require(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], 
         views = [RenderView.model_construct(**{key: row[key] for key in keys}) for row in finite]
         weights = mean_weights(views, result.protocol.averaging)
         mean = math.fsum(weights * np.array([row[figure.metric] for row in finite]))
-    fits = (
+    is_equal = (
         mean is None
         if figure.value is None
         else mean is not None and math.isclose(mean, figure.value, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
     )
-    if not fits:
+    if not is_equal:
         raise RefusedError(
-            f"{figure.metric} of {figure.group} is {figure.value}, which is not the mean of its pictures",
+            f"{figure.metric} of {figure.group} is {figure.value}, which is not the mean of its images",
             file=path,
             place=place,
-            expected=f"{mean}, by {IMAGES}",
+            expected=f"{mean}, as in {IMAGES}",
             remedy="evaluate the submission again: mirror evaluate",
         )
 
 
-def _rows(file: Path) -> list[dict[str, Any]]:
+def _read_rows(file: Path) -> list[dict[str, Any]]:
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise DatasetError("too large", file=file, expected=f"at most {_MOST_BYTES:,} bytes")
+        if file.stat().st_size > _MAX_BYTES:
+            raise DatasetError("too large", file=file, expected=f"at most {_MAX_BYTES:,} bytes")
         rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
     except (OSError, pa.ArrowInvalid) as error:
         raise DatasetError(
             f"cannot be read ({str(error).splitlines()[0]})",
             file=file,
-            expected="the table of pictures that `mirror evaluate` wrote beside result.json",
+            expected="the table of images that `mirror evaluate` wrote beside result.json",
         ) from error
     return rows

@@ -1,4 +1,4 @@
-"""The error of a result that is turned down."""
+"""The error of a refused result."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from mirror.errors import MirrorError
 
 
 class RefusedError(MirrorError):
-    """A result that cannot stand on the board."""
+    """A result cannot be added to the board."""

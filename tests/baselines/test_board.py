@@ -15,7 +15,7 @@ from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror_baselines import mean_color, nearest_frame
 from mirror_leaderboard.add import add_result
-from mirror_leaderboard.entry import Measured, load_entries
+from mirror_leaderboard.entry import IMAGE_FOLDER, Measured, load_entries
 from mirror_leaderboard.images import ImageSources
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.site.page import build
@@ -33,17 +33,17 @@ def test_baselines_appear_on_a_leaderboard(dataset: Dataset, tmp_path: Path) -> 
         result = tmp_path / f"{name}-result" / "result.json"
         other = next(folder for key, folder in submissions.items() if key != name)
         if other.exists():
-            with pytest.raises(RefusedError, match="is not the submission that the result is of"):
-                add_result(result, board, "a street", shown=ImageSources(other, truth))
-        add_result(result, board, "a street", shown=ImageSources(submissions[name], truth))
-    entries = [one for one in load_entries(board / "entries") if isinstance(one, Measured)]
+            with pytest.raises(RefusedError, match="is not the submission of the result"):
+                add_result(result, board, "a street", images=ImageSources(other, truth))
+        add_result(result, board, "a street", images=ImageSources(submissions[name], truth))
+    entries = [entry for entry in load_entries(board / "entries") if isinstance(entry, Measured)]
     assert {entry.method for entry in entries} == set(submissions)
     # All methods show the same views of the same truth.
     (truths,) = {tuple(pair.truth for pair in entry.pairs) for entry in entries}
     assert len(truths) == 3
     page = build([board], tmp_path / "site")
     for file in truths:
-        pixels = cv2.imread(str(page.parent / "pictures" / file))
+        pixels = cv2.imread(str(page.parent / IMAGE_FOLDER / file))
         assert np.abs(pixels.mean(axis=(0, 1)) - 120).max() < 4
 
 
@@ -55,14 +55,10 @@ def test_image_pairs_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> No
     write_submission(dataset, plan, mean_color.render, mean_color.METHOD, mean_color.APPEARANCE, tmp_path / "out")
     done = evaluate(tmp_path / "out", dataset.root, plan.protocol, "novel", tmp_path / "result")
     assert isinstance(done.result, Result)
+    sources = ImageSources(tmp_path / "out", Path(dataset.root))
     moved = done.result.model_copy(update={"protocol": load_protocol("lane-shift")})
     with pytest.raises(RefusedError, match="have no recorded truth"):
-        copy_pairs(moved, tmp_path / "out", Path(dataset.root), tmp_path / "images")
+        copy_pairs(moved, sources, tmp_path / "images")
     other = done.result.dataset.model_copy(update={"plan_hash": "00" * 32})
     with pytest.raises(RefusedError, match="is not the dataset"):
-        copy_pairs(
-            done.result.model_copy(update={"dataset": other}),
-            tmp_path / "out",
-            Path(dataset.root),
-            tmp_path / "images",
-        )
+        copy_pairs(done.result.model_copy(update={"dataset": other}), sources, tmp_path / "images")

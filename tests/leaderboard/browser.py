@@ -1,4 +1,4 @@
-"""A headless Chromium, spoken to over its pipes: no driver and no other package is needed."""
+"""A headless Chromium that is controlled through pipes, without a driver or another package."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Browser:
             time.sleep(0.05)
 
     def script(self, source: str) -> Any:
-        """The value of an expression in the page."""
+        """Return the value of an expression in the page."""
         answer = self.call("Runtime.evaluate", expression=source, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"])
@@ -97,19 +97,19 @@ class Browser:
         path.write_bytes(base64.b64decode(answer["data"]))
 
     def requested(self) -> list[str]:
-        """What the page asked for since it was opened."""
+        """Return the addresses that the page requested since it was opened."""
         sent = (event for event in self.events if event.get("method") == "Network.requestWillBeSent")
         return [event["params"]["request"]["url"] for event in sent]
 
-    def complaints(self) -> list[str]:
-        """Errors and warnings of the page since it was opened."""
-        found = []
+    def warnings(self) -> list[str]:
+        """Return the errors and warnings of the page since it was opened."""
+        messages = []
         for event in self.events:
             if event.get("method") == "Log.entryAdded":
-                found.append(event["params"]["entry"]["text"])
+                messages.append(event["params"]["entry"]["text"])
             if event.get("method") == "Runtime.exceptionThrown":
-                found.append(str(event["params"]["exceptionDetails"]))
-        return found
+                messages.append(str(event["params"]["exceptionDetails"]))
+        return messages
 
     def close(self) -> None:
         os.close(self._write)

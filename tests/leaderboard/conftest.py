@@ -1,4 +1,4 @@
-"""A board with reported and measured entries and pictures."""
+"""A board with reported and measured entries and images."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_json
 from mirror_leaderboard.command import PAPERS
-from mirror_leaderboard.entry import Figure, Measured, Pair
+from mirror_leaderboard.entry import IMAGE_FOLDER, Figure, Measured, Pair
 from tests.leaderboard.browser import NAMES, Browser, find_browser
 
 REPOSITORY = Path(__file__).parents[2]
@@ -62,18 +62,18 @@ def measured(method: str, psnr: float, *, lpips: float | None = None, **changes:
 
 @pytest.fixture
 def board(tmp_path: Path) -> Path:
-    """A folder of entries and pictures."""
+    """A board with entries and images."""
     folder = tmp_path / "board"
     shutil.copytree(REPORTED, folder / "entries")
     scores = (("nearest_frame", 12.5, None), ("mean_color", 11.25, 0.6), ("HybridWorldSim", 19.75, None))
     for method, psnr, lpips in scores:
         write_json(folder / "entries" / f"measured-{method}.json", measured(method, psnr, lpips=lpips))
-    (folder / "pictures" / "street").mkdir(parents=True)
+    (folder / IMAGE_FOLDER / "street").mkdir(parents=True)
     for number, name in enumerate(("truth", "nearest_frame", "mean_color", "HybridWorldSim")):
         for view in range(2):
-            picture = np.full((270, 480, 3), (60 * number, 90, 220 - 60 * view), np.uint8)
-            cv2.putText(picture, f"{name} {view}", (20, 140), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (255, 255, 255), 2)
-            cv2.imwrite(str(folder / "pictures" / "street" / f"{name.lower()}-{view}.jpg"), picture)
+            image = np.full((270, 480, 3), (60 * number, 90, 220 - 60 * view), np.uint8)
+            cv2.putText(image, f"{name} {view}", (20, 140), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (255, 255, 255), 2)
+            cv2.imwrite(str(folder / IMAGE_FOLDER / "street" / f"{name.lower()}-{view}.jpg"), image)
     return folder
 
 
@@ -82,6 +82,6 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     program = find_browser()
     if program is None:
         pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
-    one = Browser(program, tmp_path_factory.mktemp("profile"))
-    yield one
-    one.close()
+    instance = Browser(program, tmp_path_factory.mktemp("profile"))
+    yield instance
+    instance.close()

@@ -1,4 +1,4 @@
-"""Results that may stand on the board, and all that may be wrong with one."""
+"""Adding results to a board: valid results, and results that are refused."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HASHES = {"dataset_hash": "ab" * 32, "plan_hash": "cd" * 32}
 
 
 def result() -> dict[str, Any]:
-    """A result of PSNR alone: of ``novel``, one picture equals the truth and one has no value."""
+    """A result with PSNR only; in ``novel``, one image equals the truth and one has no value."""
     answered = {"protocol": PROTOCOL.name, "protocol_hash": PROTOCOL.hash, "split": "novel", **HASHES}
     return {
         "protocol": PROTOCOL.model_dump(mode="json"),
@@ -55,7 +55,7 @@ def result() -> dict[str, Any]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Where a result lies, with its table of pictures."""
+    """The folder of a result, with its table of images."""
     rows = [
         {
             "group": group,
@@ -78,14 +78,14 @@ def write(folder: Path, plain: dict[str, Any]) -> Path:
     return path
 
 
-def test_a_sound_result_stands_on_the_board(folder: Path, board: Path) -> None:
+def test_valid_result_is_added(folder: Path, board: Path) -> None:
     path = add_result(write(folder, result()), board, "a street", setting="slow")
-    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
+    (entry,) = [entry for entry in load_entries(board / "entries") if entry.method == "a method"]
     assert isinstance(entry, Measured)
     assert path.name.startswith("measured-a-street-a-method-")
     assert (entry.dataset, entry.setting, entry.version, entry.link) == ("a street", "slow", "3", None)
     assert (entry.protocol_hash, entry.dataset_hash) == (PROTOCOL.hash, HASHES["dataset_hash"])
-    figures = {(one.group, one.metric): one for one in entry.figures}
+    figures = {(figure.group, figure.metric): figure for figure in entry.figures}
     assert figures["training", "psnr"].value == 22.5
     assert (figures["novel", "psnr"].n_infinite, figures["novel", "psnr"].n_missing) == (1, 1)
     assert figures["novel", "lpips_alex"].value is None
@@ -102,35 +102,35 @@ def test_hidden_truth_and_extractors_make_other_tables(folder: Path, board: Path
     plain["dataset"]["hidden_truth"] = "77" * 32
     plain["options"] = {"extractor": "diff-grabcut"}
     add_result(write(folder, plain), board, "a street")
-    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
+    (entry,) = [entry for entry in load_entries(board / "entries") if entry.method == "a method"]
     assert isinstance(entry, Measured)
     assert entry.options == {"extractor": "diff-grabcut", "hidden truth": "777777777777"}
 
 
-def test_the_same_result_twice(folder: Path, board: Path) -> None:
+def test_repeated_result_is_refused(folder: Path, board: Path) -> None:
     path = write(folder, result())
     add_result(path, board, "a street")
-    with pytest.raises(RefusedError, match="stands on the board already"):
+    with pytest.raises(RefusedError, match="is on the board already"):
         add_result(path, board, "another name")
 
 
 def test_the_same_method_twice_needs_another_version_or_setting(folder: Path, board: Path) -> None:
     add_result(write(folder, result()), board, "a street")
     again = {**result(), "warnings": []}
-    with pytest.raises(RefusedError, match="a method 3 stands on the board already"):
+    with pytest.raises(RefusedError, match="a method 3 is on the board already"):
         add_result(write(folder, again), board, "a street")
     add_result(write(folder, again), board, "a street", setting="again")
     again["submission"]["method"]["version"] = "4"
     add_result(write(folder, again), board, "a street")
-    assert sum(one.method == "a method" for one in load_entries(board / "entries")) == 3
+    assert sum(entry.method == "a method" for entry in load_entries(board / "entries")) == 3
 
 
 def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
-    """Sets what the last of the keys is, at the place that the others lead to."""
+    """Return a function that sets the last but one of `keys` to the last one, at the path of the others."""
 
     def change(plain: dict[str, Any]) -> None:
-        *way, last, value = keys
-        for key in way:
+        *path, last, value = keys
+        for key in path:
             plain = plain[key]
         plain[last] = value
 
@@ -140,24 +140,24 @@ def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_in("figures", 0, "value", 30.0), "psnr of training is 30.0, which is not the mean of its pictures"),
+        (set_in("figures", 0, "value", 30.0), "psnr of training is 30.0, which is not the mean of its images"),
         (
             set_in("figures", 0, {**SHARED, "group": "training", "value": None, "reason": "so", "n": 3}),
             "psnr of training is None, which is not",
         ),
-        (set_in("figures", 0, "n", 300), "is said to be of 300 pictures"),
-        (set_in("figures", 2, "n_inf", 0), "is said to be of 4 pictures, 0 of them infinite"),
+        (set_in("figures", 0, "n", 300), "states 300 images"),
+        (set_in("figures", 2, "n_inf", 0), "states 4 images, 0 of them infinite"),
         (set_in("figures", 0, "group", "hidden"), "no group 'hidden'"),
-        (set_in("figures", 0, "metric", "beauty"), "'beauty' is not known"),
-        (set_in("figures", 0, "better", "lower"), "psnr is better lower, it says"),
+        (set_in("figures", 0, "metric", "beauty"), "'beauty' is unknown"),
+        (set_in("figures", 0, "better", "lower"), "psnr is stated to be better lower"),
         (set_in("figures", 0, "low", 26.0), "ends before it begins"),
         (
             set_in("figures", 3, {"metric": "ssim", "group": "novel", "value": 2.0, "better": "higher", "n": 1}),
             "outside",
         ),
         (set_in("figures", []), "has no figure"),
-        (set_in("figures", 2, "level", "scene"), "psnr of novel was measured"),
-        (set_in("protocol", "masks", "ego", False), "not the hash of the protocol in it"),
+        (set_in("figures", 2, "level", "scene"), "psnr of novel is missing"),
+        (set_in("protocol", "masks", "ego", False), "not the hash of the result's protocol"),
         (set_in("protocol_hash", "00" * 32), "changed by hand"),
         (set_in("submission", "dataset_hash", "00" * 32), "changed by hand"),
         (set_in("submission", "plan_hash", "00" * 32), "changed by hand"),
@@ -168,7 +168,7 @@ def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
         (set_in("figures", 0, "value", "1e400"), "finite"),
     ],
 )
-def test_what_does_not_hold_is_named(
+def test_inconsistent_result_is_refused(
     folder: Path, board: Path, change: Callable[[dict[str, Any]], None], message: str
 ) -> None:
     plain = result()
@@ -179,7 +179,7 @@ def test_what_does_not_hold_is_named(
     assert sorted(board.rglob("*")) == before
 
 
-def test_another_version_of_the_protocol(folder: Path, board: Path) -> None:
+def test_other_version_of_the_protocol_is_refused(folder: Path, board: Path) -> None:
     plain = result()
     plain["protocol"]["masks"]["ego"] = False
     other = PROTOCOL.model_validate(plain["protocol"]).hash
@@ -224,8 +224,8 @@ def test_costs(folder: Path, board: Path) -> None:
     plain["unavailable"] = {"training_s": "state it"}
     pq.write_table(pa.table({}), folder / "images.parquet")
     add_result(write(folder, plain), board, "a street")
-    (entry,) = [one for one in load_entries(board / "entries") if one.method == "a method"]
-    figures = {(one.group, one.metric): one.value for one in entry.figures}
+    (entry,) = [entry for entry in load_entries(board / "entries") if entry.method == "a method"]
+    figures = {(figure.group, figure.metric): figure.value for figure in entry.figures}
     assert figures == {
         ("reported", "frames_per_second"): 50.0,
         ("measured", "frames_per_second"): 40.0,
@@ -242,8 +242,8 @@ def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
     values = {"left-1m": [0.2, 0.4], "right-1m": [0.6, None]}
     rows = [
         {"group": group, "scene_id": "s", "traversal_id": "t", "edit_iou_hull": value}
-        for group, own in values.items()
-        for value in own
+        for group, group_values in values.items()
+        for value in group_values
     ]
     pq.write_table(pa.Table.from_pylist(rows), folder / "images.parquet")
     shared = {"metric": "edit_iou_hull", "better": "higher"}
@@ -274,10 +274,10 @@ def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.Capt
     assert main(["leaderboard", "--help"]) == ExitCode.DONE
 
 
-def test_the_result_hash_is_of_its_content(folder: Path, board: Path) -> None:
+def test_result_hash_covers_the_whole_document(folder: Path, board: Path) -> None:
     path = add_result(write(folder, result()), board, "a street")
     entry = json.loads(path.read_text())
-    # By the definition: canonical JSON of the whole document, defaults included.
+    # By definition, the hash of the canonical JSON of the whole document with its defaults.
     from mirror.evaluation.result import Result
 
     plain = Result.model_validate(result()).model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""Which entries stand together, in what order, and what is best."""
+"""Boards: which entries they hold, their order, and their best values; the checks of entries."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from tests.leaderboard.conftest import MEASURED, REPORTED, measured
 
 
 def test_measured_and_reported_never_share_a_table(board: Path) -> None:
-    for one in make_boards(load_entries(board / "entries")):
-        assert len({entry.kind for entry in one.entries}) == 1
+    for table in make_boards(load_entries(board / "entries")):
+        assert len({entry.kind for entry in table.entries}) == 1
 
 
 def test_other_hashes_make_another_table() -> None:
@@ -30,12 +30,13 @@ def test_other_hashes_make_another_table() -> None:
         measured("e", 24.0, protocol_hash="01" * 32),
         measured("f", 25.0, options={"extractor": "file"}),
     ]
-    assert [len(one.entries) for one in make_boards(entries)].count(2) == 1
-    assert len(make_boards(entries)) == 5
-    assert len({one.id for one in make_boards(entries)}) == 5
+    boards = make_boards(entries)
+    assert [len(board.entries) for board in boards].count(2) == 1
+    assert len(boards) == 5
+    assert len({board.id for board in boards}) == 5
 
 
-def test_best_first_by_the_protocols_column() -> None:
+def test_rows_are_sorted_by_the_protocols_column() -> None:
     (board,) = make_boards([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
     assert board.ranked_by == ("novel", "psnr_cc")
     assert [entry.method for entry in board.entries] == ["high", "middle", "low"]
@@ -43,8 +44,8 @@ def test_best_first_by_the_protocols_column() -> None:
     assert board.best(("novel", "lpips_alex")) is None
 
 
-def test_lower_is_better_where_it_is() -> None:
-    boards = [one for one in make_boards(load_entries(REPORTED)) if one.protocol == "vehicle-translation"]
+def test_lower_distances_are_better() -> None:
+    boards = [board for board in make_boards(load_entries(REPORTED)) if board.protocol == "vehicle-translation"]
     for board in boards:
         assert [entry.method for entry in board.entries] == ["HybridWorldSim", "DriveEditor"]
         for column in board.columns:
@@ -57,16 +58,16 @@ def test_columns_are_in_the_protocols_order() -> None:
         ("training", "psnr"),
         ("novel", "psnr"),
         ("novel", "psnr_cc"),
-        # Not LPIPS, which nobody has a value of.
+        # LPIPS has no value.
         ("novel", "ssim"),
     )
-    offsets = [one for one in make_boards(load_entries(REPORTED)) if one.title == "MIRROR"][1]
+    offsets = [board for board in make_boards(load_entries(REPORTED)) if board.title == "MIRROR"][1]
     assert [group for group, _ in offsets.columns] == ["right-3m", "right-1.5m", "0m", "left-1.5m", "left-3m"]
 
 
 def test_the_speed_of_the_static_scene_is_not_that_of_generation() -> None:
-    entries = [one for one in load_entries(REPORTED) if isinstance(one, Reported)]
-    known = {(one.method, one.protocol) for one in entries if seconds_per_image(one, entries) is not None}
+    entries = [entry for entry in load_entries(REPORTED) if isinstance(entry, Reported)]
+    known = {(entry.method, entry.protocol) for entry in entries if seconds_per_image(entry, entries) is not None}
     assert known == {("HybridWorldSim", "static-reconstruction")}
     assert seconds_per_image(measured("a", 20.0), []) == pytest.approx(1 / 20.0)
 
@@ -77,12 +78,12 @@ def test_every_metric_of_every_protocol_is_known() -> None:
         assert set(load_protocol(name).metric_names) - composite <= set(MEASURES), name
 
 
-def test_both_floors_stand_on_the_board() -> None:
-    measured_here = {one.method for one in load_entries(MEASURED) if isinstance(one, Measured)}
+def test_both_floors_are_on_the_board() -> None:
+    measured_here = {entry.method for entry in load_entries(MEASURED) if isinstance(entry, Measured)}
     assert set(FLOOR) <= measured_here
 
 
-def test_an_entry_that_was_changed_is_refused_by_name(board: Path) -> None:
+def test_changed_entry_is_refused_by_name(board: Path) -> None:
     path = board / "entries" / "measured-mean_color.json"
     plain = json.loads(path.read_text())
     plain["figures"][1]["value"] = 40.0
@@ -91,43 +92,43 @@ def test_an_entry_that_was_changed_is_refused_by_name(board: Path) -> None:
         load_entries(board / "entries")
 
 
-def test_two_entries_for_the_same_are_refused_by_name(board: Path) -> None:
+def test_repeated_entry_is_refused_by_name(board: Path) -> None:
     write_json(board / "entries" / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32))
-    with pytest.raises(SchemaError, match=r"stands for the same as measured-again\.json"):
+    with pytest.raises(SchemaError, match=r"is another entry for the same as measured-again\.json"):
         load_entries(board / "entries")
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"metric": "beauty"}, "not known"),
+        ({"metric": "beauty"}, "is unknown"),
         ({"metric": "ssim", "value": 1.5}, "outside -1 to 1"),
         ({"value": float("nan")}, "finite"),
         ({"value": float("inf")}, "finite"),
         ({"value": None}, "no note"),
         ({"value": -3.0}, "outside 0 to inf"),
-        ({"low": 1.0}, "half a confidence interval"),
+        ({"low": 1.0}, "only one end of a confidence interval"),
         ({"low": 3.0, "high": 1.0}, "ends before"),
     ],
 )
-def test_impossible_figures(changes: dict[str, object], message: str) -> None:
+def test_impossible_figure_is_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Figure.model_validate({"group": "novel", "metric": "psnr", "value": 20.0, **changes})
 
 
 @pytest.mark.parametrize("link", ["javascript:alert(1)", "http://a.b", "https://a.b/\"onclick='x'", "https://a.b/\n"])
-def test_links_are_plain(link: str) -> None:
+def test_unsafe_link_is_refused(link: str) -> None:
     with pytest.raises(ValueError):
         measured("a", 20.0, link=link)
 
 
 @pytest.mark.parametrize("name", ["../x.jpg", "/x.jpg", "a/b/c.jpg", "x.svg", "a/../b.jpg", "x.jpg\n"])
-def test_pictures_stay_in_their_folder(name: str) -> None:
+def test_path_of_an_image_outside_its_folder_is_refused(name: str) -> None:
     with pytest.raises(ValueError):
         measured("a", 20.0, pairs=({"view": "v", "render": name, "truth": "t.jpg"},))
 
 
-def test_unknown_protocol_and_no_folder(board: Path) -> None:
+def test_unknown_protocol_and_missing_folder_are_refused(board: Path) -> None:
     write_json(board / "entries" / "measured-x.json", measured("x", 20.0, protocol="beauty"))
     with pytest.raises(SchemaError, match="unknown protocol 'beauty'"):
         load_entries(board / "entries")
@@ -135,17 +136,17 @@ def test_unknown_protocol_and_no_folder(board: Path) -> None:
         load_entries(board / "nothing")
 
 
-def test_not_json(board: Path) -> None:
+def test_broken_json_is_refused_by_name(board: Path) -> None:
     (board / "entries" / "broken.json").write_text("{")
     with pytest.raises(MirrorError, match=r"broken\.json"):
         load_entries(board / "entries")
 
 
 @pytest.mark.filterwarnings("ignore:Pydantic serializer warnings")
-def test_seal_covers_everything_but_itself() -> None:
-    one = measured("a", 20.0)
-    assert one.seal == one.content_hash
+def test_seal_covers_all_other_fields() -> None:
+    entry = measured("a", 20.0)
+    assert entry.seal == entry.content_hash
     for name in Measured.model_fields:
         if name not in ("seal", "kind"):
-            changed = one.model_copy(update={name: "other"})
-            assert changed.content_hash != one.content_hash, name
+            changed = entry.model_copy(update={name: "other"})
+            assert changed.content_hash != entry.content_hash, name

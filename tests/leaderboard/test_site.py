@@ -1,4 +1,4 @@
-"""The page: as text, and in a browser."""
+"""The page of the leaderboard, as text and in a browser."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import pytest
 from mirror.errors import DatasetError
 from mirror.schema.files import write_json
 from mirror_leaderboard.command import PAPERS
-from mirror_leaderboard.entry import load_entries
+from mirror_leaderboard.entry import IMAGE_FOLDER, load_entries
 from mirror_leaderboard.site.page import build, build_site
 from tests.leaderboard.browser import Browser
 from tests.leaderboard.conftest import MEASURED, REPORTED, REPOSITORY, measured
 
-MOST_BYTES = 120_000
+MAX_BYTES = 120_000
 
 
 class Tags(HTMLParser):
-    """All tags, and whether each that must be closed is."""
+    """Parses all tags, and checks that each is closed."""
 
     VOID: ClassVar = {"meta", "img", "input", "br", "link", "hr"}
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
+        self.tags.append((tag, dict(attrs)))
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -40,13 +40,13 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_page_is_whole_small_and_alone(board: Path, tmp_path: Path) -> None:
+def test_page_is_small_well_formed_and_self_contained(board: Path, tmp_path: Path) -> None:
     page = build([board], tmp_path / "site")
     text = page.read_text()
-    assert len(text.encode()) < MOST_BYTES
+    assert len(text.encode()) < MAX_BYTES
     tags = Tags(text)
     assert tags.open == []
-    for tag, attributes in tags.found:
+    for tag, attributes in tags.tags:
         assert tag not in ("link", "iframe", "object", "embed", "form")
         assert "style" not in attributes
         assert not any(name.startswith("on") for name in attributes)
@@ -58,16 +58,16 @@ def test_page_is_whole_small_and_alone(board: Path, tmp_path: Path) -> None:
             target = str(attributes["href"])
             assert target.startswith(("#", "https://"))
             if target.startswith("#"):
-                assert target[1:] in {attributes.get("id") for _, attributes in tags.found}
-    ids = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
+                assert target[1:] in {attributes.get("id") for _, attributes in tags.tags}
+    ids = [attributes["id"] for _, attributes in tags.tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
 
 
-def test_same_entries_same_bytes(board: Path, tmp_path: Path) -> None:
+def test_equal_entries_give_equal_bytes(board: Path, tmp_path: Path) -> None:
     assert build([board], tmp_path / "a").read_bytes() == build([board], tmp_path / "b").read_bytes()
 
 
-def test_words_of_others_are_text(tmp_path: Path) -> None:
+def test_text_of_entries_is_escaped(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="pattern"):
         measured("a</script>", 20.0)
     quoted = measured("\"x' onload=y &amp;", 20.0, pairs=(), notes=("</script><script>alert(1)</script>",))
@@ -77,7 +77,7 @@ def test_words_of_others_are_text(tmp_path: Path) -> None:
     assert text.count("<script") == 1
 
 
-def test_a_missing_picture_is_named(tmp_path: Path) -> None:
+def test_missing_image_is_named(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"(truth|a)-0\.jpg"):
         build_site([measured("a", 20.0)], [tmp_path], tmp_path / "site")
 
@@ -90,16 +90,16 @@ def test_shipped_board_builds(tmp_path: Path) -> None:
     assert "0.71" in text
 
 
-def test_entries_of_later_folders_stand_in(board: Path, tmp_path: Path) -> None:
-    own = tmp_path / "own" / "entries"
-    write_json(own / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32, pairs=()))
-    text = build([board, own.parent], tmp_path / "site").read_text()
+def test_entries_of_later_boards_replace_earlier_ones(board: Path, tmp_path: Path) -> None:
+    later = tmp_path / "later" / "entries"
+    write_json(later / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32, pairs=()))
+    text = build([board, later.parent], tmp_path / "site").read_text()
     assert "99999999" in text
     assert text.count('data-value="mean_color"') == 1
     assert text.count('data-value="nearest_frame"') == 1
 
 
-def test_settings_of_one_method_are_told_apart_side_by_side(board: Path, tmp_path: Path) -> None:
+def test_slider_names_the_settings_of_one_method(board: Path, tmp_path: Path) -> None:
     pairs = measured("mean_color", 20.0).pairs
     other = measured("nearest_frame", 30.0, setting="farther", result_hash="99" * 32, pairs=pairs)
     write_json(board / "entries" / "measured-other.json", other)
@@ -108,20 +108,20 @@ def test_settings_of_one_method_are_told_apart_side_by_side(board: Path, tmp_pat
         assert text.count(f"<option>{name}</option>") + text.count(f"<option selected>{name}</option>") == 2
 
 
-def test_an_older_protocol_is_said_to_be_older(tmp_path: Path) -> None:
+def test_older_protocol_is_marked(tmp_path: Path) -> None:
     new, old = (
-        build_site([one], [], tmp_path).read_text()
-        for one in (measured("a", 20.0, pairs=()), measured("a", 20.0, pairs=(), protocol_hash="01" * 32))
+        build_site([entry], [], tmp_path).read_text()
+        for entry in (measured("a", 20.0, pairs=()), measured("a", 20.0, pairs=(), protocol_hash="01" * 32))
     )
     assert "an older version" not in new
     assert "an older version" in old
 
 
-def test_no_entries_at_all(tmp_path: Path) -> None:
+def test_page_without_entries(tmp_path: Path) -> None:
     assert "0 entries" in build_site([], [tmp_path], tmp_path / "site").read_text()
 
 
-def test_what_nobody_has_is_said_and_has_no_column(tmp_path: Path) -> None:
+def test_metric_without_values_is_noted_and_has_no_column(tmp_path: Path) -> None:
     text = build_site([measured("a", 20.0, pairs=())], [], tmp_path / "site").read_text()
     assert "LPIPS alex: unavailable: alexnet" in text
     assert '">LPIPS alex' not in text
@@ -136,47 +136,48 @@ def test_plot_needs_time_and_value(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (1280, True), (390, False), (320, True)])
-def test_nothing_overflows_or_complains(browser: Browser, board: Path, tmp_path: Path, width: int, dark: bool) -> None:
+def test_page_fits_without_warnings(browser: Browser, board: Path, tmp_path: Path, width: int, dark: bool) -> None:
     page = build([board], tmp_path / "site")
     browser.open(page, width=width, dark=dark)
     assert browser.script("document.documentElement.scrollWidth") <= width
     assert browser.complaints() == []
     assert all(url.startswith(page.parent.resolve().as_uri()) for url in browser.requested())
     browser.script("document.querySelectorAll('img').forEach(image => { image.loading = 'eager' })")
-    loaded = "Promise.all([...document.images].map(one => one.decode().then(() => one.naturalWidth)))"
+    loaded = "Promise.all([...document.images].map(image => image.decode().then(() => image.naturalWidth)))"
     assert all(size == 480 for size in browser.script(loaded))
 
 
 def test_no_table_is_wider_than_a_window(browser: Browser, tmp_path: Path) -> None:
-    """The shipped board, whose widest protocol asks for six groups of three metrics, without scrolling sideways."""
+    """The shipped board fits the window: its widest protocol has six groups of three metrics."""
     browser.open(build([PAPERS, REPOSITORY / "leaderboard"], tmp_path / "site"), width=1280)
-    wide = "[...document.querySelectorAll('.scroll')].filter(one => one.scrollWidth > one.clientWidth)"
-    assert browser.script(f"{wide}.map(one => one.getAttribute('aria-label'))") == []
-    heads = "[...document.querySelectorAll('table.board th.group')].map(one => one.textContent)"
+    wide = "[...document.querySelectorAll('.scroll')].filter(element => element.scrollWidth > element.clientWidth)"
+    assert browser.script(f"{wide}.map(element => element.getAttribute('aria-label'))") == []
+    heads = "[...document.querySelectorAll('table.board th.group')].map(head => head.textContent)"
     assert {"3 m right", "1 m right", "1 m left", "3 m left"} <= set(browser.script(heads))
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_text_can_be_read(browser: Browser, board: Path, tmp_path: Path, dark: bool) -> None:
-    """Contrast of text and its ground: 4.5 at least, as WCAG AA has it."""
+def test_text_has_enough_contrast(browser: Browser, board: Path, tmp_path: Path, dark: bool) -> None:
+    """WCAG AA requires a contrast of at least 4.5 between text and background."""
     browser.open(build([board], tmp_path / "site"), dark=dark)
-    script = f"""[...document.querySelectorAll('{TEXTS}')].map(one => {{
-      const bare = (it) => getComputedStyle(it).backgroundColor === 'rgba(0, 0, 0, 0)';
-      let ground = one;
-      while (ground.parentElement && bare(ground)) ground = ground.parentElement;
-      if (bare(ground)) ground = document.body;
-      return [getComputedStyle(one).color, getComputedStyle(ground).backgroundColor, one.textContent.slice(0, 30)];
+    script = f"""[...document.querySelectorAll('{TEXTS}')].map(element => {{
+      const isClear = (it) => getComputedStyle(it).backgroundColor === 'rgba(0, 0, 0, 0)';
+      let back = element;
+      while (back.parentElement && isClear(back)) back = back.parentElement;
+      if (isClear(back)) back = document.body;
+      const text = element.textContent.slice(0, 30);
+      return [getComputedStyle(element).color, getComputedStyle(back).backgroundColor, text];
     }})"""
-    for ink, ground, text in browser.script(script):
-        assert contrast(ink, ground) >= 4.5, (ink, ground, text)
+    for colour, background, text in browser.script(script):
+        assert contrast(colour, background) >= 4.5, (colour, background, text)
 
 
 TEXTS = "h1,h2,h3,p,td,th,button,small,a,li,.tag,label,figcaption"
 
 
-def contrast(one: str, other: str) -> float:
-    lights = sorted(luminance(*map(int, re.findall(r"\d+", colour)[:3])) for colour in (one, other))
-    return (lights[1] + 0.05) / (lights[0] + 0.05)
+def contrast(*colours: str) -> float:
+    dark, bright = sorted(luminance(*map(int, re.findall(r"\d+", colour)[:3])) for colour in colours)
+    return (bright + 0.05) / (dark + 0.05)
 
 
 def luminance(*rgb: int) -> float:
@@ -192,7 +193,7 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.open(build([board], tmp_path / "site"))
     best = ["hybridworldsim", "nearest_frame", "mean_color"]
     assert browser.script(METHODS) == best
-    # The ranked column turns round; another begins with its best; what has no value stays last and in order.
+    # A click reverses the ranked column; another column starts with its best; rows without a value stay last.
     browser.script(f"{HEADS}[3].click()")
     assert browser.script(METHODS) == best[::-1]
     assert (
@@ -217,17 +218,17 @@ def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -
     assert browser.script(METHODS) == ["mean_color", "nearest_frame", "hybridworldsim"]
 
 
-def test_slider_moves_and_shows_what_is_chosen(browser: Browser, board: Path, tmp_path: Path) -> None:
+def test_slider_moves_and_shows_the_selected_images(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.open(build([board], tmp_path / "site"))
     source = "document.querySelector('.stage img.{}').getAttribute('src')"
-    assert browser.script(source.format("left")) == "pictures/street/truth-0.jpg"
-    assert browser.script(source.format("right")) == "pictures/street/hybridworldsim-0.jpg"
+    assert browser.script(source.format("left")) == f"{IMAGE_FOLDER}/street/truth-0.jpg"
+    assert browser.script(source.format("right")) == f"{IMAGE_FOLDER}/street/hybridworldsim-0.jpg"
     choose = "(() => {{ const s = document.querySelectorAll('.slider select')[{}]; s.selectedIndex = {};"
     choose += " s.dispatchEvent(new Event('change')) }})()"
     browser.script(choose.format(0, 1))
     browser.script(choose.format(1, 2))
-    assert browser.script(source.format("left")) == "pictures/street/nearest_frame-1.jpg"
-    assert browser.script(source.format("right")) == "pictures/street/hybridworldsim-1.jpg"
+    assert browser.script(source.format("left")) == f"{IMAGE_FOLDER}/street/nearest_frame-1.jpg"
+    assert browser.script(source.format("right")) == f"{IMAGE_FOLDER}/street/hybridworldsim-1.jpg"
     browser.script("document.querySelector('.stage').scrollIntoView()")
     left, top, width, height = browser.script(
         "(r => [r.x, r.y, r.width, r.height])(document.querySelector('.stage').getBoundingClientRect())"
@@ -239,7 +240,7 @@ def test_slider_moves_and_shows_what_is_chosen(browser: Browser, board: Path, tm
     assert at == pytest.approx(25, abs=3)
 
 
-def test_tables_stand_without_scripts(browser: Browser, board: Path, tmp_path: Path) -> None:
+def test_tables_need_no_scripts(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.open(build([board], tmp_path / "site"))

@@ -1,1 +1,1 @@
-"""The static site: one page and its pictures."""
+"""The static site: one page and its images."""

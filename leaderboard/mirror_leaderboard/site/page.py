@@ -1,4 +1,4 @@
-"""The page: boards by protocol, plots, sliders, and how to submit; nothing is loaded from elsewhere."""
+"""The page of the leaderboard: boards by protocol, plots, sliders and a guide; it needs no network access."""
 
 from __future__ import annotations
 
@@ -27,55 +27,54 @@ from mirror_leaderboard.site.tables import board_table
 _TITLE: Final = "MIRROR leaderboard"
 _MARK: Final = ".made-by-mirror-leaderboard"
 _KINDS: Final = (
-    '<p><span class="tag measured">measured</span> was scored here; the hashes name the result, the protocol and the '
-    'data. <span class="tag reported">reported</span> is what a paper prints, by its authors’ own evaluation: it is '
-    'never ranked with measured figures. <span class="tag floor">floor</span> shows nothing but what was recorded: '
-    "what every method must beat. "
-    "<b>Bold</b> is best of a table; small figures are 95 % confidence intervals.</p>"
+    '<p><span class="tag measured">measured</span>: scored here; the hashes identify the result, the protocol and the '
+    'data. <span class="tag reported">reported</span>: printed in a paper, from its authors’ evaluation; never ranked '
+    'with measured figures. <span class="tag floor">floor</span>: a baseline that only shows recorded pixels; every '
+    "method must beat it. <b>Bold</b>: the best value of a table. Small figures: 95 % confidence intervals.</p>"
 )
 
 
-def build_site(entries: Sequence[Entry], pictures: Sequence[Path], out: Path) -> Path:
+def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Path) -> Path:
     """Write the site.
 
     Args:
-        entries: what stands on the board.
-        pictures: folders of the pictures that entries name.
-        out: folder of the site, new, empty, or written by an earlier run: its page and images are replaced, other files
-            are left alone.
+        entries: the entries to show.
+        image_folders: folders with the entries' images.
+        out: folder of the site: new, empty, or written by an earlier run. Its page and images are replaced; other files
+            stay.
 
     Returns:
-        The page.
+        The file of the page.
 
     Raises:
-        UsageError: the folder is something else.
-        DatasetError: a picture is missing, or the folder cannot be written.
+        UsageError: the folder holds other files.
+        DatasetError: an image is missing, or the folder cannot be written.
     """
     require_output_folder(out, FolderKind.SITE)
     write_bytes(out / _MARK, b"`mirror leaderboard build` writes this folder.\n")
     boards = make_boards(entries)
-    _copy_pictures(image_files(boards), pictures, out / IMAGE_FOLDER)
+    _copy_images(image_files(boards), image_folders, out / IMAGE_FOLDER)
     page = out / "index.html"
-    write_bytes(page, _page(boards, entries).encode())
+    write_bytes(page, _format_page(boards, entries).encode())
     return page
 
 
-def _page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+def _format_page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     style = style_sheet() + files("mirror_leaderboard.site").joinpath("site.css").read_text()
     script = files("mirror_leaderboard.site").joinpath("site.js").read_text()
     policy = (
         f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style)}'; "
         f"script-src '{_source_hash(script)}'; base-uri 'none'; form-action 'none'"
     )
-    sections = [(protocol, list(own)) for protocol, own in groupby(boards, key=lambda board: board.protocol)]
+    sections = [(protocol, list(group)) for protocol, group in groupby(boards, key=lambda board: board.protocol)]
     links = "".join(f'<li><a href="#{escape(protocol)}">{escape(protocol)}</a></li>' for protocol, _ in sections)
     measured = sum(isinstance(entry, Measured) for entry in entries)
     counts = f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables."
     body = (
         f'<main><header><h1>{_TITLE}</h1><p class="dim">{counts}</p>{_KINDS}<nav aria-label="Protocols"><ul>{links}'
         '<li><a href="#submit">how to submit</a></li></ul></nav></header>'
-        f"{''.join(_section(protocol, own, entries) for protocol, own in sections)}{GUIDE}"
-        f"<footer>Made by mirror {escape(__version__)}; one file and its pictures, no server.</footer></main>"
+        f"{''.join(_format_section(protocol, group, entries) for protocol, group in sections)}{GUIDE}"
+        f"<footer>Made by mirror {escape(__version__)}; static files, no server.</footer></main>"
     )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -86,33 +85,33 @@ def _page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     )
 
 
-def _section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     about = " ".join(load_protocol(protocol).description.split())
-    tables = "".join(f"{_heading(board)}{board_table(board)}{board_slider(board)}" for board in boards)
+    tables = "".join(f"{_format_heading(board)}{board_table(board)}{board_slider(board)}" for board in boards)
     return (
         f'<section id="{escape(protocol)}"><h2>{escape(protocol)}</h2>'
-        f"<details><summary>What is scored, and how</summary><p>{escape(about)}</p></details>"
+        f"<details><summary>What the protocol scores</summary><p>{escape(about)}</p></details>"
         f"{tables}{time_quality_plot(boards, entries)}</section>"
     )
 
 
-def _heading(board: Board) -> str:
+def _format_heading(board: Board) -> str:
     evidence = ""
     if board.split is not None and board.hashes is not None:
         hashes = zip(("protocol", "data"), board.hashes)
-        codes = "".join(f' · {name} <code title="{whole}">{whole[:8]}</code>' for name, whole in hashes)
+        codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
         older = "" if load_protocol(board.protocol).hash == board.hashes[0] else " · an older version of the protocol"
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
         evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
     return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
 
 
-def _copy_pictures(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:
+def _copy_images(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:
     for name in names:
-        found = next((source / name for source in sources if (source / name).is_file()), None)
-        if found is None:
+        file = next((source / name for source in sources if (source / name).is_file()), None)
+        if file is None:
             raise DatasetError("missing", file=name, expected=f"in {' or '.join(map(str, sources)) or 'some folder'}")
-        write_bytes(out / name, found.read_bytes())
+        write_bytes(out / name, file.read_bytes())
 
 
 def _source_hash(text: str) -> str:
@@ -120,9 +119,9 @@ def _source_hash(text: str) -> str:
 
 
 def build(boards: Sequence[Path], out: Path) -> Path:
-    """Build the site of folders that hold ``entries`` and ``pictures``; see `build_site` and `load_entries`.
+    """Build the site of several boards; see `build_site` and `load_entries`.
 
-    An entry of a later folder stands in for one of an earlier folder that is for the same.
+    An entry of a later board replaces the entry with the same key of an earlier board.
     """
     entries = {entry_key(entry): entry for board in boards for entry in load_entries(board / "entries")}
     return build_site(list(entries.values()), [board / IMAGE_FOLDER for board in boards], out)

@@ -1,4 +1,4 @@
-"""Quality against the time of a picture, as inline SVG: up and left is better."""
+"""The plot of quality against render time of an image, as inline SVG: up and left is better."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _WIDTH, _HEIGHT = 640, 340
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 30, 14, 54
 _HUES: Final = 6
 _SHAPES: Final = {"measured": "●", "reported": "◇"}
-# Of the larger letters that a phone has.
+# Sizes of labels are those of the larger font on a phone.
 _LABEL_PX: Final = 19
-_LABEL_WIDE: Final = 10.0
-_REACH_PX: Final = 8.0
-_ROWS: Final = 12
+_LETTER_PX: Final = 10.0
+_POINT_RADIUS_PX: Final = 8.0
+_MAX_ROWS: Final = 12
 
 
 @dataclass(frozen=True)
@@ -34,34 +34,34 @@ class _Point:
 
 
 def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
-    """The plot of one protocol's boards; empty if nothing has both a time and a value.
+    """Plot the boards of one protocol; empty if no entry has both a render time and a value.
 
     Args:
-        boards: of one protocol; each has its own colour, since values of different data cannot be compared.
-        entries: all that there are: render times may stand in another one of the same method.
+        boards: boards of one protocol; each has its colour, since values of different data are not comparable.
+        entries: all entries: the render time of a method may be in another of its entries.
     """
     columns = dict.fromkeys(board.ranked_by for board in boards)
-    column = next((one for one in columns if _points(boards, one, entries)), None)
+    column = next((column for column in columns if _list_points(boards, column, entries)), None)
     if column is None:
         return ""
-    points = _points(boards, column, entries)
+    points = _list_points(boards, column, entries)
     measure = MEASURES[column[1]]
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"
     x, y = _log_axis([point.seconds for point in points]), _linear_axis([point.value for point in points])
-    drawn = [*_grid(x, y), *_labelled(points, x, y, measure.digits)]
-    named = dict.fromkeys((point.hue, boards[point.hue].title) for point in points)
-    key = "".join(f'<span><i class="dot h{hue % _HUES}"></i>{escape(title)}</span>' for hue, title in named)
+    elements = [*_format_grid(x, y), *_format_points(points, x, y, measure.digits)]
+    titles = dict.fromkeys((point.hue, boards[point.hue].title) for point in points)
+    legend = "".join(f'<span><i class="dot h{hue % _HUES}"></i>{escape(title)}</span>' for hue, title in titles)
     kinds = {point.kind for point in points}
     shapes = "".join(f"<span>{shape} {kind}</span>" for kind, shape in _SHAPES.items() if kind in kinds)
-    about = f"{head} against seconds a picture: " + "; ".join(
+    about = f"{head} against seconds per image: " + "; ".join(
         f"{point.label} {point.value:.{measure.digits}f} at {point.seconds:.3g} s" for point in points
     )
-    axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds a picture ↓</text>'
+    axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds per image ↓</text>'
     return (
-        f'<figure class="plot"><figcaption>{escape(head)}, against the time of a picture</figcaption>'
-        f'<p class="key">{key}{shapes}</p>'
+        f'<figure class="plot"><figcaption>{escape(head)}, against the render time of an image</figcaption>'
+        f'<p class="key">{legend}{shapes}</p>'
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
-        f"{''.join(drawn)}{axis}</svg></figure>"
+        f"{''.join(elements)}{axis}</svg></figure>"
     )
 
 
@@ -72,13 +72,13 @@ class _Box:
     top: float
     bottom: float
 
-    def meets(self, other: _Box) -> bool:
-        across = self.left < other.right and other.left < self.right
-        return across and self.top < other.bottom and other.top < self.bottom
+    def overlaps(self, other: _Box) -> bool:
+        horizontally = self.left < other.right and other.left < self.right
+        return horizontally and self.top < other.bottom and other.top < self.bottom
 
-    def within(self, other: _Box) -> bool:
-        across = other.left <= self.left and self.right <= other.right
-        return across and other.top <= self.top and self.bottom <= other.bottom
+    def is_within(self, other: _Box) -> bool:
+        horizontally = other.left <= self.left and self.right <= other.right
+        return horizontally and other.top <= self.top and self.bottom <= other.bottom
 
 
 @dataclass(frozen=True)
@@ -88,19 +88,19 @@ class _Axis:
     ticks: tuple[float, ...]
     logarithmic: bool
 
-    def share(self, value: float) -> float:
-        at = math.log10(value) if self.logarithmic else value
-        return (at - self.low) / (self.high - self.low)
+    def fraction(self, value: float) -> float:
+        position = math.log10(value) if self.logarithmic else value
+        return (position - self.low) / (self.high - self.low)
 
 
-def _points(boards: Sequence[Board], column: Column, entries: Sequence[Entry]) -> list[_Point]:
-    found = []
+def _list_points(boards: Sequence[Board], column: Column, entries: Sequence[Entry]) -> list[_Point]:
+    points = []
     for hue, board in enumerate(boards):
         for entry in board.entries:
             value, seconds = find_value(entry, column), seconds_per_image(entry, entries)
             if value is not None and seconds is not None:
-                found.append(_Point(seconds, value * MEASURES[column[1]].scale, entry.method, entry.kind, hue))
-    return found
+                points.append(_Point(seconds, value * MEASURES[column[1]].scale, entry.method, entry.kind, hue))
+    return points
 
 
 def _log_axis(values: Sequence[float]) -> _Axis:
@@ -118,65 +118,64 @@ def _linear_axis(values: Sequence[float]) -> _Axis:
     return _Axis(ticks[0], ticks[-1], ticks, logarithmic=False)
 
 
-def _grid(x: _Axis, y: _Axis) -> list[str]:
-    drawn = []
+def _format_grid(x: _Axis, y: _Axis) -> list[str]:
+    elements = []
     for tick in x.ticks:
-        at = _across(x, tick)
-        drawn.append(f'<path class="rule" d="M{at:.1f} {_TOP}V{_HEIGHT - _BOTTOM}"/>')
-        drawn.append(f'<text x="{at:.1f}" y="{_HEIGHT - _BOTTOM + 20}" class="middle dim">{tick:g}</text>')
+        tick_x = _to_x(x, tick)
+        elements.append(f'<path class="rule" d="M{tick_x:.1f} {_TOP}V{_HEIGHT - _BOTTOM}"/>')
+        elements.append(f'<text x="{tick_x:.1f}" y="{_HEIGHT - _BOTTOM + 20}" class="middle dim">{tick:g}</text>')
     for tick in y.ticks:
-        at = _down(y, tick)
-        drawn.append(f'<path class="rule" d="M{_LEFT} {at:.1f}H{_WIDTH - _RIGHT}"/>')
-        drawn.append(f'<text x="{_LEFT - 8}" y="{at + 4:.1f}" class="end dim">{tick:.6g}</text>')
-    return drawn
+        tick_y = _to_y(y, tick)
+        elements.append(f'<path class="rule" d="M{_LEFT} {tick_y:.1f}H{_WIDTH - _RIGHT}"/>')
+        elements.append(f'<text x="{_LEFT - 8}" y="{tick_y + 4:.1f}" class="end dim">{tick:.6g}</text>')
+    return elements
 
 
-def _labelled(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list[str]:
-    drawn: list[str] = []
-    places = [(_across(x, point.seconds), _down(y, point.value)) for point in points]
-    taken = [
-        _Box(across - _REACH_PX, across + _REACH_PX, down - _REACH_PX, down + _REACH_PX) for across, down in places
-    ]
-    for point, (across, down) in sorted(zip(points, places), key=lambda one: (-one[0].value, one[0].seconds)):
-        title = f"<title>{escape(point.label)}: {point.value:.{digits}f} at {point.seconds:.3g} s a picture</title>"
+def _format_points(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list[str]:
+    elements: list[str] = []
+    positions = [(_to_x(x, point.seconds), _to_y(y, point.value)) for point in points]
+    radius = _POINT_RADIUS_PX
+    occupied = [_Box(at_x - radius, at_x + radius, at_y - radius, at_y + radius) for at_x, at_y in positions]
+    for point, (at_x, at_y) in sorted(zip(points, positions), key=lambda item: (-item[0].value, item[0].seconds)):
+        title = f"<title>{escape(point.label)}: {point.value:.{digits}f} at {point.seconds:.3g} s per image</title>"
         hue = f"h{point.hue % _HUES}"
         if point.kind == "measured":
-            shape = f'<circle cx="{across:.1f}" cy="{down:.1f}" r="6" class="point {hue}">{title}</circle>'
+            shape = f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="6" class="point {hue}">{title}</circle>'
         else:
-            diamond = f"M{across:.1f} {down - 8:.1f}l8 8l-8 8l-8 -8z"
+            diamond = f"M{at_x:.1f} {at_y - 8:.1f}l8 8l-8 8l-8 -8z"
             shape = f'<path d="{diamond}" class="point hollow {hue}">{title}</path>'
-        side, rows, box = _free(across, down, _LABEL_WIDE * len(point.label), taken)
-        taken.append(box)
-        at, near = down + 4 + rows * _LABEL_PX, box.left if side > 0 else box.right
-        lead = f'<path class="lead" d="M{across:.1f} {down:.1f}L{near:.1f} {at - 5:.1f}"/>' if rows else ""
+        side, rows, box = _place_label(at_x, at_y, _LETTER_PX * len(point.label), occupied)
+        occupied.append(box)
+        label_x, label_y = box.left if side > 0 else box.right, at_y + 4 + rows * _LABEL_PX
+        lead = f'<path class="lead" d="M{at_x:.1f} {at_y:.1f}L{label_x:.1f} {label_y - 5:.1f}"/>' if rows else ""
         anchor = "" if side > 0 else ' class="end"'
-        drawn.append(f'{lead}{shape}<text x="{near:.1f}"{anchor} y="{at:.1f}">{escape(point.label)}</text>')
-    return drawn
+        elements.append(f'{lead}{shape}<text x="{label_x:.1f}"{anchor} y="{label_y:.1f}">{escape(point.label)}</text>')
+    return elements
 
 
-def _free(across: float, down: float, wide: float, taken: Sequence[_Box]) -> tuple[int, int, _Box]:
-    """Where a label fits beside a point: on its right or left, level with it or as few rows off as can be.
+def _place_label(at_x: float, at_y: float, width: float, occupied: Sequence[_Box]) -> tuple[int, int, _Box]:
+    """Find a free place for a label: on the right or left of its point, in the nearest free row.
 
     Returns:
-        1 or -1 for right or left, rows below, and the label's box.
+        1 for right or -1 for left; the row, counted downwards from the point's own; and the label's box.
     """
-    whole = _Box(_LEFT, _WIDTH, 0.0, _HEIGHT - _BOTTOM)
-    # Where none fits: the titles of the points tell all.
-    best = (1, 0, _Box(across + 12, across + 12 + wide, down - _LABEL_PX / 2, down + _LABEL_PX / 2))
-    for off in range(_ROWS):
-        for rows in dict.fromkeys((-off, off)):
+    plot = _Box(_LEFT, _WIDTH, 0.0, _HEIGHT - _BOTTOM)
+    # If no place is free, the label overlaps: the title of the point still shows it.
+    fallback = (1, 0, _Box(at_x + 12, at_x + 12 + width, at_y - _LABEL_PX / 2, at_y + _LABEL_PX / 2))
+    for distance in range(_MAX_ROWS):
+        for rows in dict.fromkeys((-distance, distance)):
             for side in (1, -1):
-                start = across + 12 if side > 0 else across - 12 - wide
-                middle = down + rows * _LABEL_PX
-                box = _Box(start, start + wide, middle - _LABEL_PX / 2, middle + _LABEL_PX / 2)
-                if box.within(whole) and not any(box.meets(other) for other in taken):
+                start = at_x + 12 if side > 0 else at_x - 12 - width
+                middle = at_y + rows * _LABEL_PX
+                box = _Box(start, start + width, middle - _LABEL_PX / 2, middle + _LABEL_PX / 2)
+                if box.is_within(plot) and not any(box.overlaps(other) for other in occupied):
                     return side, rows, box
-    return best
+    return fallback
 
 
-def _across(x: _Axis, value: float) -> float:
-    return _LEFT + x.share(value) * (_WIDTH - _LEFT - _RIGHT)
+def _to_x(axis: _Axis, value: float) -> float:
+    return _LEFT + axis.fraction(value) * (_WIDTH - _LEFT - _RIGHT)
 
 
-def _down(y: _Axis, value: float) -> float:
-    return _HEIGHT - _BOTTOM - y.share(value) * (_HEIGHT - _TOP - _BOTTOM)
+def _to_y(axis: _Axis, value: float) -> float:
+    return _HEIGHT - _BOTTOM - axis.fraction(value) * (_HEIGHT - _TOP - _BOTTOM)

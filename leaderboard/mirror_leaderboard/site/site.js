@@ -17,7 +17,7 @@ for (const table of document.querySelectorAll("table.board")) {
       const sign = now === "ascending" ? 1 : -1;
       const rows = [...body.rows].sort((a, b) => {
         const x = value(a), y = value(b);
-        // What has no value is last, whichever way.
+        // Rows without a value come last in both directions.
         if (x === null || y === null) return (x === null) - (y === null);
         return x < y ? -sign : x > y ? sign : 0;
       });
@@ -31,12 +31,12 @@ for (const slider of document.querySelectorAll(".slider")) {
   const stage = slider.querySelector(".stage"), range = slider.querySelector("input");
   const show = (select, side) => {
     const image = stage.querySelector("img." + side);
-    image.src = views[view.selectedIndex].pictures[select.value];
+    image.src = views[view.selectedIndex].images[select.value];
     image.alt = select.value + ": " + views[view.selectedIndex].view;
     stage.querySelector(".name." + side).textContent = select.value;
   };
   const fill = (select, fallback) => {
-    const names = Object.keys(views[view.selectedIndex].pictures), was = select.value;
+    const names = Object.keys(views[view.selectedIndex].images), was = select.value;
     select.replaceChildren(...names.map((name) => new Option(name)));
     select.value = names.includes(was) ? was : names[Math.min(fallback, names.length - 1)];
   };

@@ -87,6 +87,7 @@ PLACES = (
     "leaderboard",
     "tests/leaderboard",
     "mirror/evaluation",
+    "tests/evaluation",
 )
 """Where no retired word stands any more. A folder is added here when its words are swept."""
 _FLOORS = "baselines/mirror_baselines"

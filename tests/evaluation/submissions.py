@@ -1,4 +1,4 @@
-"""Submissions for tests: small protocols, and renders made of the truth."""
+"""Submissions for tests: small protocols, and renders made from the truth."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def small_text(
     metrics: str = _PSNR + _SSIM,
     block: int = 1,
 ) -> str:
-    """A protocol of few pictures, as TOML."""
+    """Return a protocol with few images, as TOML."""
     return _TEXT.format(task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block)
 
 
 def small(**changes: Any) -> Protocol:
-    """A protocol of few pictures."""
+    """Return a protocol with few images."""
     return parse_protocol(small_text(**changes).encode(), "small.toml")
 
 
@@ -72,7 +72,7 @@ def write_renders(
     appearance: Appearance | None = None,
     runtime: Runtime | None = None,
 ) -> Plan:
-    """A submission whose renders are the truth, changed."""
+    """Write a submission with changed copies of the truth as renders."""
     plan = plan_views(dataset, protocol, SPLIT)
     truth = GroundTruth(dataset, protocol, plan.layers)
     for view in plan.views:

@@ -1,4 +1,4 @@
-"""Evaluation from end to end: right figures, resumed, in two processes, refused where something is wrong."""
+"""Evaluation from end to end: figures, resumed runs, two processes, and refused submissions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, folder: Path, tmp_path: Path) -> None:
+def test_psnr_is_of_the_scored_pixels(dataset: Dataset, root: Path, folder: Path, tmp_path: Path) -> None:
     protocol = small(every=2)
     done = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path, ALONE)
     assert done.result is not None
@@ -59,7 +59,7 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
     for view in done.plan.views:
         render = cv2.imread(str(folder / "noise4" / view.path))[..., ::-1].astype(np.float64)
         frame, image = truth.recorded_frame_and_image(view)
-        # By another way: rays of the raster's pixels are looked up in the recorded picture.
+        # Independent method: the recorded image is sampled at the rays of the raster's pixels.
         lens, scored = image.camera_model, truth.scored_mask(view)
         uv = lens.project(view.lens.rays().direction).uv_px
         margins = np.stack([uv[..., 0], lens.width_px - uv[..., 0], uv[..., 1], lens.height_px - uv[..., 1]])
@@ -89,37 +89,37 @@ def test_psnr_is_that_of_the_pixels_that_count(dataset: Dataset, root: Path, fol
         row_of = rows[view.path]
         assert row_of["pixels"] == view.width_px * view.height_px
         assert row_of["scored_px"] == scored.sum()
-        picture = truth.image(view).astype(np.float64)
-        error = np.mean((render[scored] - picture[scored]) ** 2)
+        image = truth.image(view).astype(np.float64)
+        error = np.mean((render[scored] - image[scored]) ** 2)
         assert row_of["psnr"] == pytest.approx(10 * math.log10(255**2 / error), abs=1e-9)
         traversals.setdefault(view.traversal_id, []).append(row_of["psnr"])
     assert 2 * free > len(rows)
-    figure = next(one for one in done.result.figures if one.metric == "psnr" and one.level == "group")
+    figure = next(item for item in done.result.figures if item.metric == "psnr" and item.level == "group")
     assert figure.value == pytest.approx(np.mean([np.mean(values) for values in traversals.values()]))
     assert figure.n == len(rows)
-    pooled = next(one for one in done.result.figures if one.metric == "psnr_pooled")
+    pooled = next(item for item in done.result.figures if item.metric == "psnr_pooled")
     assert (pooled.n, pooled.n_missing) == (figure.n, figure.n_missing)
     assert done.result == read_result(tmp_path)
     assert read_result(tmp_path).hash == done.result.hash
 
 
-def test_two_processes_and_a_resumed_run_find_the_same(root: Path, folder: Path, tmp_path: Path) -> None:
+def test_two_processes_and_a_resumed_run_give_equal_results(root: Path, folder: Path, tmp_path: Path) -> None:
     protocol = small(every=2)
-    one = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "one", ALONE)
+    single = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "one", ALONE)
     two = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", EvaluationOptions(workers=2))
-    assert one.result == two.result
-    assert one.reused == two.reused == 0
-    # As if it had been killed while it wrote its third line.
+    assert single.result == two.result
+    assert single.reused == two.reused == 0
+    # The state after a kill during the third line.
     log = tmp_path / "two" / "work" / "scored.jsonl"
     lines = log.read_bytes().splitlines(keepends=True)
     log.write_bytes(b"".join(lines[:2]) + lines[2][:40])
     again = evaluate(folder / "noise4", root, protocol, SPLIT, tmp_path / "two", ALONE)
     assert again.reused == 2
-    assert again.result == one.result
-    assert len(ScoreLog(log).known) == len(one.plan.views)
+    assert again.result == single.result
+    assert len(ScoreLog(log).known) == len(single.plan.views)
 
 
-def test_what_changed_is_scored_again(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+def test_changed_renders_are_scored_again(root: Path, dataset: Dataset, tmp_path: Path) -> None:
     protocol = small(every=5)
     plan = write_renders(dataset, protocol, tmp_path / "s", noisy(4))
     evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
@@ -132,19 +132,19 @@ def test_what_changed_is_scored_again(root: Path, dataset: Dataset, tmp_path: Pa
     assert other.result == again.result
 
 
-def test_renders_equal_to_the_truth_are_counted_not_averaged(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+def test_infinite_psnr_is_counted_and_not_averaged(root: Path, dataset: Dataset, tmp_path: Path) -> None:
     protocol = small()
     write_renders(dataset, protocol, tmp_path / "s")
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
-    figures = {one.metric: one for one in done.result.figures if one.level == "group"}
+    figures = {figure.metric: figure for figure in done.result.figures if figure.level == "group"}
     assert figures["psnr"].value is None
     assert figures["psnr"].n_inf == figures["psnr"].n > 0
     assert figures["ssim"].value == pytest.approx(1.0)
     assert figures["psnr_pooled"].value is None
 
 
-def test_held_out_pixels_that_were_fitted_to_are_not_scored(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+def test_fitted_held_out_pixels_are_not_scored(root: Path, dataset: Dataset, tmp_path: Path) -> None:
     def half(view: RenderView, truth: UInt8) -> UInt8:
         spoilt = truth.copy()
         spoilt[:, : math.ceil(truth.shape[1] / 2)] = 255 - spoilt[:, : math.ceil(truth.shape[1] / 2)]
@@ -155,14 +155,12 @@ def test_held_out_pixels_that_were_fitted_to_are_not_scored(root: Path, dataset:
     write_renders(dataset, small(), tmp_path / "s", half, appearance=appearance)
     done = evaluate(tmp_path / "s", root, small(), SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
-    figure = next(one for one in done.result.figures if one.metric == "psnr")
+    figure = next(item for item in done.result.figures if item.metric == "psnr")
     assert figure.n_inf == figure.n
     assert any("held-out pixels" in warning for warning in done.result.warnings)
 
 
-def test_a_render_that_only_decoding_shows_to_be_broken_stops_the_scoring(
-    root: Path, dataset: Dataset, tmp_path: Path
-) -> None:
+def test_render_that_cannot_be_decoded_stops_the_scoring(root: Path, dataset: Dataset, tmp_path: Path) -> None:
     plan = write_renders(dataset, small(), tmp_path / "s")
     view = plan.views[1]
     bad = png(chunk(b"IDAT", zlib.compress(bytes(10))[:-4] + b"\0\0\0\0"), width=view.width_px, height=view.height_px)
@@ -173,7 +171,7 @@ def test_a_render_that_only_decoding_shows_to_be_broken_stops_the_scoring(
     assert not (tmp_path / "out" / "result.json").exists()
 
 
-def test_unavailable_metrics_are_said_and_may_be_required(
+def test_unavailable_metrics_are_listed_and_can_be_required(
     root: Path, dataset: Dataset, tmp_path: Path, monkeypatch
 ) -> None:
     for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
@@ -193,7 +191,7 @@ def test_unavailable_metrics_are_said_and_may_be_required(
         evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, require=["fid"]))
 
 
-def test_the_verbs(
+def test_commands(
     root: Path,
     folder: Path,
     dataset: Dataset,
@@ -242,7 +240,7 @@ def test_the_verbs(
     assert main(["evaluate", str(folder / "noise4"), *words]) == 2
 
 
-def test_paired_differences_are_surer_than_either(root: Path, folder: Path, tmp_path: Path) -> None:
+def test_paired_differences_have_smaller_intervals(root: Path, folder: Path, tmp_path: Path) -> None:
     protocol = small(every=2)
     for name in ("noise4", "noise12"):
         evaluate(folder / name, root, protocol, SPLIT, tmp_path / name, ALONE)
@@ -264,7 +262,7 @@ def test_paired_differences_are_surer_than_either(root: Path, folder: Path, tmp_
         compare([tmp_path / "noise4"])
 
 
-def test_st_lpips_stands_in_under_its_own_name(root: Path, dataset: Dataset, tmp_path: Path, monkeypatch) -> None:
+def test_st_lpips_replaces_lpips_under_its_own_name(root: Path, dataset: Dataset, tmp_path: Path, monkeypatch) -> None:
     if importlib.util.find_spec("stlpips_pytorch") is None or importlib.util.find_spec("torch") is None:
         pytest.skip("needs pip install --no-deps stlpips-pytorch, for its weights")
     for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):

@@ -1,4 +1,4 @@
-"""Means of means, by loops over dictionaries; intervals that know their blocks."""
+"""Nested means against loops over dictionaries, and intervals that resample blocks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PLACES = st.lists(st.tuples(st.sampled_from("AB"), st.sampled_from("xyz")), min_
 
 
 @given(PLACES, st.sampled_from([(), ("traversal",), ("scene",), ("traversal", "scene")]))
-def test_means_of_means(places: list[tuple[str, str]], averaging: tuple[str, ...]) -> None:
+def test_nested_means(places: list[tuple[str, str]], averaging: tuple[str, ...]) -> None:
     views = [view(scene, f"{scene}.{name}", number) for number, (scene, name) in enumerate(places)]
     values = np.random.default_rng(len(places)).normal(25.0, 3.0, len(places))
     weights = mean_weights(views, averaging)
@@ -44,16 +44,16 @@ def test_means_of_means(places: list[tuple[str, str]], averaging: tuple[str, ...
         return [float(np.mean(part)) for part in parts.values()]
 
     grouped: dict[str, dict[str, list[float]]] = {}
-    for one, value in zip(views, values):
-        scene = one.scene_id if "scene" in averaging else ""
-        traversal = one.traversal_id if "traversal" in averaging else ""
+    for item, value in zip(views, values):
+        scene = item.scene_id if "scene" in averaging else ""
+        traversal = item.traversal_id if "traversal" in averaging else ""
         grouped.setdefault(scene, {}).setdefault(traversal, []).append(value)
     wanted = np.mean([np.mean(mean(parts)) for parts in grouped.values()])
     assert weights @ values == pytest.approx(wanted)
     assert linearise_mean(values, weights).mean() == pytest.approx(wanted)
 
 
-def test_figures_count_what_is_not_finite() -> None:
+def test_figures_count_values_that_are_not_finite() -> None:
     views = [view("A", "A.x", number) for number in range(4)]
     scores = [Score(20.0), Score(math.inf), Score(math.nan, "the mask selects no pixel"), Score(30.0)]
     group = compute_figures(small(), MEASURE, "novel", views, scores)[0]
@@ -64,7 +64,7 @@ def test_figures_count_what_is_not_finite() -> None:
     assert "infinite" in none.reason
 
 
-def test_every_part_has_a_figure() -> None:
+def test_each_scene_traversal_and_camera_has_a_figure() -> None:
     views = [view("A", f"A.{name}", frame, camera) for name in "xy" for frame in (0, 5) for camera in ("a", "b")]
     figures = compute_figures(small(), MEASURE, "novel", views, [Score(float(place)) for place in range(8)])
     levels = [(figure.level, figure.key) for figure in figures]
@@ -74,7 +74,7 @@ def test_every_part_has_a_figure() -> None:
     assert {key for level, key in levels if level == "condition"} == {"day, clear"}
 
 
-def test_intervals_hold_blocks_together_and_need_some() -> None:
+def test_intervals_resample_whole_blocks() -> None:
     protocol = small(block=2)
     rng = np.random.default_rng(0)
     views = [view("A", "A.x", frame) for frame in range(40)]
@@ -84,7 +84,7 @@ def test_intervals_hold_blocks_together_and_need_some() -> None:
     assert figure.high is not None
     assert figure.value is not None
     assert figure.low < figure.value < figure.high
-    # Twenty independent pairs: the interval is that of twenty values, not of forty.
+    # Twenty independent pairs have the interval of twenty values, not of forty.
     half = 1.96 * np.std([float(value) for value in values[::2]], ddof=1) / math.sqrt(20)
     assert (figure.high - figure.low) / 2 == pytest.approx(half, rel=0.35)
     few = compute_figures(protocol, MEASURE, "novel", views[: 2 * MIN_BLOCKS - 2], values[: 2 * MIN_BLOCKS - 2])[0]

@@ -1,4 +1,4 @@
-"""No verb writes into a folder that is something else: it says what the folder is, and leaves it as it was."""
+"""No command writes into another kind of folder: it names the kind, and leaves the folder unchanged."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def refused(words: str, capsys: pytest.CaptureFixture[str], **places: Path) -> s
 
 
 @pytest.mark.parametrize("verb", FOLDERS)
-def test_a_folder_of_something_else(verb: str, here: Path, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_kind_of_folder_is_refused(verb: str, here: Path, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if verb in NEEDS and importlib.util.find_spec(NEEDS[verb]) is None:
         pytest.skip(f"needs {NEEDS[verb]}")
     before = tree(here)
     for out, kind in (("dataset", "a dataset"), ("submission", "a submission"), ("other", "letter.txt")):
-        # Caches may lie beside other files; of a submission `render` asks the model whether it began it.
+        # A folder with other files may get caches; for a submission, `render` asks the model whether it started it.
         if (verb, out) == ("evaluate with features", "other") or (verb.startswith("render") and out == "submission"):
             continue
         said = refused(FOLDERS[verb], capsys, data=root, here=here, out=here / out)
@@ -78,7 +78,7 @@ def test_a_folder_of_something_else(verb: str, here: Path, root: Path, capsys: p
 
 
 @pytest.mark.parametrize("verb", FILES)
-def test_a_file_inside_something_else(verb: str, here: Path, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_file_in_other_kind_of_folder(verb: str, here: Path, root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = tree(here)
     for inside in ("dataset", "submission", "tiny/guangzhou-urban-01"):
         assert f"inside {here / inside}, which is" in refused(
@@ -87,9 +87,7 @@ def test_a_file_inside_something_else(verb: str, here: Path, root: Path, capsys:
     assert tree(here) == before
 
 
-def test_plots_and_sites_are_written_again_and_beside_nothing_else(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_plots_and_sites_are_replaced(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     for words in (["stats", str(root), "--plots"], ["leaderboard", "build", "--out"]):
         out = tmp_path / words[0]
@@ -102,7 +100,7 @@ def test_plots_and_sites_are_written_again_and_beside_nothing_else(
     assert "it holds b.txt, which is no such plot" in capsys.readouterr().err
 
 
-def test_what_was_interrupted_goes_on(
+def test_interrupted_commands_continue(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import mirror.evaluation.submission.template as template
@@ -138,7 +136,7 @@ def test_what_was_interrupted_goes_on(
         assert main([*words, "--out", str(tmp_path / "stopped")]) == 0
         whole, stopped = tree(tmp_path / "whole"), tree(tmp_path / "stopped")
         if module is writing:
-            # It tells how many images were made in a second.
+            # The manifest states the number of images per second.
             for made in (whole, stopped):
                 del made["manifest.json"]
             assert json.loads((tmp_path / "stopped" / "manifest.json").read_text())["method"]["name"] == "nearest_frame"

@@ -1,4 +1,4 @@
-"""PNGs of strangers: whole and plain ones pass, everything else is named, and nothing is decoded before."""
+"""Untrusted PNGs: complete plain ones pass, problems are named, and nothing is decoded before these checks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def png(
 IDAT = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in PIXELS)))
 
 
-def test_a_plain_png_passes_and_is_what_was_written() -> None:
+def test_plain_png_is_decoded_exactly() -> None:
     assert find_png_problem(WHOLE) is None
     assert png_size(WHOLE) == (16, 9)
     np.testing.assert_array_equal(decode_render(WHOLE, 16, 9, "a.png"), PIXELS)
@@ -65,41 +65,41 @@ def test_a_plain_png_passes_and_is_what_was_written() -> None:
         (png(), "without pixels"),
     ],
 )
-def test_what_is_wrong_is_named(data: bytes, words: str) -> None:
+def test_broken_png_is_named(data: bytes, words: str) -> None:
     assert words in str(find_png_problem(data))
     with pytest.raises(RenderError):
         decode_render(data, 16, 9, "a.png")
 
 
 @pytest.mark.parametrize("length", range(0, len(WHOLE), 7))
-def test_a_cut_png_never_passes(length: int) -> None:
+def test_truncated_png_is_refused(length: int) -> None:
     assert find_png_problem(WHOLE[:length]) is not None
 
 
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
 @settings(max_examples=200)
-def test_a_changed_byte_never_passes(place: int, change: int) -> None:
+def test_changed_byte_is_detected(place: int, change: int) -> None:
     changed = bytearray(WHOLE)
     changed[place] ^= change
     assert find_png_problem(bytes(changed)) is not None
 
 
-def test_bombs_are_refused_by_their_header() -> None:
+def test_oversized_png_is_refused_by_its_header() -> None:
     bomb = png(chunk(b"IDAT", zlib.compress(bytes(1000))), width=1 << 30, height=1 << 30)
     assert png_size(bomb) == (1 << 30, 1 << 30)
     with pytest.raises(RenderError, match="size"):
         decode_render(bomb, 16, 9, "bomb.png")
-    # More pixels in the stream than the header says are not read.
+    # Pixels beyond the size in the header are not read.
     long = png(chunk(b"IDAT", zlib.compress(bytes(10**7))))
-    found = decode_render(long, 16, 9, "long.png")
-    assert found.shape == (9, 16, 3)
-    # Fewer are an error, not noise.
+    pixels = decode_render(long, 16, 9, "long.png")
+    assert pixels.shape == (9, 16, 3)
+    # Too few pixels are an error.
     with pytest.raises(RenderError, match="decoded"):
         decode_render(png(chunk(b"IDAT", b"\x00\x01\x02\x03")), 16, 9, "garbage.png")
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (960, 540), (33, 1000)])
-def test_no_honest_png_is_larger_than_allowed(width: int, height: int) -> None:
+def test_valid_png_is_within_the_size_limit(width: int, height: int) -> None:
     noise = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
     stored = cv2.imencode(".png", noise, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1]
     assert len(stored) < max_png_bytes(width, height)

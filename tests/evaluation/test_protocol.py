@@ -1,4 +1,4 @@
-"""Protocols: all that ship are whole, and a hash says what one says."""
+"""The shipped protocols are valid, and their hashes identify their content."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tests.evaluation.submissions import small
 
 
 @pytest.mark.parametrize("name", protocol_names())
-def test_every_protocol_that_ships_is_whole(name: str) -> None:
+def test_shipped_protocol_is_valid(name: str) -> None:
     protocol = load_protocol(name)
     assert protocol.name == name
     assert load_scorer(protocol.task).version >= 1
     assert set(TASKS) >= {protocol.task}
 
 
-def test_the_issue_s_protocols_are_there_and_safety_is_reserved() -> None:
+def test_shipped_names_and_the_reserved_name() -> None:
     wanted = "static-reconstruction lane-shift vehicle-translation generation editing-accuracy annotation runtime"
     assert set(wanted.split()) <= set(protocol_names())
     for name in RESERVED:
@@ -30,20 +30,21 @@ def test_the_issue_s_protocols_are_there_and_safety_is_reserved() -> None:
         load_protocol("static")
 
 
-def test_shifts_are_those_that_are_declared() -> None:
+def test_shifts_are_declared() -> None:
     lanes = {group.name: group.ego_shift_m for group in load_protocol("lane-shift").groups}
     assert lanes == {f"{side}-{m}m": sign * m for side, sign in (("left", 1.0), ("right", -1.0)) for m in (1, 2, 3)}
     cars = [group.vehicle_shift_m for group in load_protocol("vehicle-translation").groups]
     assert cars == [-3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0]
 
 
-def test_the_hash_is_of_what_is_measured_not_of_words_or_layout() -> None:
+def test_hash_ignores_description_and_layout() -> None:
     text = files("mirror.protocols").joinpath("definitions/static-reconstruction.toml").read_text()
     protocol = parse_protocol(text.encode(), "a.toml")
-    told = parse_protocol(text.replace("Novel-view", "New-view").replace("every = 5", "every   =   5").encode(), "b")
+    same = text.replace("Novel-view", "New-view").replace("every = 5", "every   =   5")
+    reworded = parse_protocol(same.encode(), "b")
     other = parse_protocol(text.replace("every = 5", "every = 4").encode(), "c")
-    assert told.description != protocol.description
-    assert told.hash == protocol.hash != other.hash
+    assert reworded.description != protocol.description
+    assert reworded.hash == protocol.hash != other.hash
     assert Protocol.model_validate_json(protocol.model_dump_json()).hash == protocol.hash
 
 
@@ -59,7 +60,7 @@ def test_the_hash_is_of_what_is_measured_not_of_words_or_layout() -> None:
         ("[masks]", "[masks", None),
     ],
 )
-def test_a_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
+def test_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
     text = files("mirror.protocols").joinpath("definitions/static-reconstruction.toml").read_text()
     with pytest.raises(SchemaError) as caught:
         parse_protocol(text.replace(old, new).encode(), "mine.toml")
@@ -67,13 +68,13 @@ def test_a_wrong_key_is_named(old: str, new: str, place: str | None) -> None:
     assert caught.value.place == place
 
 
-def test_groups_that_edit_say_what() -> None:
+def test_edited_group_needs_vehicles() -> None:
     with pytest.raises(SchemaError, match="vehicles"):
         small(groups='[[groups]]\nname = "a"\nroles = ["train"]\nvehicle_shift_m = 1.0\n')
 
 
-def test_a_protocol_that_shipped_does_not_change_unnoticed() -> None:
-    # Results carry these hashes. Whoever changes what is measured counts the version up and writes the new hash here.
+def test_hashes_of_shipped_protocols_are_unchanged() -> None:
+    # Results contain these hashes. A change of the measurement needs a higher version and its new hash here.
     assert {(name, load_protocol(name).version): load_protocol(name).hash[:8] for name in protocol_names()} == {
         ("annotation", 1): "7bf7aa16",
         ("editing-accuracy", 1): "d698a73a",

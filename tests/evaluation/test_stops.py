@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at any instant: 130 within five seconds, no traceback of any process, and the next run goes on."""
+"""Ctrl-C and SIGTERM at random instants: exit code 130 within five seconds, no traceback, a run that continues."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.ingest.recordings import tree
 from tests.interruptions import MIRROR, MOST_S, hear_again, interrupt
 
 NEVER_S = 240.0
-# What a terminal sends, what `kill -INT` sends, and what a scheduler sends.
+# A signal of a terminal, of `kill -INT`, and of a scheduler.
 SIGNALS = ((signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True))
 
 
@@ -30,7 +30,7 @@ def renders(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> None:
-    """Interrupt a command at three random instants, each time where the last one left it."""
+    """Interrupt a command at three random instants; each run continues the one before."""
     instants, hits = random.Random(seed), 0
     for number, group in SIGNALS:
         ended = interrupt(words, instants.uniform(0.0, longest_s), number, group=group)
@@ -41,20 +41,20 @@ def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> Non
 
 
 def finish(words: Sequence[str | Path]) -> float:
-    """Run a command to its end; how long that took."""
+    """Run a command to its end, and return the duration in seconds."""
     begin = time.monotonic()
     ended = interrupt(words, NEVER_S)
     assert not ended.hit and ended.code == 0, ended
     return time.monotonic() - begin
 
 
-def test_evaluate(renders: Path, root: Path, tmp_path: Path) -> None:
+def test_evaluate_stops_and_continues(renders: Path, root: Path, tmp_path: Path) -> None:
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_text(every=1, width=240))
     words = [*MIRROR, "evaluate", root, renders, "--protocol", protocol, "--workers", "2", "--out"]
     whole_s = finish([*words, tmp_path / "whole"])
     stop_thrice([*words, tmp_path / "stopped"], 0.9 * whole_s, seed=1)
-    # Nobody can hear this one; the workers end all the same.
+    # SIGKILL cannot be handled; the workers end nevertheless.
     killed = interrupt([*words, tmp_path / "killed"], 0.4 * whole_s, signal.SIGKILL, group=False)
     assert not killed.hit or (killed.code == -signal.SIGKILL and killed.taken_s < MOST_S), killed
     finish([*words, tmp_path / "stopped"])
@@ -62,14 +62,14 @@ def test_evaluate(renders: Path, root: Path, tmp_path: Path) -> None:
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-def test_synth(root: Path, tmp_path: Path) -> None:
+def test_synth_stops_and_continues(root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "synth", "--preset", "tiny", "--out", tmp_path / "tiny"]
     stop_thrice(words, 6.0, seed=2)
     finish(words)
     assert tree(tmp_path / "tiny") == tree(root.parent / "tiny")
 
 
-def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
+def test_ingest_and_rois_stop_and_continue(root: Path, tmp_path: Path) -> None:
     recordings = sorted(path for path in (root.parent / "tiny").iterdir() if path.is_dir())
     rois = root.parent / "tiny" / "rois.geojson"
     words = [*MIRROR, "ingest", *recordings, "--rois", rois, "--out"]
@@ -81,7 +81,7 @@ def test_ingest_and_rois(root: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.02, 0.1, 0.3, 0.6, 1.2])
-def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
+def test_stop_during_the_start(after_s: float, root: Path, tmp_path: Path) -> None:
     words = [*MIRROR, "reconstruct", root, "--split", SPLIT, "--steps", "100000", "--out", tmp_path / "model"]
     interrupt(words, after_s).require_stopped()
     words = [*MIRROR, "baseline", root, "--method", "nearest_frame", "--split", SPLIT, "--out", tmp_path / "renders"]
@@ -90,7 +90,7 @@ def test_while_it_starts(after_s: float, root: Path, tmp_path: Path) -> None:
         ended.require_stopped()
 
 
-def test_a_second_signal_ends_it_at_once_and_what_holds_the_first_up_does_not_hold_up_the_end() -> None:
+def test_second_signal_ends_the_process_at_once() -> None:
     held = (
         "import sys, time\n"
         "from mirror.command import run_command\n"

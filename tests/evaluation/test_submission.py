@@ -1,4 +1,4 @@
-"""Templates and checks: everything that is wrong at once, and nothing more than is expected is opened."""
+"""Templates and checks: all problems are listed at once, and only expected files are opened."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from tests.evaluation.test_png import chunk, png
 
 
 @pytest.fixture(scope="module")
-def whole(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
-    out = tmp_path_factory.mktemp("submissions") / "whole"
+def complete(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
+    out = tmp_path_factory.mktemp("submissions") / "complete"
     return write_renders(dataset, small(), out), out
 
 
-def test_a_whole_submission_has_no_problem(whole: tuple[Plan, Path]) -> None:
-    plan, folder = whole
+def test_complete_submission_has_no_problem(complete: tuple[Plan, Path]) -> None:
+    plan, folder = complete
     report = check_submission(open_untrusted(folder), plan)
     assert report.problems == ()
     assert report.expected == report.present == len(plan.views)
     assert report.hash == check_submission(open_untrusted(folder), plan).hash
 
 
-def test_only_decoding_finds_pixels_that_are_missing_between_whole_checksums(
-    whole: tuple[Plan, Path], root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_only_decoding_finds_missing_pixels_with_valid_checksums(
+    complete: tuple[Plan, Path], root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan, folder = whole
+    plan, folder = complete
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
     view = plan.views[2]
@@ -72,8 +72,8 @@ def test_only_decoding_finds_pixels_that_are_missing_between_whole_checksums(
     assert "not checked" not in said
 
 
-def test_a_manifest_with_a_key_twice_is_refused(whole: tuple[Plan, Path], tmp_path: Path) -> None:
-    plan, folder = whole
+def test_manifest_with_a_repeated_key_is_refused(complete: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = complete
     shutil.copytree(folder, tmp_path / "twice")
     manifest = tmp_path / "twice" / "manifest.json"
     manifest.write_text(manifest.read_text().replace("{", '{"split": "another", ', 1))
@@ -83,8 +83,8 @@ def test_a_manifest_with_a_key_twice_is_refused(whole: tuple[Plan, Path], tmp_pa
     ]
 
 
-def test_a_zip_of_it_is_the_same(whole: tuple[Plan, Path], tmp_path: Path) -> None:
-    plan, folder = whole
+def test_zip_is_equal_to_its_folder(complete: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = complete
     archive = Path(shutil.make_archive(str(tmp_path / "s"), "zip", folder))
     zipped, plain = (check_submission(open_untrusted(path), plan) for path in (archive, folder))
     assert zipped.problems == ()
@@ -92,7 +92,7 @@ def test_a_zip_of_it_is_the_same(whole: tuple[Plan, Path], tmp_path: Path) -> No
 
 
 class Harm:
-    """Makes a file when it is unpickled."""
+    """Writes a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -101,8 +101,8 @@ class Harm:
         return (Path.touch, (self.path,))
 
 
-def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path: Path) -> None:
-    plan, folder = whole
+def test_all_problems_are_listed_at_once(complete: tuple[Plan, Path], tmp_path: Path) -> None:
+    plan, folder = complete
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
     paths = [view.path for view in plan.views]
@@ -115,7 +115,7 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
     (broken / paths[4]).symlink_to(folder / paths[4])
     (broken / paths[5]).write_bytes(bytes(10_000_000))
     (broken / "renders" / "model.pkl").write_bytes(pickle.dumps(Harm(tmp_path / "harm")))
-    # A file that nobody can read would fail if it were opened.
+    # A file without read permission: opening it would fail.
     (broken / "extra.npy").write_bytes(b"x")
     (broken / "extra.npy").chmod(0)
     manifest = json.loads((broken / "manifest.json").read_text())
@@ -123,8 +123,8 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
     (broken / "manifest.json").write_text(json.dumps(manifest))
     report = check_submission(open_untrusted(broken), plan)
     assert report.problems[0].kind == "manifest"
-    found = {(problem.kind, problem.path) for problem in report.problems}
-    assert found == {
+    problems = {(problem.kind, problem.path) for problem in report.problems}
+    assert problems == {
         ("missing", paths[0]),
         ("corrupt", paths[1]),
         ("wrong size", paths[2]),
@@ -152,16 +152,16 @@ def test_all_that_is_wrong_is_listed_at_once(whole: tuple[Plan, Path], tmp_path:
         ({"runtime": {"device": "cpu", "frames_per_second": -1}}, "frames_per_second"),
     ],
 )
-def test_a_wrong_manifest_is_named(
-    whole: tuple[Plan, Path], tmp_path: Path, change: dict[str, object], words: str
+def test_wrong_manifest_is_named(
+    complete: tuple[Plan, Path], tmp_path: Path, change: dict[str, object], words: str
 ) -> None:
-    manifest = {**json.loads((whole[1] / "manifest.json").read_text()), **change}
+    manifest = {**json.loads((complete[1] / "manifest.json").read_text()), **change}
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(UntrustedError, match=words):
         read_manifest(open_untrusted(tmp_path))
 
 
-def test_a_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp_path: Path) -> None:
+def test_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp_path: Path) -> None:
     protocol = small()
     plan = plan_views(dataset, protocol, SPLIT)
     truth = GroundTruth(dataset, protocol, plan.layers)
@@ -184,12 +184,12 @@ def test_a_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, t
     assert "uri" not in blind
     for file in (tmp_path / "blind").rglob("*.png"):
         assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).ndim == 2
-    # An untouched template is a submission that lacks everything, and whose manifest is not filled in.
+    # As a submission, an unchanged template has no renders and an incomplete manifest.
     report = check_submission(open_untrusted(tmp_path / "open"), plan)
     assert report.counts() == {"manifest": 1, "missing": len(plan.views)}
 
 
-def test_the_verb(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new"
     words = ["--protocol", "static-reconstruction", "--split", SPLIT]
     assert main(["submission", "new", str(root), *words, "--out", str(out), "--blind", "--json"]) == 0
@@ -206,10 +206,10 @@ def test_the_verb(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("verb", [["submission", "check"], ["evaluate"]])
-def test_an_unreadable_manifest_hides_no_other_problem(
-    whole: tuple[Plan, Path], root: Path, tmp_path: Path, verb: list[str], capsys: pytest.CaptureFixture[str]
+def test_other_problems_are_listed_beside_an_unreadable_manifest(
+    complete: tuple[Plan, Path], root: Path, tmp_path: Path, verb: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan, folder = whole
+    plan, folder = complete
     shutil.copytree(folder, tmp_path / "s")
     (tmp_path / "s" / "manifest.json").write_text("{")
     (tmp_path / "s" / "link").symlink_to("/")

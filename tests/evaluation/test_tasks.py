@@ -1,4 +1,4 @@
-"""The other tasks: hidden truth, distributions, edits, boxes, run time; each with an answer known beforehand."""
+"""Hidden truth, distributions, edits, boxes and run time, each against a known answer."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ SHIFTS = "".join(
 )
 
 
-def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+def test_hidden_truth_shows_the_shifted_cameras(dataset: Dataset, root: Path, tmp_path: Path) -> None:
     protocol = small(task="lane-shift", groups=SHIFTS, every=12)
-    # Renders that copy what was recorded: right where nothing is moved, wrong two metres aside.
+    # Renders that copy the recorded images: right without a shift, wrong with a shift of two metres.
     plan = write_renders(dataset, protocol, tmp_path / "s")
     assert write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden") == len(plan.views)
     said = read_json(tmp_path / "hidden" / HIDDEN, HiddenDocument)
@@ -69,7 +69,7 @@ def test_hidden_truth_is_the_street_from_beside(dataset: Dataset, root: Path, tm
     }
     assert psnr["here"] is not None
     assert psnr["left-2m"] is not None
-    # What is left are noise, blur, JPEG and calibration errors.
+    # The remaining errors are noise, blur, JPEG and calibration.
     assert psnr["here"] > 28.0 > 24.0 > psnr["left-2m"]
 
 
@@ -81,10 +81,10 @@ def test_hidden_truth_of_another_street_is_refused(dataset: Dataset, preset: str
     assert not (tmp_path / "hidden").exists()
 
 
-def test_another_look_at_the_same_instants_is_noticed(
+def test_hidden_truth_with_another_appearance_is_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another preset may have the same drives and stamps: what its pictures show decides."""
+    """Another preset can have the same drives and timestamps: the check compares the images."""
     render = synthetic.render_shifted
     monkeypatch.setattr(synthetic, "render_shifted", lambda *words: np.flip(render(*words), axis=1))
     plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
@@ -92,7 +92,7 @@ def test_another_look_at_the_same_instants_is_noticed(
         write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")
 
 
-def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fault(
+def test_hidden_truth_is_required_and_its_errors_are_not_the_submissions(
     dataset: Dataset, root: Path, tmp_path: Path
 ) -> None:
     protocol = small(task="lane-shift", groups=SHIFTS, every=12)
@@ -130,7 +130,7 @@ def test_hidden_truth_is_given_where_it_is_needed_and_is_not_the_submission_s_fa
 
 
 class Colours:
-    """Features that anyone can compute: mean colours of four quarters."""
+    """An extractor with simple features: the mean colours of four quarters."""
 
     name = identity = "colours"
     batch, computed = 4, 0
@@ -152,7 +152,7 @@ FID = '[[metrics]]\nmetric = "fid"\nmode = "clean"\n[[metrics]]\nmetric = "kid"\
 FVD = '[[metrics]]\nmetric = "fvd"\nframes = 9\ncrop = "squeeze"\nddof = 0\n'
 
 
-def test_distances_are_of_the_features_of_each_group(
+def test_distances_compare_the_features_of_each_group(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = Colours()
@@ -183,14 +183,14 @@ def test_distances_are_of_the_features_of_each_group(
     assert low is not None
     assert high is not None
     assert low < wanted < high
-    # Recorded pictures and equal renders have one feature each, and a second run computes none.
+    # Equal images share one cached feature, and a second run computes none.
     assert network.computed == 2 * len(views) + 2 * figures["same", "fvd"].n
     evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert network.computed == 2 * len(views) + 2 * figures["same", "fvd"].n
 
 
-def test_clips_are_of_consecutive_frames_of_one_camera() -> None:
-    def of(camera: str, *frames: int) -> list[RenderView]:
+def test_clips_have_consecutive_frames_of_one_camera() -> None:
+    def views_of(camera: str, *frames: int) -> list[RenderView]:
         return [
             RenderView.model_construct(
                 group="g", traversal_id="t", camera=camera, frame_index=frame, path=f"{camera}{frame}"
@@ -198,7 +198,7 @@ def test_clips_are_of_consecutive_frames_of_one_camera() -> None:
             for frame in frames
         ]
 
-    clips = split_into_clips([*of("a", 0, 1, 2, 3, 4, 6, 7, 8), *of("b", 0, 1, 3)], 3)
+    clips = split_into_clips([*views_of("a", 0, 1, 2, 3, 4, 6, 7, 8), *views_of("b", 0, 1, 3)], 3)
     assert [[view.path for view in clip] for clip in clips] == [["a0", "a1", "a2"], ["a6", "a7", "a8"]]
 
 
@@ -231,7 +231,8 @@ def test_editing_accuracy_of_painted_boxes(dataset: Dataset, root: Path, tmp_pat
         write_renders(dataset, protocol, tmp_path / name, lambda view, truth, by=shift: paint(view, truth, by))
         done = evaluate(tmp_path / name, root, protocol, SPLIT, tmp_path / f"{name}-out", ALONE)
         assert done.result is not None
-        values[name] = {one.metric: one for one in done.result.figures if (one.group, one.level) == ("all", "group")}
+        overall = [item for item in done.result.figures if (item.group, item.level) == ("all", "group")]
+        values[name] = {figure.metric: figure for figure in overall}
         assert done.result.options == {"extractor": "diff-grabcut"}
     for metric in ("edit_iou_hull", "edit_iou_box", "edit_iou_ceiling"):
         exact, off = values["exact"][metric].value, values["off"][metric].value
@@ -241,7 +242,7 @@ def test_editing_accuracy_of_painted_boxes(dataset: Dataset, root: Path, tmp_pat
         assert off < exact - 0.15
 
 
-def test_diff_grabcut_finds_what_was_put_in_whatever_the_noise() -> None:
+def test_diff_grabcut_finds_the_changed_region_in_noise() -> None:
     rng = np.random.default_rng(3)
     street = np.clip(rng.normal(110, 5, (120, 200, 3)) + np.linspace(-40, 40, 200)[:, None], 0, 255)
     put = np.zeros((120, 200), np.bool_)
@@ -251,22 +252,22 @@ def test_diff_grabcut_finds_what_was_put_in_whatever_the_noise() -> None:
     everywhere = np.ones_like(put)
     for noise in (0.0, 3.0):
         again = np.clip(np.round(edited + rng.normal(0, noise, edited.shape)), 0, 255).astype(np.uint8)
-        found = DiffGrabCut().extract(again, street.astype(np.uint8), everywhere, "a")
-        assert (found & put).sum() / (found | put).sum() > 0.95
+        region = DiffGrabCut().extract(again, street.astype(np.uint8), everywhere, "a")
+        assert (region & put).sum() / (region | put).sum() > 0.95
     same = street.astype(np.uint8)
     assert not DiffGrabCut().extract(same, same, everywhere, "a").any()
     assert not DiffGrabCut().extract(again, same, ~everywhere, "a").any()
 
 
-def test_masks_from_files(tmp_path: Path) -> None:
+def test_file_extractor_reads_masks(tmp_path: Path) -> None:
     mask = np.zeros((9, 16), np.uint8)
     mask[2:5, 3:9] = 255
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "a.png").write_bytes(encode_png(mask))
-    picture = np.zeros((9, 16, 3), np.uint8)
+    image = np.zeros((9, 16, 3), np.uint8)
     counted = np.ones((9, 16), np.bool_)
-    found = make_extractor(f"file:{tmp_path}").extract(picture, picture, counted, "renders/left/a.png")
-    np.testing.assert_array_equal(found, mask > 0)
+    region = make_extractor(f"file:{tmp_path}").extract(image, image, counted, "renders/left/a.png")
+    np.testing.assert_array_equal(region, mask > 0)
 
 
 def boxes_of(dataset: Dataset, traversal: str, sigma_m: float) -> dict[str, object]:
@@ -274,7 +275,7 @@ def boxes_of(dataset: Dataset, traversal: str, sigma_m: float) -> dict[str, obje
     frames = []
     for frame in dataset.where(traversal=traversal).frames():
         boxes = frame.boxes("ego")
-        found = [
+        rows = [
             {
                 "category": boxes.category[row],
                 "score": 0.5,
@@ -286,7 +287,7 @@ def boxes_of(dataset: Dataset, traversal: str, sigma_m: float) -> dict[str, obje
             }
             for row in range(len(boxes))
         ]
-        frames.append({"frame_index": frame.frame_index, "boxes": found})
+        frames.append({"frame_index": frame.frame_index, "boxes": rows})
     return {"format": "mirror-detections", "version": "1.0", "frames": frames}
 
 
@@ -323,7 +324,7 @@ def test_annotation(dataset: Dataset, root: Path, tmp_path: Path, sigma_m: float
     ],
     ids=["array", "frame", "class", "quaternion"],
 )
-def test_boxes_that_make_no_sense_are_problems(dataset: Dataset, root: Path, tmp_path: Path, text: str) -> None:
+def test_invalid_boxes_are_problems(dataset: Dataset, root: Path, tmp_path: Path, text: str) -> None:
     protocol = load_protocol("annotation")
     plan = plan_views(dataset, protocol, SPLIT)
     for path in expected_files(plan):
@@ -336,7 +337,7 @@ def test_boxes_that_make_no_sense_are_problems(dataset: Dataset, root: Path, tmp
     assert len(done.check.problems) == 1
 
 
-def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+def test_run_time_is_taken_from_the_manifest(dataset: Dataset, root: Path, tmp_path: Path) -> None:
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     runtime = Runtime(device="a GPU", frames_per_second=21.0, model_bytes=8 * 10**8, driven_m=200.0)
@@ -351,7 +352,7 @@ def test_run_time_is_what_the_manifest_reports(dataset: Dataset, root: Path, tmp
     assert math.isfinite(float(done.result.figures[0].value or 0.0))
 
 
-def test_the_speed_of_an_installed_method_is_measured_here(
+def test_speed_of_an_installed_method_is_measured(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[RenderView] = []
@@ -382,12 +383,12 @@ def test_the_speed_of_an_installed_method_is_measured_here(
     assert len(seen) == figure.n + 3
 
 
-def test_methods_that_are_not_installed_are_named() -> None:
+def test_missing_method_is_named() -> None:
     with pytest.raises(UsageError, match="no method"):
         registry.installed_method("none such")
 
 
-def test_a_method_whose_libraries_are_absent_names_the_extra() -> None:
+def test_method_without_its_libraries_names_the_extra() -> None:
     code = (
         "import sys; sys.modules['gsplat'] = None\n"
         "from mirror.errors import UsageError\n"

@@ -1,4 +1,4 @@
-"""Folders, zips and JSON of strangers."""
+"""Untrusted folders, zips and JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mirror.evaluation.submission import untrusted
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted, parse_untrusted
 
 
-def test_links_pipes_and_depths_are_refused_by_name(tmp_path: Path) -> None:
+def test_links_pipes_and_deep_folders_are_refused(tmp_path: Path) -> None:
     secret = tmp_path / "secret.png"
     secret.write_bytes(b"secret")
     root = tmp_path / "submission"
@@ -38,7 +38,7 @@ def test_links_pipes_and_depths_are_refused_by_name(tmp_path: Path) -> None:
     assert files.read("renders/a.png", 10) == b"abc"
 
 
-def test_what_changes_under_our_hands_is_not_followed(tmp_path: Path) -> None:
+def test_file_replaced_after_the_listing_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"abc")
     files = open_untrusted(tmp_path)
     (tmp_path / "a.png").unlink()
@@ -51,7 +51,7 @@ def test_what_changes_under_our_hands_is_not_followed(tmp_path: Path) -> None:
         files.read("a.png", 100)
 
 
-def test_no_more_is_read_than_allowed(tmp_path: Path) -> None:
+def test_reading_stays_within_the_byte_limit(tmp_path: Path) -> None:
     with (tmp_path / "sparse.png").open("wb") as file:
         file.truncate(1 << 40)
     with pytest.raises(UntrustedError, match="too large"):
@@ -62,7 +62,7 @@ def archive(path: Path, **options: int) -> zipfile.ZipFile:
     return zipfile.ZipFile(path, "w", options.get("method", zipfile.ZIP_DEFLATED))
 
 
-def test_a_zip_is_read_in_place(tmp_path: Path) -> None:
+def test_zip_is_read_in_place(tmp_path: Path) -> None:
     with archive(tmp_path / "s.zip") as file:
         file.writestr("manifest.json", "{}")
         file.writestr("renders/a.png", b"abc")
@@ -74,9 +74,7 @@ def test_a_zip_is_read_in_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("zipped", [False, True])
-def test_a_submission_has_a_largest_number_of_files(
-    zipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_number_of_files_is_limited(zipped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(untrusted, "MAX_ENTRIES", 3)
     for count in (3, 4):
         root = tmp_path / f"{count}"
@@ -98,7 +96,7 @@ def test_a_submission_has_a_largest_number_of_files(
 @pytest.mark.parametrize(
     "name", ["../up.png", "/etc/passwd", "a/../../b", "C:/x", "a\\b", "a//b", "./a"], ids=lambda name: name
 )
-def test_zip_paths_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
+def test_zip_paths_out_of_the_archive_are_refused(tmp_path: Path, name: str) -> None:
     with archive(tmp_path / "s.zip") as file:
         file.writestr(zipfile.ZipInfo(name), b"x")
     files = open_untrusted(tmp_path / "s.zip")
@@ -106,7 +104,7 @@ def test_zip_paths_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
     assert len(files.refused) == 1
 
 
-def test_zip_links_bombs_doubles_and_passwords(tmp_path: Path) -> None:
+def test_unsafe_zip_entries_are_refused(tmp_path: Path) -> None:
     link = zipfile.ZipInfo("link.png")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
     secret = zipfile.ZipInfo("secret.png")
@@ -132,7 +130,7 @@ def test_zip_links_bombs_doubles_and_passwords(tmp_path: Path) -> None:
     assert files.refused["secret.png"] == "encrypted"
 
 
-def test_a_zip_that_lies_about_its_sizes_gives_no_more(tmp_path: Path) -> None:
+def test_zip_with_wrong_sizes_is_read_within_the_limit(tmp_path: Path) -> None:
     with archive(tmp_path / "s.zip") as file:
         file.writestr("a.png", bytes(100_000))
     data = (tmp_path / "s.zip").read_bytes()
@@ -143,7 +141,7 @@ def test_a_zip_that_lies_about_its_sizes_gives_no_more(tmp_path: Path) -> None:
         assert len(files.read("a.png", 60)) <= 60
 
 
-def test_broken_zips_and_others(tmp_path: Path) -> None:
+def test_broken_zips_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("no zip")
     with pytest.raises(UsageError, match="neither"):
         open_untrusted(tmp_path / "a.txt")
@@ -175,7 +173,7 @@ def test_broken_zips_and_others(tmp_path: Path) -> None:
     ],
     ids=["arrays", "objects", "nan", "infinity", "digits", "bytes", "cut", "large"],
 )
-def test_json_that_harms_is_refused(data: bytes, words: str) -> None:
+def test_harmful_json_is_refused(data: bytes, words: str) -> None:
     with pytest.raises(UntrustedError, match=words):
         parse_untrusted(data, "manifest.json", 1 << 20)
 

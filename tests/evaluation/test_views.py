@@ -1,4 +1,4 @@
-"""Which views are asked for, through which lens, from where, and what is edited in them."""
+"""The views of a plan: frames, lenses, poses and edits."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ LENSES = [
         (1, 1, 2, True, [0]),
     ],
 )
-def test_every_so_many_th_frame_and_the_last(count: int, first: int, every: int, last: bool, chosen: list[int]) -> None:
+def test_every_nth_frame_and_the_last(count: int, first: int, every: int, last: bool, chosen: list[int]) -> None:
     assert select_frames(count, Frames(first=first, every=every, last=last)) == chosen
 
 
-def test_frames_from_the_first_on_are_hashed_as_ever() -> None:
+def test_default_first_frame_keeps_the_hash() -> None:
     protocol = load_protocol("static-reconstruction")
     later = protocol.model_copy(update={"frames": protocol.frames.model_copy(update={"first": 1})})
     assert "first" not in protocol.model_dump(mode="json")["frames"]
@@ -51,7 +51,7 @@ def test_frames_from_the_first_on_are_hashed_as_ever() -> None:
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
-def test_the_undistorted_raster_holds_all_that_the_lens_sees(lens: Camera) -> None:
+def test_undistorted_raster_holds_the_lens_s_field_of_view(lens: Camera) -> None:
     flat = undistorted(lens, 70.0)
     assert (flat.model, flat.width_px, flat.height_px) == ("pinhole", lens.width_px, lens.height_px)
     u, v = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
@@ -59,15 +59,15 @@ def test_the_undistorted_raster_holds_all_that_the_lens_sees(lens: Camera) -> No
     wide = np.degrees(np.arccos(rays.direction[:, 2]))
     seen = rays.valid & (wide < 69.9)
     assert flat.project(rays.direction[seen]).valid.all()
-    # And no more: what is seen reaches all four sides.
+    # The raster is not larger: the field of view reaches all four sides.
     uv = flat.project(rays.direction[seen]).uv_px
     assert (uv.min(axis=0) < 3.0).all()
     assert (uv.max(axis=0) > np.array([flat.width_px, flat.height_px]) - 3.0).all()
 
 
 @pytest.mark.parametrize(("cx_px", "cy_px"), [(-12.0, -30.0), (-30.0, -12.0), (-30.0, 130.0), (170.0, -30.0)])
-def test_an_arc_across_the_image_bounds_the_raster_to_half_a_pixel(cx_px: float, cy_px: float) -> None:
-    """The lens's axis is beyond a corner: the circle of the widest angle runs across two edges of the image."""
+def test_raster_of_an_off_axis_lens_is_exact_to_half_a_pixel(cx_px: float, cy_px: float) -> None:
+    """The axis is outside a corner of the image, and the circle of the widest angle crosses two edges."""
     lens = Camera("kannala_brandt", 160, 120, 60.0, 60.0, cx_px, cy_px, (0.02, -0.01, 0.0, 0.0))
     flat = undistorted(lens, 60.0)
     u, v = np.meshgrid(np.linspace(0, 160, 1601), np.linspace(0, 120, 1201))
@@ -78,7 +78,7 @@ def test_an_arc_across_the_image_bounds_the_raster_to_half_a_pixel(cx_px: float,
     assert np.abs(uv.max(axis=0) - (160, 120)).max() < 0.5
 
 
-def test_the_raster_is_scaled_down_and_never_up() -> None:
+def test_raster_is_scaled_down_and_never_up() -> None:
     pixels = Pixels(space="raw", max_width_px=100)
     small_one = final_camera(LENSES[1], pixels)
     assert (small_one.width_px, small_one.height_px) == (100, 56)
@@ -88,9 +88,9 @@ def test_the_raster_is_scaled_down_and_never_up() -> None:
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
 @pytest.mark.parametrize("width", [160, 67])
-def test_pictures_and_masks_come_to_the_raster_by_the_lens(lens: Camera, width: int) -> None:
+def test_images_and_masks_are_resampled_through_the_lens(lens: Camera, width: int) -> None:
     raster = Raster(lens, Pixels(space="undistorted", max_width_px=width))
-    # A picture whose red and green are its rays' slopes: any lens must show the same slopes.
+    # Red and green of the image encode the slopes of its rays: any lens must show the same slopes.
     u, v = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
     rays = lens.unproject(np.stack([u, v], axis=-1)).direction
     slopes = rays[..., :2] / rays[..., 2:]
@@ -104,7 +104,7 @@ def test_pictures_and_masks_come_to_the_raster_by_the_lens(lens: Camera, width: 
     inside = ~raster.outside_lens & (np.abs(wanted - 128) < 90).all(axis=-1)
     assert inside.mean() > 0.5
     assert np.abs(shown[..., :2] - wanted)[inside].max() < 3.0
-    # A masked block excludes every pixel whose ray falls into it.
+    # A masked block excludes every pixel with a ray in the block.
     mask = np.zeros((lens.height_px, lens.width_px), np.bool_)
     mask[30:50, 60:100] = True
     excluded = raster.exclude(mask)
@@ -115,7 +115,7 @@ def test_pictures_and_masks_come_to_the_raster_by_the_lens(lens: Camera, width: 
     assert excluded.mean() < 0.5
 
 
-def test_the_plan_is_that_of_the_tables(dataset: Dataset) -> None:
+def test_plan_agrees_with_the_tables(dataset: Dataset) -> None:
     protocol = small(every=4, width=100)
     plan = plan_views(dataset, protocol, SPLIT)
     held_out = dataset.where(split=SPLIT, role="held_out")
@@ -133,7 +133,7 @@ def test_the_plan_is_that_of_the_tables(dataset: Dataset) -> None:
     assert plan.hash != plan_views(dataset, small(every=5, width=100), SPLIT).hash
 
 
-def test_shifted_cameras_are_beside_the_ego(dataset: Dataset) -> None:
+def test_shifted_cameras_move_sideways(dataset: Dataset) -> None:
     groups = "".join(
         f'[[groups]]\nname = "{name}"\nroles = ["train"]\nego_shift_m = {shift}\n'
         for name, shift in (("here", 0.0), ("left-2m", 2.0))
@@ -145,7 +145,7 @@ def test_shifted_cameras_are_beside_the_ego(dataset: Dataset) -> None:
     for view in moved:
         other = here[view.path]
         frame = next(
-            one for one in dataset.where(traversal=view.traversal_id).frames() if one.frame_index == view.frame_index
+            item for item in dataset.where(traversal=view.traversal_id).frames() if item.frame_index == view.frame_index
         )
         step = view.pose.translation[0] - other.pose.translation[0]
         left = matrix_from_quaternion(frame.world_SE3_ego.rotation)[0][:, 1]
@@ -154,7 +154,7 @@ def test_shifted_cameras_are_beside_the_ego(dataset: Dataset) -> None:
         np.testing.assert_allclose(view.pose.rotation, other.pose.rotation, atol=1e-12)
 
 
-def test_edits_move_boxes_along_their_own_left(dataset: Dataset) -> None:
+def test_edits_move_boxes_along_their_lateral_axis(dataset: Dataset) -> None:
     plan = plan_views(dataset, load_protocol("editing-accuracy"), SPLIT)
     groups = {view.group for view in plan.views}
     assert "background" in groups
@@ -172,7 +172,7 @@ def test_edits_move_boxes_along_their_own_left(dataset: Dataset) -> None:
         np.testing.assert_allclose(target.translation[0] - box.translation[0], wanted * left, atol=1e-9)
 
 
-def test_what_cannot_be_asked_for_is_said(dataset: Dataset) -> None:
+def test_impossible_plans_are_refused(dataset: Dataset) -> None:
     with pytest.raises(DatasetError, match="no such split"):
         plan_views(dataset, small(), "none")
     with pytest.raises(DatasetError, match="requests no image"):

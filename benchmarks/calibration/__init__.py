@@ -1,0 +1,1 @@
+"""Calibration checking and refinement on the synthetic street, compared with the injected errors."""

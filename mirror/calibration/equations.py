@@ -1,0 +1,263 @@
+"""The equations of tracked pairs of images: epipolar residuals, their derivatives, and the least-squares solution.
+
+Every track between two images of a camera gives one equation: both rays and the motion of the camera lie in a plane.
+The unknowns are the rotation of every camera relative to the given mounting (3 numbers each), small corrections of the
+camera positions, and corrections of the vehicle's pose in every frame; the corrections have priors, the rotations
+practically none. The residual is Sampson's distance in pixels (R. Hartley, A. Zisserman, "Multiple View Geometry",
+2004, section 11.4) with Cauchy's loss; Gauss-Newton steps with Levenberg's damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64
+from mirror.calibration.rig import PosePrior, TrackedRig
+from mirror.calibration.tracking import PairTracks
+from mirror.errors import UsageError
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.geometry.cameras import Camera
+
+_POSE: Final = 6
+_ITERATIONS: Final = 30
+_LEAST_STEP_RAD: Final = 1e-7
+_SHORTEST_M: Final = 0.05
+_UNKNOWN_DEG: Final = 5.0
+"""1-sigma of the prior of the rotations: it only keeps the equations solvable where a rotation is unobservable."""
+
+
+class JointProblem:
+    """The equations of one rig: rays are computed once, and can be solved for other mountings.
+
+    Args:
+        rig: the rig with its tracks.
+        prior: errors of poses and mountings.
+        loss_px: scale of Cauchy's loss.
+
+    Raises:
+        UsageError: no pair of images has tracks and motion.
+    """
+
+    def __init__(self, rig: TrackedRig, prior: PosePrior | None = None, loss_px: float = 0.25) -> None:
+        self.rig = rig
+        self.prior = prior or PosePrior()
+        self.loss_px = loss_px
+        names = rig.names
+        self.pairs = [pair for pair in rig.pairs if len(pair) and self._baseline_m(pair) > _SHORTEST_M]
+        if not self.pairs:
+            raise UsageError(
+                "no tracks between images that were taken at different places", expected="at least one pair of images",
+                remedy="choose frames in which the vehicle moves",
+            )  # fmt: skip
+        self.camera = np.array([names.index(pair.camera) for pair in self.pairs])
+        self.first = np.array([pair.first for pair in self.pairs])
+        self.second = np.array([pair.second for pair in self.pairs])
+        self.counts = np.array([len(pair) for pair in self.pairs])
+        self.rows = np.repeat(np.arange(len(self.pairs)), self.counts)
+        self.rays = [np.empty((len(self.rows), 3)) for _ in range(2)]
+        self.slopes = [np.empty((len(self.rows), 3, 2)) for _ in range(2)]
+        for number, name in enumerate(names):
+            own = self.camera[self.rows] == number
+            for side in range(2):
+                points = [(one.first_px, one.second_px)[side] for one in self.pairs if one.camera == name]
+                if points:
+                    ray, slope = rays_with_slopes(rig.cameras[name], np.concatenate(points))
+                    self.rays[side][own], self.slopes[side][own] = ray, slope
+
+    def _baseline_m(self, pair: PairTracks) -> float:
+        places = self.rig.world_SE3_ego[pair.camera].translation
+        return float(np.linalg.norm(places[pair.second] - places[pair.first]))
+
+    @cached_property
+    def prior_information(self) -> Float64:
+        """Information matrix (P, P) of the priors of all unknowns; those of the rotations are nearly zero."""
+        frames, count = len(self.rig.time_s), len(self.rig.cameras)
+        size = _POSE * (frames + count)
+        matrix = np.zeros((size, size))
+        positions = self.prior.position_information(self.rig.time_s)
+        for axis in range(3):
+            at = _POSE * np.arange(frames) + 3 + axis
+            matrix[np.ix_(at, at)] = positions
+            turn = _POSE * np.arange(frames) + axis
+            matrix[turn, turn] = np.radians(self.prior.attitude_deg) ** -2
+        mount = _POSE * (frames + np.arange(count))
+        for axis in range(3):
+            matrix[mount + axis, mount + axis] = np.radians(_UNKNOWN_DEG) ** -2
+            matrix[mount + 3 + axis, mount + 3 + axis] = self.prior.mounting_m**-2
+        return matrix
+
+    def solve(self, ego_R_camera: Float64 | None = None) -> Solution:
+        """Estimate the unknowns.
+
+        Args:
+            ego_R_camera: (C, 3, 3) mountings to start from; None: the recorded ones.
+        """
+        start = self.mountings if ego_R_camera is None else ego_R_camera
+        frames, count = len(self.rig.time_s), len(self.rig.cameras)
+        unknowns = np.zeros(_POSE * (frames + count))
+        damping, state = 1e-6, self._linearise(start, unknowns)
+        for _ in range(_ITERATIONS):
+            while damping < 1e6:
+                damped = state.information + damping * np.diag(np.diag(state.information))
+                step = -np.linalg.solve(damped, state.gradient)
+                trial = self._linearise(start, unknowns + step)
+                if trial.cost <= state.cost:
+                    break
+                damping *= 10.0
+            else:
+                break
+            unknowns, state, damping = unknowns + step, trial, max(0.1 * damping, 1e-9)
+            if np.abs(step[_POSE * frames :].reshape(-1, _POSE)[:, :3]).max() < _LEAST_STEP_RAD:
+                break
+        return Solution(self, start, unknowns, state)
+
+    @cached_property
+    def mountings(self) -> Float64:
+        """(C, 3, 3) rotations of the recorded mountings."""
+        return np.concatenate([matrix_from_quaternion(one.rotation) for one in self.rig.ego_SE3_camera.values()])
+
+    def _linearise(self, start: Float64, unknowns: Float64) -> Linearised:
+        rig, rows = self.rig, self.rows
+        frames = len(rig.time_s)
+        poses = unknowns[: _POSE * frames].reshape(-1, _POSE)
+        mount = unknowns[_POSE * frames :].reshape(-1, _POSE)
+        ego_R_camera = start @ exp_rotations(mount[:, :3])
+        ego_t_camera = np.concatenate([one.translation for one in rig.ego_SE3_camera.values()]) + mount[:, 3:]
+        recorded = [rig.world_SE3_ego[name] for name in rig.names]
+        turns = np.stack([matrix_from_quaternion(one.rotation) for one in recorded]) @ exp_rotations(poses[:, :3])
+        places = np.stack([one.translation for one in recorded])
+        places = places - places[:, :1] + poses[:, 3:]
+        arm = ego_t_camera[self.camera]
+        in_ego, world, slopes, turn_of = [], [], [], []
+        for side, frame in enumerate((self.first, self.second)):
+            turn = turns[self.camera, frame]
+            in_ego.append(np.einsum("mij,mj->mi", ego_R_camera[self.camera][rows], self.rays[side]))
+            whole = (turn @ ego_R_camera[self.camera])[rows]
+            world.append(np.einsum("mij,mj->mi", whole, self.rays[side]))
+            slopes.append(whole @ self.slopes[side])
+            turn_of.append(turn)
+        at = [
+            places[self.camera, frame] + np.einsum("kij,kj->ki", turn, arm)
+            for frame, turn in zip((self.first, self.second), turn_of)
+        ]
+        base = (at[1] - at[0]) / np.linalg.norm(at[1] - at[0], axis=1)[:, None]
+        length = np.linalg.norm(at[1] - at[0], axis=1)
+        b = base[rows]
+        normal = np.cross(world[0], world[1])
+        error = np.einsum("mi,mi->m", b, normal)
+        by_world = [np.cross(world[1], b), np.cross(b, world[0])]
+        by_pixel = [np.einsum("mi,mij->mj", one, slope) for one, slope in zip(by_world, slopes)]
+        scale = np.sqrt(sum((one**2).sum(axis=1) for one in by_pixel))
+        scale = np.maximum(scale, 1e-12)
+        residual = error / scale
+        # The motion's direction: its derivative by the camera's position is perpendicular to it.
+        by_base = (normal - error[:, None] * b) / length[rows][:, None]
+        jacobian = np.empty((len(rows), 18))
+        for side, sign in enumerate((-1.0, 1.0)):
+            turn = turn_of[side][rows]
+            back = np.einsum("mji,mj->mi", turn, by_world[side])
+            back_base = np.einsum("mji,mj->mi", turn, by_base)
+            # The rotation of a frame turns the ray and the arm of the camera; the position is given in the world frame.
+            jacobian[:, _POSE * side : _POSE * side + 3] = np.cross(in_ego[side], back) + sign * np.cross(
+                arm[rows], back_base
+            )
+            jacobian[:, _POSE * side + 3 : _POSE * side + 6] = sign * by_base
+        turned = ego_R_camera[self.camera][rows]
+        jacobian[:, 12:15] = sum(
+            np.cross(ray, np.einsum("mji,mj->mi", turned, np.einsum("mji,mj->mi", turn[rows], one)))
+            for ray, turn, one in zip(self.rays, turn_of, by_world)
+        )
+        jacobian[:, 15:18] = np.einsum("mji,mj->mi", turn_of[1][rows] - turn_of[0][rows], by_base)
+        jacobian /= scale[:, None]
+        square = (residual / self.loss_px) ** 2
+        weight = 1.0 / (1.0 + square) / self.loss_px**2
+        starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
+        weighted = jacobian * weight[:, None]
+        blocks = np.add.reduceat(np.einsum("mi,mj->mij", weighted, jacobian), starts, axis=0)
+        gradients = np.add.reduceat(weighted * residual[:, None], starts, axis=0)
+        columns = np.concatenate(
+            [
+                _POSE * self.first[:, None] + np.arange(_POSE),
+                _POSE * self.second[:, None] + np.arange(_POSE),
+                _POSE * (frames + self.camera)[:, None] + np.arange(_POSE),
+            ],
+            axis=1,
+        )
+        information, gradient = self.prior_information.copy(), self.prior_information @ unknowns
+        np.add.at(information, (columns[:, :, None], columns[:, None, :]), blocks)
+        np.add.at(gradient, columns, gradients)
+        cost = float(0.5 * np.log1p(square).sum() + 0.5 * unknowns @ self.prior_information @ unknowns)
+        return Linearised(information, gradient, cost if np.isfinite(cost) else np.inf, gradients, columns, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The normal equations of P unknowns at some values of them.
+
+    Attributes:
+        information: (P, P) matrix of second derivatives, priors included.
+        gradient: (P,) derivatives of the cost.
+        cost: negative logarithm of the posterior density.
+        gradients: (K, 18) part of the gradient of each of K pairs of images.
+        columns: (K, 18) positions of these parts among the unknowns.
+        residual: (M,) distances from the epipolar lines, pixels.
+    """
+
+    information: Float64
+    gradient: Float64
+    cost: float
+    gradients: Float64
+    columns: Int64
+    residual: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The unknowns that fit best, with their equations.
+
+    Attributes:
+        problem: what was solved.
+        start: (C, 3, 3) mountings at the start.
+        unknowns: (P,) corrections of poses, then of mountings, six numbers each.
+        state: the equations at these values.
+    """
+
+    problem: JointProblem
+    start: Float64
+    unknowns: Float64
+    state: Linearised
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.problem.rig.time_s)
+
+    @property
+    def rotation(self) -> Float64:
+        """(C, 3) rotation vectors in the camera frames relative to the mountings at the start."""
+        return self.unknowns[_POSE * self.frames :].reshape(-1, _POSE)[:, :3]
+
+    @property
+    def columns(self) -> Int64:
+        """(C, 3) positions of the rotations among the unknowns."""
+        count = len(self.problem.rig.cameras)
+        return _POSE * (self.frames + np.arange(count))[:, None] + np.arange(3)
+
+
+def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
+    """Unit rays (N, 3) of points (N, 2), and their derivatives (N, 3, 2) by the pixel; central differences."""
+    step = 0.25
+    slopes = [
+        (camera.unproject(uv_px + aside).direction - camera.unproject(uv_px - aside).direction) / (2.0 * step)
+        for aside in step * np.eye(2)
+    ]
+    return camera.unproject(uv_px).direction, np.stack(slopes, axis=-1)
+
+
+def exp_rotations(vectors: Float64) -> Float64:
+    """Rotation matrices (N, 3, 3) of rotation vectors (N, 3)."""
+    return matrix_from_quaternion(Poses.exp(np.concatenate([vectors, np.zeros_like(vectors)], axis=1)).rotation)

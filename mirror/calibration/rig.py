@@ -1,0 +1,71 @@
+"""A moving rig with tracks between its images, and the errors that its recorded poses may have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mirror.arrays import Float64
+from mirror.calibration.tracking import PairTracks
+from mirror.errors import UsageError
+from mirror.geometry import Poses
+from mirror.geometry.cameras import Camera
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """Errors that the recorded poses and mountings may have, 1-sigma.
+
+    The position error of a frame is white noise plus a smooth drift with the autocorrelation
+    ``(1 + |t| / drift_time_s) exp(-|t| / drift_time_s)``; a constant offset has no effect.
+
+    Attributes:
+        attitude_deg: rotation of a frame about each axis, independent between frames.
+        position_m: white noise of a position along each axis.
+        drift_m: drift of the positions along each axis.
+        drift_time_s: time constant of the drift.
+        mounting_m: position of a camera on the vehicle along each axis.
+    """
+
+    attitude_deg: float = 0.03
+    position_m: float = 0.005
+    drift_m: float = 0.03
+    drift_time_s: float = 4.0
+    mounting_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0.0):
+                raise UsageError(f"{value}", place=name, expected="a finite number above 0")
+
+    def position_information(self, time_s: Float64) -> Float64:
+        """Inverse covariance (F, F) of the position errors of frames at times (F,), along one axis."""
+        lag = np.abs(time_s[:, None] - time_s[None, :]) / self.drift_time_s
+        covariance = self.drift_m**2 * (1.0 + lag) * np.exp(-lag) + self.position_m**2 * np.eye(len(time_s))
+        return np.asarray(np.linalg.inv(covariance), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedRig:
+    """A moving rig with the tracks between its images.
+
+    Attributes:
+        cameras: lenses by camera name.
+        ego_SE3_camera: recorded mountings by camera name, one pose each.
+        time_s: (F,) times of the frames, ascending.
+        world_SE3_ego: recorded poses by camera name, F each: the poses at the exposures of that camera.
+        pairs: tracks between images of the same camera.
+    """
+
+    cameras: Mapping[str, Camera]
+    ego_SE3_camera: Mapping[str, Poses]
+    time_s: Float64
+    world_SE3_ego: Mapping[str, Poses]
+    pairs: Sequence[PairTracks]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the cameras, in order."""
+        return list(self.cameras)

@@ -49,7 +49,7 @@ class ProcessPool:
         self, work: Callable[_Arguments, _Result], *args: _Arguments.args, **kwargs: _Arguments.kwargs
     ) -> Future[_Result]:
         """As `concurrent.futures.Executor.submit`; it starts processes as they are needed."""
-        with _undisturbed():
+        with undisturbed():
             return self._pool.submit(work, *args, **kwargs)
 
 
@@ -71,7 +71,7 @@ def process_pool(
     # A forked child that enters a parallel numba kernel after its parent did dies.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    with _one_thread_each():
+    with one_thread_each():
         pool = ProcessPoolExecutor(workers, context, _begin, (begin, args, kwargs))
         try:
             yield ProcessPool(pool)
@@ -84,11 +84,12 @@ def process_pool(
 
 
 def _begin(begin: Callable[..., None], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
-    threading.Thread(target=_end_with_parent, name="mirror-parent", daemon=True).start()
+    threading.Thread(target=end_with_parent, name="mirror-parent", daemon=True).start()
     begin(*args, **kwargs)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """End this process when its parent has ended; for a thread of a worker."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -96,7 +97,7 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def undisturbed() -> Iterator[None]:
     """Ctrl-C is heard after the block; processes that are started within never hear it.
 
     A process that starts inherits which signals are held back, from before its first instruction on. One whose parent
@@ -133,7 +134,7 @@ def _held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Processes that are started within have one thread a library."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))

@@ -62,11 +62,17 @@ class CrowdImage:
         bgr: (H, W, 3) pixels.
         faces: faces of people.
         plates: plates of cars.
+        camera: the camera.
+        world_SE3_camera: its pose.
+        road_users: the road users of the image, parked ones included.
     """
 
     bgr: UInt8
     faces: list[Target]
     plates: list[Target]
+    camera: Camera
+    world_SE3_camera: Poses
+    road_users: list[RoadUser]
 
 
 def build_street() -> World:
@@ -106,7 +112,8 @@ def render_crowds(world: World, condition: Condition, count: int, width_px: int,
         ]
         road_users += _place_road_users(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
         image = render(world, pose, camera, 0.0, condition, road_users=road_users, seed=number)
-        yield CrowdImage(image.bgr, _faces(image.view, camera, pose), _plates(image.view, camera, pose))
+        faces, plates = _faces(image.view, camera, pose), _plates(image.view, camera, pose)
+        yield CrowdImage(image.bgr, faces, plates, camera, pose, road_users)
 
 
 def make_condition(light: str, weather: str) -> Condition:

@@ -21,7 +21,7 @@ from mirror.schema.documents import Rig
 
 ImageLayout = Literal["chw", "hwc"]
 
-MASK_KINDS: Final = ("dynamic", "ego", "sky", "instance")
+MASK_KINDS: Final = ("dynamic", "ego", "sky", "instance", "redaction")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ class Mask:
     """One mask of one image.
 
     Attributes:
-        kind: what its non-zero pixels show: dynamic, ego, sky or instance.
+        kind: what its non-zero pixels show: dynamic, ego, sky or instance; redaction: pixels that were replaced.
         source: program that made it.
         source_version: version of the source.
         uri: the PNG file.

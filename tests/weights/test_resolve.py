@@ -113,7 +113,7 @@ def test_packages_are_searched_without_import(known, tmp_path, monkeypatch):
 
 
 def test_table_lists_every_file():
-    assert len(KNOWN) == 13
+    assert len(KNOWN) == 16
     for name, file in KNOWN.items():
         assert name == file.name
         assert file.sha256 is None or (len(file.sha256) == 64 and int(file.sha256, 16))

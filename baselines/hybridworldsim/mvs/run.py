@@ -138,10 +138,10 @@ def _hash_inputs(
 
 
 def _find_mask_layers(view: Dataset) -> set[str]:
-    """Find the layers of masks of road users or of the own vehicle; masks of the sky are a result, not an input."""
+    """Find the layers of masks that are inputs: of road users, the own vehicle and redacted pixels, not of the sky."""
     columns = view.table("masks", ["kind", "source", "source_version"]).columns
     rows = set(zip(*(column.to_pylist() for column in columns)))
-    return {f"{source}@{version}" for kind, source, version in rows if kind in ("ego", "dynamic")}
+    return {f"{source}@{version}" for kind, source, version in rows if kind in ("ego", "dynamic", "redaction")}
 
 
 def _read_content_hash(folder: Path) -> str:

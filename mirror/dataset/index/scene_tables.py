@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from mirror.arrays import Float64, Int64
 from mirror.dataset.index.geoparquet import bounding_box, continuous, wkb_line
 from mirror.dataset.index.inputs import TraversalInput
 from mirror.dataset.layout import Layout
+from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.errors import DatasetError
 from mirror.schema.files import TableWriter, read_table
 from mirror.schema.tables import (
@@ -161,11 +161,10 @@ def _layer_tables(layout: Layout, traversal: TraversalInput, kind: str, table: T
 
 def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa.Table:
     """Replace the recorded bytes in the images table with those of the newest redaction layer."""
-    layers = [(source, version) for kind, source, version in traversal.layers if kind == "redaction"]
-    if not layers:
+    newest = newest_redaction(traversal.layers)
+    if newest is None:
         return images.append_column("source_sha256", pa.nulls(images.num_rows, SHA256))
-    source, version = max(layers, key=lambda layer: (_natural(layer[1]), layer[0]))
-    file = layout.layer(traversal.traversal_id, "redaction", source, version) / f"{REDACTION_TABLE.name}.parquet"
+    file = layout.layer(traversal.traversal_id, REDACTION, *newest) / f"{REDACTION_TABLE.name}.parquet"
     redaction = read_table(file, REDACTION_TABLE)
     position = {key: row for row, key in enumerate(_image_keys(images))}
     target = []
@@ -188,7 +187,8 @@ def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa
     for name in _REDACTED:
         kind = images.column(name).type
         plain = pa.string() if kind == KEY else kind
-        both = pa.chunked_array([*images.column(name).cast(plain).chunks, *redaction.column(name).cast(plain).chunks])
+        parts = [*images.column(name).cast(plain).chunks, *redaction.column(name).cast(plain).chunks]
+        both = pa.chunked_array(parts, type=plain)
         result = result.set_column(result.column_names.index(name), name, both.take(pa.array(take)))
     mask = pa.array(replaced)
     privacy = pc.if_else(mask, "redacted", images.column("privacy").cast(pa.string()))
@@ -198,11 +198,6 @@ def _redacted(layout: Layout, traversal: TraversalInput, images: pa.Table) -> pa
 
 def _image_keys(images: pa.Table) -> list[tuple[str, int]]:
     return list(zip(images.column("camera").to_pylist(), images.column("timestamp_ns").to_pylist()))
-
-
-def _natural(version: str) -> tuple[tuple[int, int, str], ...]:
-    """A sort key of versions that puts version 10 after version 9."""
-    return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.findall(r"\d+|\D+", version))
 
 
 def _with_positions(traversal: TraversalInput, images: pa.Table, poses: pa.Table, folder: Path) -> pa.Table:

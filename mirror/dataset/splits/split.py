@@ -163,7 +163,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
         document = document.model_copy(
             update={
                 "manifests": dict(sorted(manifests.items())),
-                "dataset_hash": _hash(manifests),
+                "dataset_hash": hash_manifests(manifests),
                 "assignments": dict(sorted(roles.items())),
                 "left_out": {**document.left_out, **left_out},
                 "added": (*document.added, *outside),
@@ -231,14 +231,15 @@ def _document(
         parameters=parameters,
         seed=seed,
         scenes=scenes,
-        dataset_hash=_hash(manifests),
+        dataset_hash=hash_manifests(manifests),
         manifests=manifests,
         assignments=dict(sorted(assignment.roles.items())),
         left_out=dict(assignment.left_out),
     )
 
 
-def _hash(manifests: Mapping[str, str]) -> str:
+def hash_manifests(manifests: Mapping[str, str]) -> str:
+    """The dataset hash of a split: SHA-256 over ids of traversals and hashes of their recorded data."""
     return hashlib.sha256(json.dumps(sorted(manifests.items())).encode()).hexdigest()
 
 

@@ -91,7 +91,7 @@ VOCABULARY = {
     ("calibrations", "stage"): STAGES,
     ("calibrations", "model"): tuple(COEFFICIENTS),
     ("calibrations", "shutter_direction"): get_args(Calibration.model_fields["shutter_direction"].annotation),
-    ("masks", "kind"): ("dynamic", "ego", "sky", "instance"),
+    ("masks", "kind"): ("dynamic", "ego", "sky", "instance", "redaction"),
     ("points", "kind"): ("background", "ground", "far"),
 }
 

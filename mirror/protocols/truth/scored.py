@@ -1,4 +1,4 @@
-"""The scored mask of a view: pixels of the ego vehicle, of road users and outside the lens are excluded."""
+"""The scored mask of a view: the ego vehicle, road users, redacted pixels and those outside the lens are excluded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from mirror.arrays import Bool
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
+from mirror.dataset.redaction import REDACTION
 from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.raster import polygon_mask
@@ -43,6 +44,9 @@ def compute_scored_mask(
         if ego_mask is not None:
             excluded |= raster.exclude(ego_mask > 0)
     moved = find_group(protocol, view.group).ego_shift_m != 0.0
+    if not moved:
+        # What replaces a face or a number plate is no truth of the street.
+        kinds.append(REDACTION)
     source = choose_dynamic_source(masks, layers, moved=moved, traversal_id=view.traversal_id)
     if source == "masks":
         kinds.append("dynamic")

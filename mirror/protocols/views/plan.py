@@ -13,6 +13,7 @@ import numpy as np
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
+from mirror.dataset.redaction import REDACTION
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
@@ -186,6 +187,7 @@ def _find_layers(dataset: Dataset, protocol: Protocol, traversals: list[str]) ->
     rows = dataset.table("traversals", ["traversal_id", "layers"]).to_pylist()
     kinds_by_layer = _find_mask_kinds(dataset)
     masked_kinds = {kind for kind, is_masked in (("ego", protocol.masks.ego), ("sky", protocol.masks.sky)) if is_masked}
+    masked_kinds.add(REDACTION)
     layers_by_traversal = {}
     for row in rows:
         if row["traversal_id"] not in traversals:

@@ -128,15 +128,15 @@ class StereoImageCache:
 def find_static_pixels(posed: PosedImage, pixels: Pixels) -> Bool:
     """Find the pixels (H, W) that show the static scene: inside the lens, without the own vehicle and road users.
 
-    Road users come from masks of kind ``dynamic`` if the image has such masks, else from the boxes of its frame. An
-    image with neither counts as static.
+    Redacted pixels, and those of masks of kind ``ego``, are left out. Road users come from masks of kind ``dynamic`` if
+    the image has such masks, else from the boxes of its frame. An image with neither counts as static.
     """
     raster = cached_raster(posed.image.camera_model, pixels)
     excluded = raster.outside_lens.copy()
     vehicle = posed.image.static_mask()
     if vehicle is not None:
         excluded |= raster.exclude(vehicle > 0)
-    masks = [mask for mask in posed.image.masks() if mask.kind in ("ego", "dynamic")]
+    masks = [mask for mask in posed.image.masks() if mask.kind in ("ego", "dynamic", "redaction")]
     for mask in masks:
         excluded |= raster.exclude(mask.decode() > 0)
     if not any(mask.kind == "dynamic" for mask in masks):

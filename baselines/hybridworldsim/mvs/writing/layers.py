@@ -11,6 +11,7 @@ from typing import Final
 
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, read_manifest
+from mirror.dataset.redaction import REDACTION, current_redaction
 from mirror.errors import DatasetError
 
 _WORK: Final = ".mvs"
@@ -58,7 +59,14 @@ class InitialisationLayers:
         manifest = read_manifest(self.folder(traversal_id, kind))
         if manifest is None:
             return False
-        existing = {key: value for key, value in manifest.derived_from.items() if key != "recorded"}
+        existing = {key: value for key, value in manifest.derived_from.items() if key not in ("recorded", REDACTION)}
+        if manifest.derived_from.get(REDACTION) != current_redaction(self.layout, traversal_id):
+            raise DatasetError(
+                "the layer was made from images that have been redacted since",
+                file=self.folder(traversal_id, kind),
+                expected="a layer of the redacted images",
+                remedy="make a layer of another name with mirror depth --version NAME",
+            )
         if existing != self.input_hashes:
             differing = min(set(existing.items()) ^ set(self.input_hashes.items()))[0]
             raise DatasetError(

@@ -1,0 +1,329 @@
+"""Detection in the recorded images of one traversal, with results that survive an interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from mirror.arrays import Bool, UInt8
+from mirror.dataset.images.decoding import decode_grey, decode_rgb
+from mirror.dataset.images.metadata import read_orientation
+from mirror.dataset.images.video_decoders import VideoDecoders
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError
+from mirror.guarded import Failure, GuardedPool
+from mirror.privacy.detectors.protocol import Detector, TiledDetector
+from mirror.privacy.detectors.registry import DetectorChoice
+from mirror.privacy.encoding import Codec, RedactedImage, redact_encoded, redact_frame, to_stored, turn_upright
+from mirror.privacy.operators import Redaction
+from mirror.privacy.options import SkipRules
+from mirror.privacy.regions import Region
+from mirror.schema.documents import Document
+from mirror.schema.files import unwritable_error
+
+ImageKey = tuple[str, int]
+"""Camera and timestamp_ns."""
+
+
+@dataclass(frozen=True)
+class DetectionTask:
+    """One recorded image to be searched.
+
+    Attributes:
+        key: camera and timestamp_ns.
+        row: its row of the recorded images table.
+        ego_mask: static mask of the camera, relative to the dataset's root; None: there is none, or it is not used.
+        sky_mask: mask of the sky; likewise.
+        is_skipped: no detector searches it.
+        regions: regions that are removed before the search.
+        redaction: how they are removed; None: the recorded image is searched.
+    """
+
+    key: ImageKey
+    row: Mapping[str, Any]
+    ego_mask: str | None = None
+    sky_mask: str | None = None
+    is_skipped: bool = False
+    regions: tuple[Region, ...] = ()
+    redaction: Redaction | None = None
+
+
+class Detected(Document):
+    """What the detectors found in an image.
+
+    Attributes:
+        camera: the camera.
+        timestamp_ns: mid-exposure.
+        sha256: SHA-256 of the recorded bytes, in hexadecimal.
+        regions: regions in the stored raster.
+        skipped: number of tiles that were not searched, by the rule; for ``boxes``, 1: the image was not searched.
+    """
+
+    camera: str
+    timestamp_ns: int
+    sha256: str
+    regions: tuple[Region, ...] = ()
+    skipped: dict[str, int] = Field(default_factory=dict)
+
+    @property
+    def key(self) -> ImageKey:
+        """Camera and timestamp_ns."""
+        return self.camera, self.timestamp_ns
+
+
+class DetectionLog:
+    """The detections of a traversal so far: a file with a line an image, to which lines are appended.
+
+    A line that a killed process left unfinished is dropped.
+
+    Args:
+        path: the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.done: dict[ImageKey, Detected] = {}
+        try:
+            complete = path.read_bytes().rpartition(b"\n")[0] if path.is_file() else b""
+            for line in complete.splitlines():
+                try:
+                    detected = Detected.model_validate_json(line)
+                except ValidationError:
+                    # The image is searched again.
+                    continue
+                self.done[detected.key] = detected
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(b"".join(f"{one.model_dump_json()}\n".encode() for one in self.done.values()))
+        except OSError as error:
+            raise unwritable_error(path, error) from error
+
+    def append(self, detected: Detected) -> None:
+        """Add an image; it is on disk when this returns.
+
+        Raises:
+            DatasetError: the disk is full.
+        """
+        try:
+            with self._path.open("ab") as file:
+                file.write(f"{detected.model_dump_json()}\n".encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise unwritable_error(self._path, error) from error
+        self.done[detected.key] = detected
+
+
+DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
+
+
+def detection_pool(root: Path, choices: Sequence[DetectorChoice], *, workers: int, timeout_s: float) -> DetectionPool:
+    """Processes that search images of a dataset.
+
+    Args:
+        root: the dataset's folder.
+        choices: the detectors.
+        workers: number of processes.
+        timeout_s: longest time for one image.
+    """
+    return GuardedPool(make_search, (str(root), tuple(choices)), workers=workers, timeout_s=timeout_s)
+
+
+def detect_images(
+    tasks: Sequence[DetectionTask],
+    pool: DetectionPool,
+    log: DetectionLog,
+    advance: Callable[[int], object],
+) -> dict[ImageKey, Failure]:
+    """Search the images that the log lacks.
+
+    Args:
+        tasks: the images.
+        pool: processes with the detectors.
+        log: takes the results.
+        advance: called with the number of images done since the last call.
+
+    Returns:
+        The images that failed: unreadable ones, and those on which a detector failed, crashed or hung.
+    """
+    waiting = [task for task in tasks if task.key not in log.done]
+    advance(len(tasks) - len(waiting))
+    failures: dict[ImageKey, Failure] = {}
+    for number, answer in pool.map(waiting):
+        if isinstance(answer, Failure):
+            failures[waiting[number].key] = answer
+        else:
+            log.append(answer)
+        advance(1)
+    return failures
+
+
+def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[DetectionTask], Detected]:
+    """Make the function that searches an image, in the process of a worker."""
+    import cv2
+
+    # The processes share the cores.
+    cv2.setNumThreads(1)
+    store, detectors = Store(root), [choice.make() for choice in choices]
+    videos, masks = VideoDecoders(store), _MaskReader(store)
+
+    def search(task: DetectionTask) -> Detected:
+        data = read_recorded(store, task.row)
+        if task.redaction is None:
+            pixels = decode_recorded(store, videos, task.row, data)
+        else:
+            redacted = redact_recorded(store, videos, task.row, data, task.regions, task.redaction)
+            pixels = require_pixels(store, task.row, decode_rgb(redacted.data, out_codec(task.row)))
+        camera, timestamp_ns = task.key
+        digest = hashlib.sha256(data).hexdigest()
+        if task.is_skipped:
+            return Detected(camera=camera, timestamp_ns=timestamp_ns, sha256=digest, skipped={"boxes": 1})
+        orientation = read_orientation(data) if task.row["codec"] == "jpeg" else 1
+        skipped = masks.skipped(task, pixels.shape[:2])
+        regions, counts = search_upright(pixels, orientation, detectors, skipped)
+        return Detected(camera=camera, timestamp_ns=timestamp_ns, sha256=digest, regions=tuple(regions), skipped=counts)
+
+    return search
+
+
+def search_upright(
+    pixels: UInt8, orientation: int, detectors: Iterable[Detector], skipped: Bool | None
+) -> tuple[list[Region], dict[str, int]]:
+    """Run detectors on an image that is turned upright, and map their regions to the stored raster.
+
+    Args:
+        pixels: (H, W, 3) stored raster, RGB.
+        orientation: EXIF orientation, 1 to 8.
+        detectors: the detectors.
+        skipped: (H, W) pixels of the stored raster that need no search; None: all do.
+
+    Returns:
+        The regions, ordered, and the number of tiles that were not searched.
+    """
+    upright = turn_upright(pixels, orientation)
+    mask = None if skipped is None else turn_upright(skipped.astype(np.uint8), orientation) > 0
+    regions: list[Region] = []
+    tiles = 0
+    for detector in detectors:
+        if isinstance(detector, TiledDetector):
+            detector.skipped, detector.skipped_tiles = mask, 0
+        found = detector(upright)
+        tiles += detector.skipped_tiles if isinstance(detector, TiledDetector) else 0
+        regions += [to_stored(one, orientation, pixels.shape[1], pixels.shape[0]) for one in found]
+    regions.sort(key=lambda one: (one.kind, one.source, *one.box_px, one.score))
+    return regions, {"tiles": tiles} if tiles else {}
+
+
+def read_recorded(store: Store, row: Mapping[str, Any]) -> bytes:
+    """Read the recorded bytes of an image; for a frame of a video, those of the whole video.
+
+    Raises:
+        DatasetError: they are missing, too few, or not those that were recorded.
+    """
+    try:
+        data = store.read_range(row["uri"], row["byte_offset"], row["byte_length"])
+    except OSError as error:
+        raise _unreadable(store, row, f"cannot be read: {error.strerror or error}") from error
+    if len(data) != row["byte_length"]:
+        raise _unreadable(store, row, f"{len(data)} bytes; expected {row['byte_length']}")
+    if row["sha256"] is not None and hashlib.sha256(data).digest() != row["sha256"]:
+        raise _unreadable(store, row, "the bytes are not those that were recorded")
+    return data
+
+
+def decode_recorded(store: Store, videos: VideoDecoders, row: Mapping[str, Any], data: bytes) -> UInt8:
+    """Decode a recorded image to its stored raster (H, W, 3), RGB.
+
+    Raises:
+        DatasetError: it cannot be decoded.
+    """
+    if row["codec"] == "video":
+        try:
+            pixels = videos.decode(row["uri"], row["video_pts"])
+        except OSError as error:
+            raise _unreadable(store, row, f"cannot be opened: {error.strerror or error}") from error
+    else:
+        pixels = decode_rgb(data, row["codec"])
+    return require_pixels(store, row, pixels)
+
+
+def redact_recorded(
+    store: Store,
+    videos: VideoDecoders,
+    row: Mapping[str, Any],
+    data: bytes,
+    regions: Sequence[Region],
+    how: Redaction,
+) -> RedactedImage:
+    """Redact a recorded image; a frame of a video becomes a JPEG.
+
+    Raises:
+        DatasetError: it cannot be decoded.
+    """
+    file = str(store.full_path(row["uri"]))
+    if row["codec"] == "video":
+        return redact_frame(decode_recorded(store, videos, row, data), regions, how, file)
+    return redact_encoded(data, row["codec"], regions, how, file)
+
+
+def out_codec(row: Mapping[str, Any]) -> Codec:
+    """The codec of the redacted version of a recorded image."""
+    return "png" if row["codec"] == "png" else "jpeg"
+
+
+def require_pixels(store: Store, row: Mapping[str, Any], pixels: UInt8 | None) -> UInt8:
+    """Decoded pixels.
+
+    Raises:
+        DatasetError: there are none.
+    """
+    if pixels is None:
+        raise _unreadable(store, row, "the image cannot be decoded")
+    return pixels
+
+
+class _MaskReader:
+    """Static and sky masks; the static one of each camera is kept."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._ego: dict[str, Bool] = {}
+
+    def skipped(self, task: DetectionTask, shape: tuple[int, ...]) -> Bool | None:
+        """Pixels (H, W) that need no search; None: all do."""
+        parts = []
+        if task.ego_mask is not None:
+            if task.ego_mask not in self._ego:
+                self._ego[task.ego_mask] = self._read(task.ego_mask)
+            parts.append(self._ego[task.ego_mask])
+        if task.sky_mask is not None:
+            parts.append(self._read(task.sky_mask))
+        fitting = [part for part in parts if part.shape == tuple(shape)]
+        return np.logical_or.reduce(fitting) if fitting else None
+
+    def _read(self, path: str) -> Bool:
+        mask = decode_grey(self._store.read(path))
+        if mask is None:
+            raise DatasetError("the mask cannot be decoded", file=self._store.full_path(path))
+        return np.asarray(mask > 0)
+
+
+def _unreadable(store: Store, row: Mapping[str, Any], problem: str) -> DatasetError:
+    return DatasetError(
+        problem,
+        file=store.full_path(row["uri"]),
+        place=f"camera {row['camera']}, timestamp_ns {row['timestamp_ns']}",
+        expected="the image as it was recorded",
+        remedy="restore the file, or leave the image out with --withhold-failed",
+    )
+
+
+def used_masks(rules: SkipRules, ego: str | None, sky: str | None) -> tuple[str | None, str | None]:
+    """The masks that the rules use."""
+    return ego if rules.ego else None, sky if rules.sky else None

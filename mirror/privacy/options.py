@@ -1,0 +1,94 @@
+"""The options of a de-identification, and the hash that identifies its configuration."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+
+from mirror.privacy.detectors.registry import DEFAULT, DetectorChoice
+from mirror.privacy.log import DetectorRecord
+from mirror.privacy.operators import Redaction
+from mirror.version import __version__
+
+
+@dataclass(frozen=True)
+class SkipRules:
+    """Where no detector searches. Every tile and image that a rule leaves out is counted in the log.
+
+    Attributes:
+        ego: tiles that show the recording vehicle only, by the rig's static mask.
+        sky: tiles that show the sky only, by a layer of masks.
+        without_boxes: images in which no box of a person or vehicle is visible. It trusts the annotation.
+    """
+
+    ego: bool = True
+    sky: bool = True
+    without_boxes: bool = False
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """The steps that add regions to those of the detectors.
+
+    Attributes:
+        tracks: along the images of a camera, forwards and backwards.
+        cameras: to the other cameras of an instant.
+        vehicles: to the front and rear of vehicles' 3D boxes.
+        repeats: how often redacted images are searched again, until nothing more is found.
+    """
+
+    tracks: bool = True
+    cameras: bool = True
+    vehicles: bool = True
+    repeats: int = 4
+
+
+@dataclass(frozen=True)
+class DeidentifyOptions:
+    """How a dataset is de-identified.
+
+    Attributes:
+        detectors: the detectors; several of a kind are joined.
+        plate_region: region of the number plates, such as ``CN``; it must be one that a plate detector covers.
+        version: version of the layers that are written.
+        redaction: operators and margins.
+        skip: where no detector searches.
+        propagation: which regions are added.
+        workers: number of processes.
+        timeout_s: longest time that the detectors may take for one image.
+        withhold_failed: complete traversals without the images that failed; their rows stay raw, and a release leaves
+            them out.
+    """
+
+    detectors: Sequence[DetectorChoice] = tuple(DetectorChoice(name) for name in DEFAULT)
+    plate_region: str | None = None
+    version: str = "1"
+    redaction: Redaction = field(default_factory=Redaction)
+    skip: SkipRules = field(default_factory=SkipRules)
+    propagation: Propagation = field(default_factory=Propagation)
+    workers: int = 1
+    timeout_s: float = 120.0
+    withhold_failed: bool = False
+
+
+def detection_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
+    """The hash of what decides which regions the detectors find."""
+    return _digest({"detectors": [one.model_dump() for one in detectors], "skip": asdict(options.skip)})
+
+
+def configuration_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
+    """The hash of what decides the bytes of the layers; the number of workers does not."""
+    return _digest(
+        {
+            "detection": detection_hash(detectors, options),
+            "redaction": asdict(options.redaction),
+            "propagation": asdict(options.propagation),
+            "tool": __version__,
+        }
+    )
+
+
+def _digest(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""Releases of de-identified datasets: building, checking, reviewing and withdrawing."""

@@ -1,0 +1,180 @@
+"""The page on which persons review a sample of redacted images: it is served on this machine and writes the log.
+
+One image after the other is shown with the outlines of its regions. Keys: ``n`` next (nothing is missed), ``m`` miss,
+``f`` false (a region shows neither face nor plate), ``b`` back, ``r`` regions on and off.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Mapping, Sequence
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+from pydantic import ValidationError
+
+from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.errors import DatasetError
+from mirror.html import style_sheet
+from mirror.privacy.log import LOG, ImageRecord, Review, read_log
+from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, ReviewedImage, choose_sample, read_reviews
+from mirror.privacy.run import WORK
+from mirror.schema.files import read_table, unwritable_error
+from mirror.schema.tables import IMAGES
+
+_LONGEST: Final = 4096
+
+
+class ReviewSession:
+    """A sample of a dataset's redacted images and what was said of them.
+
+    Args:
+        root: the dataset.
+        reviewer: name or pseudonym of the person.
+        sample: number of images.
+
+    Attributes:
+        sample: the images, in their order on the page.
+        token: a secret that every request must carry, so that no other page can write the log.
+
+    Raises:
+        DatasetError: the dataset has no redacted images.
+    """
+
+    def __init__(self, root: Path, reviewer: str, sample: int = DEFAULT_SAMPLE) -> None:
+        layout = Layout(root)
+        require_dataset(layout)
+        self._path = root / WORK / REVIEWS
+        self._reviewer = reviewer
+        self._uris: dict[str, Path] = {}
+        records: list[ImageRecord] = []
+        for folder in sorted((root / "traversals").glob("*")):
+            newest = newest_redaction(layout.layers(folder.name))
+            if newest is None:
+                continue
+            layer = layout.layer(folder.name, REDACTION, *newest)
+            records += read_log(layer / LOG)
+            for row in read_table(layer / "images.parquet", IMAGES).to_pylist():
+                self._uris[row["sha256"].hex()] = root / row["uri"]
+        if not records:
+            raise DatasetError(
+                "no redacted images", file=root, expected="a dataset that was de-identified",
+                remedy=f"mirror deidentify {root} --plate-region REGION",
+            )  # fmt: skip
+        self.sample: Sequence[ImageRecord] = choose_sample(records, sample)
+        self.reviews: dict[str, Review] = read_reviews(self._path)
+        self.token = secrets.token_urlsafe(16)
+
+    @property
+    def done(self) -> int:
+        """Number of images of the sample that were reviewed."""
+        return sum(record.out_sha256 in self.reviews for record in self.sample)
+
+    def say(self, out_sha256: str, verdict: str) -> None:
+        """Append a verdict to the log; it is on disk when this returns.
+
+        Raises:
+            ValidationError: there is no such verdict.
+            DatasetError: the disk is full.
+        """
+        reviewed = ReviewedImage(
+            out_sha256=out_sha256, review=Review.model_validate({"verdict": verdict, "reviewer": self._reviewer})
+        )
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("ab") as file:
+                file.write(f"{reviewed.model_dump_json()}\n".encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise unwritable_error(self._path, error) from error
+        self.reviews[out_sha256] = reviewed.review
+
+    def image(self, out_sha256: str) -> bytes | None:
+        """Bytes of an image of the sample; None: there is no such image."""
+        known = {record.out_sha256 for record in self.sample}
+        return self._uris[out_sha256].read_bytes() if out_sha256 in known else None
+
+    def page(self) -> str:
+        """The page."""
+        items = [
+            {
+                "sha256": record.out_sha256,
+                "name": " / ".join(map(str, record.key)),
+                "width": record.width_px,
+                "height": record.height_px,
+                "grow": record.grow,
+                "regions": [[region.kind, *region.box_px] for region in record.regions],
+                "verdict": self.reviews[record.out_sha256].verdict if record.out_sha256 in self.reviews else "",
+            }
+            for record in self.sample
+        ]
+        # `<` cannot end the script.
+        data = json.dumps({"token": self.token, "items": items}).replace("<", "\\u003c")
+        page = files("mirror.privacy.release").joinpath("review.html").read_text()
+        return page.replace("/*STYLE*/", style_sheet()).replace("/*DATA*/", data)
+
+
+def review_server(session: ReviewSession, port: int = 0) -> ThreadingHTTPServer:
+    """A server of the page on this machine only; ``serve_forever`` runs it.
+
+    Args:
+        session: the sample.
+        port: port; 0: a free one.
+    """
+    return ThreadingHTTPServer(("127.0.0.1", port), partial(_Handler, session))
+
+
+class _Handler(BaseHTTPRequestHandler):
+    def __init__(self, session: ReviewSession, *args: Any) -> None:
+        self._session = session
+        super().__init__(*args)
+
+    def do_GET(self) -> None:
+        """Send the page or an image."""
+        parts = urlsplit(self.path)
+        if not self._is_allowed(parse_qs(parts.query)):
+            return self._send(403, "text/plain", b"open the address that `mirror release review` printed")
+        if parts.path == "/":
+            return self._send(200, "text/html; charset=utf-8", self._session.page().encode())
+        data = self._session.image(parts.path.removeprefix("/image/"))
+        if data is None:
+            return self._send(404, "text/plain", b"no such image")
+        return self._send(200, "image/png" if data.startswith(b"\x89PNG") else "image/jpeg", data)
+
+    def do_POST(self) -> None:
+        """Write a verdict."""
+        length = int(self.headers.get("Content-Length") or 0)
+        try:
+            said = json.loads(self.rfile.read(min(length, _LONGEST)))
+            if not self._is_allowed({"token": [said["token"]]}):
+                return self._send(403, "text/plain", b"another session")
+            if self._session.image(said["sha256"]) is None:
+                return self._send(404, "text/plain", b"no such image")
+            self._session.say(said["sha256"], said["verdict"])
+        except (ValueError, KeyError, TypeError, ValidationError) as error:
+            return self._send(400, "text/plain", str(error).encode())
+        return self._send(200, "text/plain", str(self._session.done).encode())
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Write nothing: the terminal is for the command."""
+
+    def _is_allowed(self, query: Mapping[str, Sequence[str]]) -> bool:
+        # A page of another site may send requests here, but does not know the token.
+        host = (self.headers.get("Host") or "").rpartition(":")[0]
+        return host in ("127.0.0.1", "localhost") and query.get("token", [""])[0] == self._session.token
+
+    def _send(self, code: int, kind: str, data: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(data)

@@ -1,0 +1,293 @@
+"""De-identifying a dataset: every recorded image is searched, redacted and written as a layer; the recording stays.
+
+The images of a traversal are searched first, with results that survive an interruption. When all are done, regions are
+propagated, and a layer of redacted images and one of masks is written. So a layer is complete or absent.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow.compute as pc
+
+import mirror
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.index import build_index
+from mirror.dataset.layout import Layout, read_manifest, require_dataset
+from mirror.dataset.lock import writer_lock
+from mirror.dataset.redaction import REDACTION
+from mirror.errors import DatasetError, ExitCode
+from mirror.guarded import Failure
+from mirror.privacy.detection import (
+    DetectionLog,
+    DetectionPool,
+    DetectionTask,
+    ImageKey,
+    detect_images,
+    detection_pool,
+    used_masks,
+)
+from mirror.privacy.detectors.registry import describe, require_coverage
+from mirror.privacy.geometry import propagate, visible_objects
+from mirror.privacy.options import DeidentifyOptions, configuration_hash, detection_hash
+from mirror.privacy.regions import Region, covered_share, grown_box, merged
+from mirror.privacy.writing import SOURCE, Configuration, write_layers
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.documents import Rig
+from mirror.schema.files import read_table
+from mirror.schema.tables import IMAGES, MASKS
+
+_COVERED: Final = 0.9
+WORK: Final = ".deidentify"
+"""Folder in a dataset with the results of unfinished work, and with what reviewers said."""
+
+
+@dataclass(frozen=True)
+class ImageFailure:
+    """An image without a result.
+
+    Attributes:
+        traversal_id: the traversal.
+        camera: the camera.
+        timestamp_ns: mid-exposure.
+        status: `failed`, `crashed` or `hung`.
+        problem: what happened, in words.
+    """
+
+    traversal_id: str
+    camera: str
+    timestamp_ns: int
+    status: str
+    problem: str
+
+
+@dataclass
+class DeidentifyReport:
+    """What a run came to.
+
+    Attributes:
+        version: version of the layers.
+        written: ids of traversals with a new layer.
+        unchanged: ids of traversals that had it.
+        unfinished: ids of traversals that wait for images that failed.
+        images: number of images in new layers.
+        regions: number of regions in them, by kind and origin, such as ``plate/vehicle``.
+        redacted: number of images with regions.
+        skipped: number of tiles and images that were not searched, by the rule.
+        failures: images without a result.
+    """
+
+    version: str
+    written: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
+    unfinished: list[str] = field(default_factory=list)
+    images: int = 0
+    redacted: int = 0
+    regions: Counter[str] = field(default_factory=Counter)
+    skipped: Counter[str] = field(default_factory=Counter)
+    failures: list[ImageFailure] = field(default_factory=list)
+
+    def exit_code(self) -> ExitCode:
+        """The exit code of `mirror deidentify`."""
+        if not self.failures:
+            return ExitCode.DONE
+        return ExitCode.PARTLY_DONE
+
+
+def deidentify(
+    root: str | Path,
+    options: DeidentifyOptions,
+    *,
+    traversals: Sequence[str] | None = None,
+    progress: ProgressReporter | None = None,
+    wait: bool = False,
+) -> DeidentifyReport:
+    """De-identify a dataset. The recorded images are read and never changed.
+
+    Args:
+        root: the dataset's folder.
+        options: detectors, operators, propagation.
+        traversals: ids of the traversals; None: all.
+        progress: receives the progress.
+        wait: wait for another run that writes the dataset.
+
+    Raises:
+        DatasetError: there is no dataset, it is locked, or a layer of this version was made with other options.
+        UsageError: no plate detector covers the plates' region, or a traversal does not exist.
+        WeightsUnavailableError: weights are missing or not the published ones; nothing was written.
+
+    Example:
+        >>> from mirror.privacy import DeidentifyOptions, deidentify, parse_choice  # doctest: +SKIP
+        >>> chosen = [parse_choice("centerface"), parse_choice("clp_det")]
+        >>> options = DeidentifyOptions(detectors=chosen, plate_region="CN")
+        >>> deidentify("dataset", options).exit_code()  # doctest: +SKIP
+    """
+    layout = Layout(Path(root))
+    require_dataset(layout)
+    require_coverage(options.detectors, options.plate_region)
+    # Missing weights end the run here, before anything is written.
+    records = [describe(choice.make()) for choice in options.detectors]
+    configuration = Configuration(
+        options.version, configuration_hash(records, options), tuple(records), options.redaction
+    )
+    bar = NullProgress() if progress is None else progress
+    report = DeidentifyReport(options.version)
+    with writer_lock(layout, wait=wait):
+        build_index(layout.root)
+        dataset = mirror.open(str(layout.root))
+        chosen = dataset.traversals() if traversals is None else dataset.where(traversal=traversals).traversals()
+        counts = {name: dataset.where(traversal=name).count("images") for name in chosen}
+        todo = [name for name in chosen if counts[name] and not _is_done(layout, name, configuration, report)]
+        bar.start("images searched", sum(counts[name] for name in todo))
+        folder = layout.root / WORK / f"{options.version}.{detection_hash(records, options)[:16]}"
+        with detection_pool(
+            layout.root, options.detectors, workers=options.workers, timeout_s=options.timeout_s
+        ) as pool:
+            for name in todo:
+                _traversal(layout, dataset, name, options, configuration, pool, folder, report, bar)
+        if not report.unfinished:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError):
+                (layout.root / WORK).rmdir()
+        build_index(layout.root)
+    return report
+
+
+def _is_done(layout: Layout, traversal_id: str, configuration: Configuration, report: DeidentifyReport) -> bool:
+    folder = layout.layer(traversal_id, REDACTION, SOURCE, configuration.version)
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return False
+    if manifest.derived_from.get("configuration") != configuration.sha256:
+        raise DatasetError(
+            "the layer was made with other detectors or options",
+            file=folder,
+            expected="the same detectors, weights, thresholds and options",
+            remedy="write another version beside it: --version NAME; the newest is the one that readers get",
+        )
+    report.unchanged.append(traversal_id)
+    return True
+
+
+def _traversal(
+    layout: Layout,
+    dataset: Dataset,
+    traversal_id: str,
+    options: DeidentifyOptions,
+    configuration: Configuration,
+    pool: DetectionPool,
+    folder: Path,
+    report: DeidentifyReport,
+    bar: ProgressReporter,
+) -> None:
+    log = DetectionLog(folder / f"{traversal_id}.jsonl")
+    tasks = _tasks(layout, dataset, traversal_id, options)
+    failures = detect_images(tasks, pool, log, bar.advance)
+    report.failures += _named(traversal_id, failures)
+    if failures and not options.withhold_failed:
+        report.unfinished.append(traversal_id)
+        return
+    done = [task for task in tasks if task.key in log.done]
+    detected = {task.key: log.done[task.key].regions for task in done}
+    regions = propagate(dataset, traversal_id, detected, options.propagation)
+    failures = _repeat(traversal_id, done, regions, options, configuration, pool, folder)
+    if failures:
+        report.failures += _named(traversal_id, failures)
+        report.unfinished.append(traversal_id)
+        return
+    skipped = {key: log.done[key].skipped for key in regions}
+    rows = {task.key: dict(task.row) for task in done}
+    bar.status(f"writing {traversal_id}")
+    write_layers(layout, traversal_id, rows, regions, skipped, configuration, workers=options.workers)
+    report.written.append(traversal_id)
+    report.images += len(rows)
+    for key, found in regions.items():
+        report.redacted += bool(found)
+        report.regions.update(f"{one.kind}/{one.origin}" for one in found)
+        report.skipped.update(skipped[key])
+
+
+def _repeat(
+    traversal_id: str,
+    tasks: Sequence[DetectionTask],
+    regions: dict[ImageKey, list[Region]],
+    options: DeidentifyOptions,
+    configuration: Configuration,
+    pool: DetectionPool,
+    folder: Path,
+) -> dict[ImageKey, Failure]:
+    """Search the redacted images again and add what is found, until nothing is: a redaction changes what is around it.
+
+    An image without regions stays as it was searched before. `mirror release check` repeats the same search.
+
+    Returns:
+        The images that failed.
+    """
+    changed = {task.key for task in tasks if regions[task.key] and not task.is_skipped}
+    for number in range(options.propagation.repeats):
+        again = [
+            replace(task, regions=tuple(regions[task.key]), redaction=options.redaction)
+            for task in tasks
+            if task.key in changed
+        ]
+        log = DetectionLog(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
+        failures = detect_images(again, pool, log, lambda steps: None)
+        if failures:
+            return failures
+        changed = set()
+        for task in again:
+            size = task.row["width_px"], task.row["height_px"]
+            boxes = [grown_box(one, options.redaction.grow, *size) for one in regions[task.key]]
+            covering = [box for box in boxes if box is not None]
+            more = [one for one in log.done[task.key].regions if covered_share(one.box_px, covering) < _COVERED]
+            if more:
+                regions[task.key] += [one.moved_to(one.box_px, "repeat") for one in merged(more)]
+                changed.add(task.key)
+        if not changed:
+            break
+    return {}
+
+
+def _named(traversal_id: str, failures: Mapping[ImageKey, Failure]) -> list[ImageFailure]:
+    return [
+        ImageFailure(traversal_id, camera, timestamp_ns, one.status, one.problem)
+        for (camera, timestamp_ns), one in sorted(failures.items())
+    ]
+
+
+def _tasks(layout: Layout, dataset: Dataset, traversal_id: str, options: DeidentifyOptions) -> list[DetectionTask]:
+    rows = read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES).to_pylist()
+    ego, sky = _ego_masks(layout, dataset, traversal_id), _sky_masks(layout, traversal_id)
+    objects = visible_objects(dataset, traversal_id) if options.skip.without_boxes else {}
+    tasks = []
+    for row in rows:
+        key = (row["camera"], row["timestamp_ns"])
+        ego_mask, sky_mask = used_masks(options.skip, ego.get(row["camera"]), sky.get(key))
+        task = DetectionTask(key, row, ego_mask, sky_mask)
+        tasks.append(replace(task, is_skipped=options.skip.without_boxes and objects.get(key) == 0))
+    return tasks
+
+
+def _ego_masks(layout: Layout, dataset: Dataset, traversal_id: str) -> dict[str, str]:
+    rig_id = dataset.where(traversal=traversal_id).table("traversals", ["rig_id"]).column(0)[0].as_py()
+    if rig_id is None:
+        return {}
+    rig = dataset.store.json(f"rigs/{rig_id}.json", Rig)
+    return {one.name: f"rigs/{one.static_mask}" for one in rig.cameras if one.static_mask is not None}
+
+
+def _sky_masks(layout: Layout, traversal_id: str) -> dict[ImageKey, str]:
+    found: dict[ImageKey, str] = {}
+    for kind, source, version in layout.layers(traversal_id):
+        if kind != "masks":
+            continue
+        table = read_table(layout.layer(traversal_id, kind, source, version) / "masks.parquet", MASKS)
+        rows: list[dict[str, Any]] = table.filter(pc.equal(table.column("kind").cast("string"), "sky")).to_pylist()
+        found.update({(row["camera"], row["timestamp_ns"]): row["uri"] for row in rows})
+    return found

@@ -1,1 +1,7 @@
 """Dynamic scene generation: a video diffusion transformer that adds traffic to the images of a static street."""
+
+from __future__ import annotations
+
+from mirror.command import Command
+
+COMMAND = Command("reconstruction", "train a generator of traffic on clips", "hybridworldsim.generation.command")

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 from torch import Tensor
 
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.data_loader import TrainingImageCache, stream_images
+from hybridworldsim.training.interruption import interruptible
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import RunFolder, TrainingOutcome
 from hybridworldsim.training.run.previews import Preview, write_previews
@@ -90,7 +88,7 @@ def train(
     status = _Status(reporter)
     gaussians = 0
     progress = budget.progress(position.steps, position.spent_s)
-    with _interruptible() as interrupted, closing(stream_images(images, views, seed, position.shown)) as stream:
+    with interruptible() as interrupted, closing(stream_images(images, views, seed, position.shown)) as stream:
         while progress < 1.0:
             image = next(stream)
             position = replace(position, shown=position.shown + 1)
@@ -252,28 +250,3 @@ class _WallClock:
 
     def resume(self) -> None:
         self._since = time.monotonic()
-
-
-@contextmanager
-def _interruptible() -> Iterator[threading.Event]:
-    """Catch Ctrl-C between steps, because the state within a step cannot be saved; the second interrupts at once."""
-    interrupted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupted
-        return
-    previous = signal.getsignal(signal.SIGINT)
-    if previous == signal.SIG_IGN:
-        # A shell starts background jobs with SIGINT ignored: keep it ignored.
-        yield interrupted
-        return
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if interrupted.is_set():
-            raise KeyboardInterrupt
-        interrupted.set()
-
-    signal.signal(signal.SIGINT, on_signal)
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, previous)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from mirror.errors import UsageError
 
@@ -104,6 +105,27 @@ class TransformerConfig:
             if adapter is not None and self.token_px % adapter.unshuffle:
                 raise UsageError(f"{name} joins {adapter.unshuffle} pixels", expected=f"a divisor of {self.token_px}")
 
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> TransformerConfig:
+        """The configuration of its fields as JSON values, as `dataclasses.asdict` gives them.
+
+        Raises:
+            UsageError: a field is unknown, or a value is not allowed.
+        """
+        values: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in document.items()
+        }
+        try:
+            for name in ("layout", "background"):
+                adapter = values.get(name)
+                if adapter is not None:
+                    values[name] = AdapterConfig(**{**adapter, "scales": tuple(adapter["scales"])})
+            return cls(**values)
+        except (TypeError, KeyError) as error:
+            raise UsageError(
+                f"a configuration that does not fit ({error})", expected="that of a transformer"
+            ) from error
+
     @property
     def width(self) -> int:
         """Channels of a token."""
@@ -131,6 +153,30 @@ UNIMLVG: Final = TransformerConfig(
 
 BACKGROUND: Final = AdapterConfig(3, 384, scales=(1, 1, 2, 2, 4, 4))
 """The background adapter that is added to a released model."""
+
+TINY_REFERENCES: Final = 5
+
+TINY: Final = TransformerConfig(
+    latent_channels=8,
+    reference_channels=8 * TINY_REFERENCES,
+    latent_stride=4,
+    layers=5,
+    heads=4,
+    head_channels=36,
+    dual_layers=(),
+    text_channels=8,
+    pooled_channels=8,
+    grid=32,
+    grid_base=8,
+    camera="explicit",
+    origin_octaves=1,
+    direction_octaves=3,
+    temporal_layers=(),
+    cross_view_layers=(1, 3),
+    layout=AdapterConfig(4 * (TINY_REFERENCES + 1), 96, scales=(1, 1, 1)),
+    background=AdapterConfig(3, 96, scales=(1, 1, 2)),
+)
+"""A network of a few million parameters for images of a hundred pixels, trained on one core: references as channels."""
 
 BASES: Final = {"ctsd-35": CTSD_35, "unimlvg": UNIMLVG}
 """Released models that can be loaded, by name."""

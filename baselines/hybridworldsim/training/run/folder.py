@@ -144,22 +144,7 @@ class RunFolder:
             UsageError: the folder holds another run or other files.
             DatasetError: the folder is not writable.
         """
-        if not (self.path / RUN).exists():
-            if is_occupied(self.path):
-                raise UsageError("not empty, and not the folder of a run", file=self.path, remedy="name a new folder")
-            write_json(self.path / RUN, run)
-            return None
-        before = read_json(self.path / RUN, Run)
-        # The number of threads does not matter for a finished run.
-        current = run if self.outcome is None else run.model_copy(update={"threads": before.threads})
-        differing = _differing(before.model_dump(mode="json"), current.model_dump(mode="json"))
-        if differing and not self._is_untrained:
-            elsewhere = "name another folder with --out"
-            threads = f"--threads {before.threads}, or {elsewhere}" if before.threads != current.threads else elsewhere
-            raise UsageError(
-                f"a run of other settings began here: {'; '.join(differing[:4])}", file=self.path,
-                expected="the same dataset, method and settings", remedy=threads,
-            )  # fmt: skip
+        begin_run(self.path, run, finished=self.outcome is not None, untrained=self._is_untrained)
         return self.outcome
 
     def claim(self, run: Run) -> None:
@@ -189,16 +174,7 @@ class RunFolder:
         Raises:
             DatasetError: another process holds the lock.
         """
-        with (self.path / ".lock").open("a") as handle:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise DatasetError(
-                    "another process is training here", file=self.path, remedy="let it finish, or name another folder"
-                ) from error
-            # Temporary files of a killed process; under the lock no other process writes here.
-            for leftover in self.path.glob(f".*{TEMPORARY}"):
-                leftover.unlink(missing_ok=True)
+        with lock_run(self.path):
             yield
 
     def resume(self, trainer: TrainableMethod) -> Position:
@@ -252,6 +228,57 @@ class RunFolder:
         done = TrainingOutcome(**outcome, model_bytes=size)
         write_json(self.path / OUTCOME, done)
         return done
+
+
+def begin_run(path: Path, run: Document, *, finished: bool, untrained: bool) -> None:
+    """Write a run's document, or require that it equals the earlier one, unless the earlier run learned nothing.
+
+    Args:
+        path: folder of the run.
+        run: the document, with a field `threads`.
+        finished: whether the earlier run is finished; then its number of threads does not matter.
+        untrained: whether the earlier run has saved nothing.
+
+    Raises:
+        UsageError: the folder holds another run or other files.
+        DatasetError: the folder is not writable.
+    """
+    if not (path / RUN).exists():
+        if is_occupied(path):
+            raise UsageError("not empty, and not the folder of a run", file=path, remedy="name a new folder")
+        write_json(path / RUN, run)
+        return
+    before = read_json(path / RUN, type(run)).model_dump(mode="json")
+    current = run.model_dump(mode="json")
+    differing = _differing(before, current | {"threads": before["threads"]} if finished else current)
+    if differing and not untrained:
+        elsewhere = "name another folder with --out"
+        same = before["threads"] == current["threads"]
+        raise UsageError(
+            f"a run of other settings began here: {'; '.join(differing[:4])}", file=path,
+            expected="the same dataset, method and settings",
+            remedy=elsewhere if same or finished else f"--threads {before['threads']}, or {elsewhere}",
+        )  # fmt: skip
+
+
+@contextmanager
+def lock_run(path: Path) -> Iterator[None]:
+    """Lock a run for one process; the lock ends with its process, even if the process is killed.
+
+    Raises:
+        DatasetError: another process holds the lock.
+    """
+    with (path / ".lock").open("a") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise DatasetError(
+                "another process is training here", file=path, remedy="let it finish, or name another folder"
+            ) from error
+        # Temporary files of a killed process; under the lock no other process writes here.
+        for leftover in path.glob(f".*{TEMPORARY}"):
+            leftover.unlink(missing_ok=True)
+        yield
 
 
 def is_occupied(path: Path) -> bool:

@@ -1,0 +1,41 @@
+"""What the generator needs of an autoencoder."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from mirror.arrays import UInt8
+
+
+class LatentCodec(Protocol):
+    """Images to latents and back; latents have mean 0 and deviation 1, approximately.
+
+    Attributes:
+        channels: channels of the latents.
+        stride: pixels per latent, along a side.
+    """
+
+    channels: int
+    stride: int
+
+    def encode(self, images: Tensor) -> Tensor:
+        """Images (N, 3, height, width) from 0 to 1 to latents (N, channels, height / stride, width / stride)."""
+        ...
+
+    def decode(self, latents: Tensor) -> Tensor:
+        """Latents to images; values may leave 0 to 1 a little."""
+        ...
+
+
+def to_tensor(images: UInt8) -> Tensor:
+    """Images (..., height, width, 3), 8 bits, to (..., 3, height, width) from 0 to 1, float32."""
+    return torch.from_numpy(images).movedim(-1, -3).float() / 255.0
+
+
+def to_bytes(images: Tensor) -> UInt8:
+    """Images (..., 3, height, width) from 0 to 1 to (..., height, width, 3), 8 bits."""
+    rounded: UInt8 = (images.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8).movedim(-3, -1).cpu().numpy()
+    return rounded

@@ -1,0 +1,209 @@
+"""Trains an autoencoder and a generator on a folder of clips; both continue where they stopped."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hybridworldsim.generation.autoencoder.codec import LatentCodec
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_list
+from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
+from hybridworldsim.generation.training.autoencoder_trainer import (
+    AutoencoderSettings,
+    AutoencoderTrainer,
+    reconstruction_psnr_db,
+)
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
+from hybridworldsim.generation.training.loop import run_steps
+from hybridworldsim.generation.training.processes import Processes, join_processes
+from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
+from hybridworldsim.generation.training.samples import write_samples
+from hybridworldsim.generation.training.windows import ClipWindows
+from mirror.arrays import UInt8
+from mirror.errors import DatasetError, UsageError
+from mirror.progress import ProgressReporter
+from mirror.weights.resolve import file_sha256
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Options of a training.
+
+    Attributes:
+        steps: steps of the generator.
+        autoencoder_steps: steps of the autoencoder.
+        autoencoder: file of a trained autoencoder; None: one is trained first.
+        settings: how the generator is trained.
+        autoencoder_settings: how the autoencoder is trained.
+        seed: seed of all random numbers.
+        threads: number of torch threads.
+        device: where the generator is trained.
+        checkpoint_s: a checkpoint is written at the first step after this many seconds.
+    """
+
+    steps: int
+    autoencoder_steps: int = 2000
+    autoencoder: Path | None = None
+    settings: GeneratorSettings = field(default_factory=GeneratorSettings)
+    autoencoder_settings: AutoencoderSettings = field(default_factory=AutoencoderSettings)
+    seed: int = 0
+    threads: int = 1
+    device: str = "cpu"
+    checkpoint_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.autoencoder_steps, self.threads) < 1:
+            raise UsageError("steps or threads below 1", expected="at least 1")
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What was trained.
+
+    Attributes:
+        generator: file of the generator.
+        autoencoder: file of the autoencoder.
+        generator_outcome: outcome of the generator's run.
+        autoencoder_outcome: outcome of the autoencoder's run; None if the autoencoder was given.
+    """
+
+    generator: Path
+    autoencoder: Path
+    generator_outcome: GenerationOutcome
+    autoencoder_outcome: GenerationOutcome | None
+
+
+def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: ProgressReporter) -> TrainingResult:
+    """Train on the training clips of a folder.
+
+    Args:
+        clips: the folder of clips.
+        out: folder of the runs, ``autoencoder`` and ``generator``; another call with the same options continues.
+        options: see `TrainingOptions`.
+        reporter: receives the progress.
+
+    Raises:
+        DatasetError: clips are missing, broken or too short, the loss is not finite, or memory is exhausted.
+        UsageError: `out` holds another run, or the options do not fit.
+    """
+    torch.set_num_threads(options.threads)
+    listed = read_list(clips).training
+    if not listed:
+        raise DatasetError("no training clips", file=clips, expected="at least one clip")
+    clips_hash = _clips_hash(clips, listed)
+    loaded = read_clips(clips, listed)
+    outcome: GenerationOutcome | None = None
+    autoencoder = options.autoencoder
+    try:
+        with join_processes(options.device) as processes:
+            if autoencoder is None:
+                with processes.leader_first():
+                    autoencoder, outcome = _train_autoencoder(
+                        loaded, clips_hash, out / "autoencoder", options, reporter
+                    )
+            generator, done = _train_generator(
+                loaded, clips_hash, autoencoder, out / "generator", options, processes, reporter
+            )
+    except torch.OutOfMemoryError as error:
+        raise DatasetError(
+            "the device has too little memory", place=options.device, expected="memory for a part of a batch",
+            remedy="more --accumulate, a smaller --batch, --recompute, or --precision bf16",
+        ) from error  # fmt: skip
+    return TrainingResult(generator, autoencoder, done, outcome)
+
+
+def _train_autoencoder(
+    clips: list[Clip], clips_hash: str, path: Path, options: TrainingOptions, reporter: ProgressReporter
+) -> tuple[Path, GenerationOutcome]:
+    folder, settings = GenerationRunFolder(path), options.autoencoder_settings
+    run = GenerationRun(
+        part="autoencoder", settings=settings.document, seed=options.seed, steps=options.autoencoder_steps,
+        threads=options.threads, processes=1, clips_hash=clips_hash, autoencoder_hash=None,
+    )  # fmt: skip
+    outcome = folder.begin(run)
+    if outcome is None:
+        with folder.lock():
+            folder.begin(run)
+            # The backgrounds too: a view without road users must come back as well.
+            images = np.concatenate([part for clip in clips for part in (_flat(clip.images), _flat(clip.background))])
+            trainer = AutoencoderTrainer(settings, images, options.autoencoder_steps, seed=options.seed)
+            position = run_steps(
+                trainer, options.autoencoder_steps, folder, reporter,
+                phase="autoencoder", checkpoint_s=options.checkpoint_s,
+            )  # fmt: skip
+            model = trainer.finish()
+            psnr_db = reconstruction_psnr_db(model, images[:: max(1, len(images) // 256)])
+            outcome = folder.finish(lambda file: write_autoencoder(file, model), position, "square", psnr_db)
+    reporter.message(f"autoencoder: {outcome.psnr_db:.2f} dB on its training images")
+    return folder.model, outcome
+
+
+def _train_generator(
+    clips: list[Clip],
+    clips_hash: str,
+    autoencoder: Path,
+    path: Path,
+    options: TrainingOptions,
+    processes: Processes,
+    reporter: ProgressReporter,
+) -> tuple[Path, GenerationOutcome]:
+    folder, settings = GenerationRunFolder(path), options.settings
+    run = GenerationRun(
+        part="generator", settings=settings.document, seed=options.seed, steps=options.steps, threads=options.threads,
+        processes=processes.count, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
+    )  # fmt: skip
+    with processes.leader_first():
+        outcome = folder.begin(run)
+    if outcome is not None:
+        return folder.model, outcome
+    codec: LatentCodec = read_autoencoder(autoencoder)
+    windows = ClipWindows(clips, codec, settings.network, OWN_STYLE, settings.references)
+    trainer = GeneratorTrainer(
+        settings, windows, options.steps, seed=options.seed, device=options.device, rank=processes.rank,
+        processes=processes.count,
+    )  # fmt: skip
+
+    def sample(step: int) -> None:
+        write_samples(folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=options.device)
+
+    with folder.lock() if processes.leads else nullcontext():
+        position = run_steps(
+            trainer, options.steps, folder, reporter, phase="generator", checkpoint_s=options.checkpoint_s,
+            sample=sample, leads=processes.leads,
+        )  # fmt: skip
+        with processes.leader_first():
+            if processes.leads:
+                network = trainer.averaged_network()
+                folder.finish(
+                    lambda file: write_generator(file, network, settings.references), position, settings.weighting
+                )
+    done = folder.outcome
+    if done is None:
+        raise DatasetError("the leading process did not finish", file=path, expected="an outcome")
+    return folder.model, done
+
+
+def _flat(images: UInt8) -> UInt8:
+    return images.reshape(-1, *images.shape[2:])
+
+
+def _clips_hash(folder: Path, clip_ids: tuple[str, ...]) -> str:
+    digest = hashlib.sha256()
+    for clip_id in clip_ids:
+        path = clip_path(folder, clip_id)
+        if not path.is_file():
+            raise DatasetError("missing", file=path, expected="a clip that clips.json lists")
+        digest.update(f"{clip_id} {file_sha256(path)}\n".encode())
+    return digest.hexdigest()
+
+
+def without_background(settings: GeneratorSettings) -> GeneratorSettings:
+    """The same settings for a network that does not receive the background."""
+    return replace(settings, network=replace(settings.network, background=None))

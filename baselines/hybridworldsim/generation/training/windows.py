@@ -1,0 +1,123 @@
+"""Training windows: latents and conditions of a target frame and of the frames before it, drawn from clips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_tensor
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.clips.conditions import frame_conditions, stack_conditions
+from hybridworldsim.generation.inference.windows import join_conditions
+from hybridworldsim.generation.layout.boxes import BoxStyle
+from hybridworldsim.generation.layout.images import draw_clip_layout
+from hybridworldsim.generation.network.conditions import Conditions
+from hybridworldsim.generation.network.configuration import TransformerConfig
+from mirror.arrays import UInt8
+from mirror.errors import DatasetError, UsageError
+
+
+@dataclass(frozen=True, eq=False)
+class WindowBatch:
+    """B windows.
+
+    Attributes:
+        target: (B, 1, V, C, H, W) clean latents.
+        references: (B, T, V, C, H, W) clean latents.
+        conditions: from `join_conditions`.
+        present: (B, 1, V) which views of the target exist.
+    """
+
+    target: Tensor
+    references: Tensor
+    conditions: Conditions
+    present: Tensor
+
+
+@torch.no_grad()
+def encode_clip(clip: Clip, codec: LatentCodec) -> Tensor:
+    """The latents of a clip's images: (F, V, C, H, W), float32."""
+    return torch.stack([codec.encode(to_tensor(frame)) for frame in clip.images])
+
+
+class ClipWindows:
+    """All windows of some clips.
+
+    Args:
+        clips: the clips; all of one rig, size and rate.
+        codec: the autoencoder.
+        config: the network.
+        style: how boxes are drawn.
+        references: T, number of reference frames.
+
+    Raises:
+        DatasetError: clips differ in rig or size, or no clip is longer than T.
+        UsageError: the autoencoder or the layout does not fit the network.
+    """
+
+    def __init__(
+        self, clips: Sequence[Clip], codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int
+    ) -> None:
+        _require_fit(codec, config, style, references)
+        for clip in clips:
+            if (clip.size_px, clip.views) != (clips[0].size_px, clips[0].views):
+                raise DatasetError(
+                    f"{clip.clip_id} has views {', '.join(clip.views)} of {clip.size_px} pixels",
+                    expected=f"those of {clips[0].clip_id}: {', '.join(clips[0].views)} of {clips[0].size_px}",
+                )
+        self._clips, self._config, self._references = clips, config, references
+        self._latents = [encode_clip(clip, codec) for clip in clips]
+        self._layouts: list[UInt8] = [
+            np.round(draw_clip_layout(clip, style) * 255.0).astype(np.uint8) for clip in clips if config.layout
+        ]
+        self._places = [(row, frame) for row, clip in enumerate(clips) for frame in range(references, len(clip))]
+        if not self._places:
+            raise DatasetError(
+                f"{len(clips)} clips without a window", expected=f"clips of at least {references + 1} frames"
+            )
+
+    def __len__(self) -> int:
+        """Number of windows."""
+        return len(self._places)
+
+    def batch(self, numbers: Sequence[int]) -> WindowBatch:
+        """The windows of these numbers."""
+        places = [self._places[number] for number in numbers]
+        windows = [slice(frame - self._references, frame) for _, frame in places]
+        conditions = stack_conditions([self.conditions(row, frame) for row, frame in places])
+        present = [torch.from_numpy(self._clips[row].present[frame]) for row, frame in places]
+        return WindowBatch(
+            torch.stack([self._latents[row][frame][None] for row, frame in places]),
+            torch.stack([self._latents[row][window] for (row, _), window in zip(places, windows)]),
+            conditions,
+            torch.stack(present)[:, None],
+        )
+
+    def conditions(self, row: int, frame: int) -> Conditions:
+        """The conditions of the window that ends with a frame of a clip."""
+        clip, frames = self._clips[row], range(frame - self._references, frame + 1)
+        layouts = [self._layouts[row][one].astype(np.float32) / 255.0 if self._layouts else None for one in frames]
+        singles = [frame_conditions(clip, one, self._config, layout) for one, layout in zip(frames, layouts)]
+        return join_conditions(self._config, singles)
+
+
+def _require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int) -> None:
+    if (codec.channels, codec.stride) != (config.latent_channels, config.latent_stride):
+        raise UsageError(
+            f"an autoencoder with {codec.channels} channels and stride {codec.stride}",
+            expected=f"{config.latent_channels} channels and stride {config.latent_stride}, as the network",
+        )
+    if config.reference_channels not in (0, references * config.latent_channels):
+        raise UsageError(
+            f"{references} references for a network with {config.reference_channels} further channels",
+            expected=f"{config.reference_channels // config.latent_channels} references",
+        )
+    frames = references + 1 if config.reference_channels else 1
+    if config.layout is not None and config.layout.channels != frames * style.channels:
+        raise UsageError(
+            f"layouts of {frames} x {style.channels} channels", expected=f"{config.layout.channels}, as the network"
+        )

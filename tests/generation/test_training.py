@@ -1,0 +1,216 @@
+"""Training: bit-exact resumption, several processes, and what the losses are."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
+from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.layout.images import draw_layout
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator
+from hybridworldsim.generation.network.configuration import AdapterConfig, TransformerConfig
+from hybridworldsim.generation.sampling.flow import Weighting
+from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
+from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
+from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
+from mirror.errors import DatasetError, UsageError
+from mirror.progress import NullProgress
+from tests.generation.clips import make_clip, write_clips
+
+T = 2
+NETWORK = TransformerConfig(
+    latent_channels=4, reference_channels=4 * T, latent_stride=4, layers=2, heads=2, head_channels=4, dual_layers=(),
+    text_channels=3, pooled_channels=3, grid=8, grid_base=4, camera="explicit", origin_octaves=1, direction_octaves=2,
+    temporal_layers=(), cross_view_layers=(0,), layout=AdapterConfig(4 * (T + 1), 8, scales=(1,)),
+    background=AdapterConfig(3, 8, scales=(1,)),
+)  # fmt: skip
+AS_FRAMES = replace(
+    NETWORK, reference_channels=0, temporal_layers=(1,), causal=True, layout=AdapterConfig(4, 8, scales=(1,))
+)
+CODEC = TinySettings(channels=4, width=8)
+OPTIONS = TrainingOptions(
+    steps=6,
+    autoencoder_steps=5,
+    settings=GeneratorSettings(NETWORK, T, batch=4, warmup=2, context_noise=0.3, drop_layout=0.5),
+    autoencoder_settings=AutoencoderSettings(CODEC, batch=2, warmup=2),
+)
+
+
+class InterruptingProgress(NullProgress):
+    """Sends Ctrl-C after some steps, as a user may do at any time."""
+
+    def __init__(self, after: int) -> None:
+        self._left = after
+
+    def advance(self, steps: int) -> None:
+        self._left -= steps
+        if self._left == 0:
+            signal.raise_signal(signal.SIGINT)
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_clips(tmp_path_factory.mktemp("clips"))
+
+
+@pytest.fixture(scope="module")
+def trained(clips: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("trained") / "run"
+    train_on_clips(clips, out, OPTIONS, NullProgress())
+    return out
+
+
+@pytest.mark.parametrize("after", [3, 5, 8])
+def test_an_interrupted_training_gives_the_same_bytes(clips: Path, trained: Path, tmp_path: Path, after: int) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        train_on_clips(clips, tmp_path / "run", OPTIONS, InterruptingProgress(after))
+    train_on_clips(clips, tmp_path / "run", OPTIONS, NullProgress())
+    for part in ("autoencoder", "generator"):
+        name = f"{part}/model.safetensors"
+        assert (tmp_path / "run" / name).read_bytes() == (trained / name).read_bytes(), name
+
+
+def test_a_finished_run_is_not_changed_and_another_one_is_refused(clips: Path, trained: Path) -> None:
+    before = (trained / "generator/model.safetensors").stat().st_mtime_ns
+    train_on_clips(clips, trained, OPTIONS, NullProgress())
+    assert (trained / "generator/model.safetensors").stat().st_mtime_ns == before
+    with pytest.raises(UsageError, match="a run of other settings began here"):
+        train_on_clips(clips, trained, replace(OPTIONS, seed=1), NullProgress())
+
+
+def test_the_run_holds_model_curves_and_samples(trained: Path) -> None:
+    network, references = read_generator(trained / "generator/model.safetensors")
+    assert network.config == NETWORK
+    assert references == T
+    rows = (trained / "generator/curves.csv").read_text().splitlines()
+    assert rows[0] == "step,core_s,wall_s,velocity"
+    assert len(rows) == 1 + OPTIONS.steps
+    assert read_autoencoder(trained / "autoencoder/model.safetensors").settings == CODEC
+
+
+@pytest.mark.parametrize(
+    ("config", "weighting"),
+    [(NETWORK, "velocity"), (NETWORK, "x0"), (AS_FRAMES, "epsilon")],
+    ids=["velocity", "x0", "frames"],
+)
+def test_a_generator_learns_one_window_by_heart(config: TransformerConfig, weighting: Weighting) -> None:
+    settings = GeneratorSettings(config, T, weighting=weighting, batch=4, warmup=1, learning_rate=5e-3)
+    windows = ClipWindows([make_clip(frames=T + 1)], TinyAutoencoder(CODEC), config, OWN_STYLE, T)
+    trainer = GeneratorTrainer(settings, windows, 1000)
+    # A step of the same number has the same noise.
+    first, *_, last = [[trainer.step(number)[weighting] for number in range(5)] for _ in range(8)]
+    assert sum(last) < 0.8 * sum(first)
+
+
+def test_a_batch_may_be_computed_in_parts() -> None:
+    windows = ClipWindows([make_clip()], TinyAutoencoder(CODEC), NETWORK, OWN_STYLE, T)
+    whole, parts = (
+        GeneratorTrainer(GeneratorSettings(NETWORK, T, batch=4, accumulate=count), windows, 10) for count in (1, 4)
+    )
+    whole.step(0)
+    parts.step(0)
+    # The same windows with other noise: the first step of AdamW moves every parameter by at most the learning rate.
+    for one, other in zip(whole.network.parameters(), parts.network.parameters()):
+        assert float((one - other).detach().abs().max()) <= 2.1e-5
+    with pytest.raises(UsageError, match="a batch of 4 in 3 parts"):
+        GeneratorSettings(NETWORK, T, batch=4, accumulate=3)
+
+
+def test_absent_views_do_not_count() -> None:
+    clip = make_clip()
+    present = clip.present.copy()
+    present[:, 1] = False
+    noise = np.random.default_rng(0).integers(0, 256, clip.images[:, 1].shape, np.uint8)
+    other = clip.images.copy()
+    other[:, 1] = noise
+    losses = []
+    for images in (clip.images, other):
+        torch.manual_seed(1)
+        windows = ClipWindows(
+            [replace(clip, images=images, present=present)], TinyAutoencoder(CODEC), NETWORK, OWN_STYLE, T
+        )
+        losses.append(GeneratorTrainer(GeneratorSettings(NETWORK, T), windows, 10).step(0)["velocity"])
+    assert losses[0] == losses[1]
+
+
+def test_windows_hold_the_frames_before_the_target() -> None:
+    clip, codec = make_clip(), TinyAutoencoder(CODEC)
+    windows = ClipWindows([clip], codec, NETWORK, OWN_STYLE, T)
+    assert len(windows) == len(clip) - T
+    latents = encode_clip(clip, codec)
+    batch = windows.batch([3])
+    assert torch.equal(batch.target[0, 0], latents[3 + T])
+    assert torch.equal(batch.references[0], latents[3 : 3 + T])
+    assert batch.conditions.layout is not None
+    for place, frame in enumerate(range(3, 3 + T + 1)):
+        drawn = draw_layout(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, OWN_STYLE)
+        found = batch.conditions.layout[0, 0, :, 4 * place : 4 * place + 4].numpy()
+        np.testing.assert_allclose(found, drawn, atol=0.5 / 255.0 + 1e-6)
+        assert drawn.any()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"latent_channels": 3, "reference_channels": 6}, "an autoencoder with 4 channels"),
+        ({"reference_channels": 12}, "2 references for a network with 12 further channels"),
+        ({"layout": AdapterConfig(8, 8, scales=(1,))}, "layouts of 3 x 4 channels"),
+    ],
+)
+def test_parts_that_do_not_fit_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        ClipWindows([make_clip()], TinyAutoencoder(CODEC), replace(NETWORK, **change), OWN_STYLE, T)  # type: ignore[arg-type]
+
+
+def test_clips_that_are_too_short_or_of_another_rig_are_refused() -> None:
+    codec = TinyAutoencoder(CODEC)
+    with pytest.raises(DatasetError, match="1 clips without a window"):
+        ClipWindows([make_clip(frames=T)], codec, NETWORK, OWN_STYLE, T)
+    other = replace(make_clip("clip-1"), views=("a", "b"))
+    with pytest.raises(DatasetError, match="clip-1 has views a, b"):
+        ClipWindows([make_clip(), other], codec, NETWORK, OWN_STYLE, T)
+
+
+def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = (
+        "import sys; from pathlib import Path; from dataclasses import replace\n"
+        "from tests.generation.test_training import OPTIONS, train_on_clips, NullProgress\n"
+        "autoencoder = Path(sys.argv[3])\n"
+        "options = replace(OPTIONS, autoencoder=autoencoder)\n"
+        "train_on_clips(Path(sys.argv[1]), Path(sys.argv[2]), options, NullProgress())\n"
+    )
+    arguments = [str(clips), str(tmp_path / "run"), str(trained / "autoencoder/model.safetensors")]
+    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", script, *arguments], env={**common, "RANK": str(rank)}, stderr=subprocess.PIPE
+        )
+        for rank in range(2)
+    ]
+    for process in running:
+        _, errors = process.communicate(timeout=240)
+        assert process.returncode == 0, errors.decode()
+    # One process that computes the same parts one after another has the same gradients, up to rounding.
+    settings = replace(OPTIONS.settings, accumulate=2)
+    autoencoder = trained / "autoencoder/model.safetensors"
+    options = replace(OPTIONS, autoencoder=autoencoder, settings=settings)
+    train_on_clips(clips, tmp_path / "alone", options, NullProgress())
+    together, _ = read_generator(tmp_path / "run/generator/model.safetensors")
+    alone, _ = read_generator(tmp_path / "alone/generator/model.safetensors")
+    for (name, one), other in zip(together.named_parameters(), alone.parameters()):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5, msg=name)
+    assert (tmp_path / "run/generator/run.json").read_text().count('"processes": 2') == 1

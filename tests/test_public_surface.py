@@ -8,7 +8,7 @@ from importlib import import_module
 
 import pytest
 
-PACKAGES = ["mirror", "mirror.privacy", "mirror.metrics", "mirror.dataset", "hybridworldsim"]
+PACKAGES = ["mirror", "mirror.privacy", "mirror.metrics", "mirror.dataset", "mirror.annotation", "hybridworldsim"]
 HEAVY = ("numpy", "pandas", "pyarrow", "torch", "numba", "cv2", "scipy", "rich", "tyro")
 
 

@@ -1,0 +1,1 @@
+"""Tracking of noisy boxes against exact truth, beside greedy nearest-neighbour matching."""

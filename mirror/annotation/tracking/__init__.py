@@ -1,0 +1,1 @@
+"""Tracking: single-frame boxes become objects with ids, smooth paths, velocities and one size each."""

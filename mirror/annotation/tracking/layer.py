@@ -1,0 +1,137 @@
+"""Tracks a layer of boxes, and writes the tracks as another layer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+from mirror.annotation.box_layer import choose_box_layer, read_box_layer
+from mirror.annotation.detections import Detections
+from mirror.annotation.run import box_table
+from mirror.annotation.tracking.options import TrackingOptions
+from mirror.annotation.tracking.static import merge_stationary
+from mirror.annotation.tracking.tracker import Track, find_tracks, to_frames
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
+from mirror.dataset.lock import writer_lock
+from mirror.errors import DatasetError
+from mirror.geometry.interpolation import interpolate
+from mirror.geometry.poses import Poses
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.tables import BOXES
+
+
+@dataclass(frozen=True)
+class TrackingReport:
+    """What tracking did.
+
+    Attributes:
+        layer: ``source@version`` of the tracks.
+        written: traversals whose layer was written.
+        kept: traversals that had the layer already.
+        detections: boxes read.
+        boxes: boxes written.
+        tracks: objects.
+        stationary: objects that do not move.
+    """
+
+    layer: str
+    written: tuple[str, ...]
+    kept: tuple[str, ...]
+    detections: int
+    boxes: int
+    tracks: int
+    stationary: int
+
+
+def track_layer(
+    dataset: Dataset,
+    layer: str | None = None,
+    options: TrackingOptions | None = None,
+    *,
+    version: str | None = None,
+    progress: ProgressReporter | None = None,
+) -> TrackingReport:
+    """Track a layer of boxes; the tracks become the layer ``<source>-tracks@<version>`` beside it.
+
+    Stationary objects are merged across the traversals of a scene. Poses are those of the view's pose layer.
+
+    Args:
+        dataset: a local dataset, or a view of it.
+        layer: ``source@version``; None: the only layer of boxes.
+        options: see `TrackingOptions`.
+        version: version of the new layers; None: that of the boxes.
+        progress: receives the number of traversals.
+
+    Raises:
+        UsageError: there is no such layer of boxes, or there are several and none is named.
+        DatasetError: a layer of this name was made with other options or of other boxes.
+    """
+    options, progress = options or TrackingOptions(), progress or NullProgress()
+    layer = choose_box_layer(dataset, layer)
+    source, _, own_version = layer.partition("@")
+    new_source, version = f"{source}-tracks", version or own_version
+    settings = json.dumps({**asdict(options), "poses": dataset.layers.poses}, sort_keys=True)
+    digest = hashlib.sha256(settings.encode()).hexdigest()
+    layout = dataset.layout
+    counts: dict[str, int] = dict.fromkeys(("detections", "boxes", "tracks", "stationary"), 0)
+    with writer_lock(layout, wait=False):
+        frames = read_box_layer(dataset, layer)
+        names = {name: _has_layer(layout, name, new_source, version, digest) for name in frames}
+        written = [name for name, exists in names.items() if not exists]
+        if written:
+            progress.start("tracking, traversals", len(frames))
+            for scene in dataset.scenes():
+                own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
+                if not set(own) & set(written):
+                    continue
+                tracked = _track_scene(dataset, {name: frames[name] for name in own}, options, progress)
+                for name in own:
+                    if name in written:
+                        writer = LayerWriter(layout, name, BOXES.name, new_source, version)
+                        boxes = to_frames(tracked[name], frames[name], _poses(dataset, name, frames[name]))
+                        table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
+                        folder = layout.layer(name, BOXES.name, source, own_version)
+                        writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
+                        counts["detections"] += sum(map(len, frames[name]))
+                        counts["boxes"] += table.num_rows
+                        counts["tracks"] += len(tracked[name])
+                        counts["stationary"] += sum(item.stationary for item in tracked[name])
+            build_index(layout.root)
+    kept = tuple(name for name, exists in names.items() if exists)
+    return TrackingReport(f"{new_source}@{version}", tuple(written), kept, **counts)
+
+
+def _track_scene(
+    dataset: Dataset, frames: Mapping[str, list[Detections]], options: TrackingOptions, progress: ProgressReporter
+) -> dict[str, list[Track]]:
+    """Tracks by traversal of one scene."""
+    tracks = {}
+    for name, detections in frames.items():
+        tracks[name] = find_tracks(detections, _poses(dataset, name, detections), options)
+        progress.advance(1)
+    return merge_stationary(tracks)
+
+
+def _poses(dataset: Dataset, traversal_id: str, frames: Sequence[Detections]) -> Poses:
+    stamps, poses = dataset.where(traversal=traversal_id).frames()[0].track
+    return interpolate(stamps, poses, [frame.timestamp_ns for frame in frames])
+
+
+def _has_layer(layout: Layout, traversal_id: str, source: str, version: str, digest: str) -> bool:
+    folder = layout.layer(traversal_id, BOXES.name, source, version)
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return False
+    if manifest.derived_from.get("tracking") != digest:
+        raise DatasetError(
+            "the layer was made with other options",
+            file=folder,
+            expected="the same options and layer of poses",
+            remedy="give the new layer another version: --version NAME",
+        )
+    return True

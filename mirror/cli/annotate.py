@@ -1,0 +1,196 @@
+"""``mirror annotate DATASET --annotator NAME``, and its subcommands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import tyro
+
+from mirror.annotation.tracking.options import TrackingOptions
+from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.annotation.run import AnnotationReport
+
+_MOST_SHOWN: Final = 5
+_EXAMPLES = (
+    "mirror annotate demo/dataset --annotator file --set path=results.json",
+    "mirror annotate demo/dataset --annotator subprocess --set command='python detect.py' --set limit_s=20",
+)
+_TRACK_EXAMPLES = ("mirror annotate track demo/dataset --boxes synth@0.1.0",)
+_EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --out review.json",)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Find the road users in all frames of a dataset, and write a layer of boxes for each traversal.
+
+    `mirror annotate track` makes tracks of a layer of boxes, and `mirror annotate export` writes a layer as a file for
+    other tools. Layers lie side by side and are never replaced. Finished frames are kept when the run is interrupted or
+    a frame fails: the same command continues there.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    annotator: Annotated[str, help_text(metavar="NAME")]
+    """An installed annotator (entry points mirror.annotators): file reads results of the nuScenes format, subprocess
+    runs a program of yours."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=VALUE")] = ()
+    """A setting of the annotator, such as path=results.json."""
+    source: Annotated[str | None, help_text(default="the annotator's name", metavar="NAME")] = None
+    """Source name of the layers."""
+    version: Annotated[str | None, help_text(default="the annotator's version", metavar="NAME")] = None
+    """Version of the layers."""
+    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
+    """Annotate this scene only."""
+    skip_failed: bool = False
+    """Write the layer of a traversal although frames failed; they have no boxes then."""
+    device: str = "cpu"
+    """Device of networks: cpu or cuda."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class TrackArguments:
+    """Make tracks of a layer of boxes: ids, smooth positions, velocities and one size for each object.
+
+    The tracks of SOURCE@VERSION become the layer SOURCE-tracks@VERSION. Stationary objects are merged across the
+    traversals of a scene.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes."""
+    version: Annotated[str | None, help_text(default="that of the boxes", metavar="NAME")] = None
+    """Version of the layer of tracks."""
+    options: tyro.conf.OmitArgPrefixes[TrackingOptions] = field(default_factory=TrackingOptions)
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class ExportArguments:
+    """Write a layer of boxes as results of the nuScenes detection task (JSON), for review in another tool.
+
+    `mirror annotate DATASET --annotator file --set path=FILE` imports what comes back as a layer of its own.
+    """
+
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset."""
+    out: Annotated[Path, help_text(metavar="FILE")]
+    """The file; it is replaced if it exists."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes."""
+    json: bool = False
+    """Print JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb, or one of its subcommands."""
+    if argv and argv[0] in _SUBCOMMANDS:
+        return run_subcommand(argv, "mirror annotate", _SUBCOMMANDS)
+    arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
+
+    from mirror.annotation.registry import installed_annotator
+
+    installed = installed_annotator(arguments.annotator)
+
+    import mirror
+    from mirror.annotation.run import annotate
+    from mirror.progress import progress_bar
+
+    dataset = mirror.open(arguments.dataset)
+    if arguments.scene is not None:
+        dataset = dataset.where(scene=arguments.scene)
+    annotator = installed.open(dataset, _settings(arguments.set), arguments.device)
+    try:
+        with progress_bar(quiet=arguments.json) as bar:
+            report = annotate(
+                dataset,
+                annotator,
+                source=arguments.source,
+                version=arguments.version,
+                skip_failed=arguments.skip_failed,
+                progress=bar,
+            )
+    finally:
+        annotator.close()
+    if arguments.json:
+        print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
+    else:
+        _print(report, arguments)
+    return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
+
+
+def _print(report: AnnotationReport, arguments: Arguments) -> None:
+    print(
+        f"layer boxes/{report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept; "
+        f"{report.boxes} boxes in {report.frames + report.resumed} frames ({report.resumed} from an earlier run)"
+    )
+    if report.failed:
+        print(
+            f"{len(report.failed)} frames failed; traversals without a layer: {', '.join(report.incomplete) or 'none'}"
+        )
+        for failed in report.failed[:_MOST_SHOWN]:
+            print(f"  {failed.traversal_id}, frame {failed.frame_index}: {failed.reason}")
+        if report.incomplete:
+            print("run the same command again for the failed frames, or write the layers without them: --skip-failed")
+    elif report.written:
+        print(f"next: mirror annotate track {arguments.dataset} --boxes {report.layer}")
+
+
+def _track(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(TrackArguments, argv, "mirror annotate track", examples=_TRACK_EXAMPLES)
+
+    import mirror
+    from mirror.annotation.tracking.layer import track_layer
+    from mirror.progress import progress_bar
+
+    with progress_bar(quiet=arguments.json) as bar:
+        report = track_layer(
+            mirror.open(arguments.dataset), arguments.boxes, arguments.options, version=arguments.version, progress=bar
+        )
+    if arguments.json:
+        print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
+        return ExitCode.DONE
+    print(f"layer boxes/{report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept")
+    if report.written:
+        print(
+            f"{report.detections} boxes became {report.tracks} tracks ({report.stationary} stationary)"
+            f" with {report.boxes} boxes"
+        )
+    return ExitCode.DONE
+
+
+def _export(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(ExportArguments, argv, "mirror annotate export", examples=_EXPORT_EXAMPLES)
+
+    import mirror
+    from mirror.annotation.review import export_results
+
+    report = export_results(mirror.open(arguments.dataset), arguments.out, arguments.boxes)
+    if arguments.json:
+        print(json.dumps(asdict(report)))
+    else:
+        print(f"{report.path}: {report.boxes} boxes of layer {report.layer} in {report.samples} samples")
+    return ExitCode.DONE
+
+
+def _settings(words: Sequence[str]) -> dict[str, str]:
+    invalid = [word for word in words if not all(word.partition("="))]
+    if invalid:
+        raise UsageError(f"{invalid[0]!r}", place="--set", expected="NAME=VALUE")
+    return {name: value for name, _, value in (word.partition("=") for word in words)}
+
+
+_SUBCOMMANDS: Final = {
+    "track": Subcommand("make tracks of a layer of boxes", _track),
+    "export": Subcommand("write a layer of boxes as nuScenes results, for review", _export),
+}

@@ -16,6 +16,7 @@ from mirror.cli.main import main
 from mirror.cli.verbs import HEADINGS, all_commands
 
 DATASET_FIRST = (
+    "annotate",
     "baseline",
     "check",
     "deidentify",

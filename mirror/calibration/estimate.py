@@ -147,7 +147,8 @@ class Conditions:
 
 _FEW_CORNERS: Final = 60.0
 _DARK: Final = 35.0
-_STRAIGHT_DEG: Final = 15.0
+_STRAIGHT_DEG: Final = 45.0
+_BARELY_DEG: Final = 10.0
 _SHORT_M: Final = 5.0
 
 
@@ -159,8 +160,8 @@ def explain(estimate: CameraEstimate, conditions: Conditions) -> str | None:
         return "the vehicle hardly moves"
     if not estimate.tracks:
         return "no tracks: " + _poor_images(estimate.camera, conditions)
-    if conditions.turned_deg < _STRAIGHT_DEG:
-        return "straight driving"
+    if conditions.turned_deg < _STRAIGHT_DEG and estimate.observable[1:].all():
+        return "straight driving" if conditions.turned_deg < _BARELY_DEG else "little turning"
     return "few tracks: " + _poor_images(estimate.camera, conditions)
 
 

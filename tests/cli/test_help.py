@@ -18,6 +18,7 @@ from mirror.cli.verbs import HEADINGS, all_commands
 DATASET_FIRST = (
     "annotate",
     "baseline",
+    "calibrate check",
     "check",
     "deidentify",
     "depth",

@@ -184,10 +184,20 @@ def _cameras() -> Iterator[Edit]:
     yield of("CAM010", _second_stage, file)
     yield of("CAM011", cell(A0, "images", LEFT, camera="a_camera"), images, "CAM001", "CAM012", "MSK002", "DEP002")
     yield of("CAM012", _silent, images, "MSK002", "DEP002")
+    yield of("CAM013", _jump, file)
+    yield of("CAM014", cell(A0, "calibrations", 0, stage="refined", covariance=None), file)
 
 
 def _overlapping_validity(broken: Broken) -> None:
     broken.rows(A0, "calibrations", lambda rows: [rows[0], {**rows[0], "valid_from_ns": EPOCH}, *rows[1:]])
+
+
+def _jump(broken: Broken) -> None:
+    def change(rows: Rows) -> Rows:
+        until, after = {**rows[0], "valid_to_ns": EPOCH}, {**rows[0], "valid_from_ns": EPOCH}
+        return [until, {**after, "tx_m": rows[0]["tx_m"] + 0.1}, *rows[1:]]
+
+    broken.rows(A0, "calibrations", change)
 
 
 def _second_stage(broken: Broken) -> None:

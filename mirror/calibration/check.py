@@ -1,0 +1,274 @@
+"""Checks the calibration of a dataset: estimates every traversal, and states the verdict on the fleet."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from mirror.calibration.estimate import AXES, CameraEstimate, estimate_rotations, explain
+from mirror.calibration.frame_choice import FrameChoice
+from mirror.calibration.localisation import LENGTHS_M, compute_drift
+from mirror.calibration.rig import PosePrior
+from mirror.calibration.sampling import choose_frames, track_traversal
+from mirror.calibration.stages import StageHistory, compare_stages
+from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics
+from mirror.calibration.tracking import TrackingOptions
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, ExitCode, MirrorError, UsageError
+from mirror.geometry import interpolate
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.files import write_bytes
+
+METHOD: Final = "joint epipolar estimate, 1"
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """The estimate of one camera in one traversal, as it is reported.
+
+    Attributes:
+        camera: the camera.
+        stage: stage of the calibration that was checked.
+        error_deg: roll, pitch, yaw of the error about the vehicle's axes.
+        sigma_deg: their standard deviations.
+        observable: whether each is known to 0.1 degrees.
+        angle_deg: total angle over the observable axes; None: no axis is observable.
+        status: ``ok``, ``fail`` (above 0.3 degrees), or ``unobservable``: no axis is.
+        reason: why an axis is unobservable; None: all are.
+        tracks: number of tracks.
+        residual_px: median distance from the epipolar lines; None without tracks.
+    """
+
+    camera: str
+    stage: str
+    error_deg: tuple[float, float, float]
+    sigma_deg: tuple[float, float, float]
+    observable: tuple[bool, bool, bool]
+    angle_deg: float | None
+    status: str
+    reason: str | None
+    tracks: int
+    residual_px: float | None
+
+    def unobservable_axes(self) -> list[str]:
+        """Names of the axes about which the error is unknown."""
+        return [axis for axis, known in zip(AXES, self.observable) if not known]
+
+
+@dataclass(frozen=True)
+class TraversalCheck:
+    """The check of one traversal.
+
+    Attributes:
+        traversal_id: the traversal.
+        vehicle_id: its vehicle.
+        drive_id: its drive.
+        entry_ns: when it began.
+        light: day, dusk or night.
+        status: ``checked``, ``not checked`` (no motion, too few frames) or ``failed`` (data could not be read).
+        message: why it was not checked; None: it was.
+        frames: number of frames used.
+        driven_m: way over these frames.
+        turned_deg: change of course over these frames.
+        cameras: the estimates.
+        unread: messages of images that could not be read.
+        drift_percent: drift against the reference poses, by length in metres: median percent; empty without reference.
+    """
+
+    traversal_id: str
+    vehicle_id: str
+    drive_id: str
+    entry_ns: int
+    light: str
+    status: str
+    message: str | None = None
+    frames: int = 0
+    driven_m: float = 0.0
+    turned_deg: float = 0.0
+    cameras: tuple[CameraCheck, ...] = ()
+    unread: tuple[str, ...] = ()
+    drift_percent: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CalibrationCheck:
+    """The check of a dataset.
+
+    Attributes:
+        dataset: path of the dataset.
+        traversals: the checks of the traversals.
+        statistics: the errors of the fleet.
+        history: the stages beside each other.
+    """
+
+    dataset: str
+    traversals: Sequence[TraversalCheck]
+    statistics: FleetStatistics
+    history: StageHistory
+
+    def exit_code(self) -> ExitCode:
+        """1: an error above the limit was found; 3: some traversals or images could not be read; else 0."""
+        if any(one.status == "fail" for item in self.traversals for one in item.cameras):
+            return ExitCode.FINDINGS
+        if any(item.status == "failed" or item.unread for item in self.traversals):
+            return ExitCode.PARTLY_DONE
+        return ExitCode.DONE
+
+    def to_dict(self) -> dict[str, Any]:
+        """The check as plain values, for JSON."""
+        return {
+            "dataset": self.dataset,
+            "method": METHOD,
+            "limit_deg": LIMIT_DEG,
+            "definition": "angle between the delivered mounting and its estimate from images, a camera and traversal",
+            "statistics": _finite(asdict(self.statistics)),
+            "traversals": [_finite(asdict(one)) for one in self.traversals],
+            "between_stages": [asdict(one) for one in self.history.between_stages],
+            "jumps": [asdict(one) for one in self.history.in_time if one.is_jump],
+            "exit_code": int(self.exit_code()),
+        }
+
+
+def check_calibration(
+    dataset: Dataset,
+    *,
+    choice: FrameChoice | None = None,
+    prior: PosePrior | None = None,
+    options: TrackingOptions | None = None,
+    reference_poses: str | None = None,
+    work: Path | None = None,
+    progress: ProgressReporter | None = None,
+) -> CalibrationCheck:
+    """Estimate the calibration errors of every traversal with images.
+
+    Args:
+        dataset: the dataset, or a view of it; its layers choose poses, calibrations, stage and boxes.
+        choice: which frames of a traversal are used.
+        prior: errors that the recorded poses may have.
+        options: settings of the tracker.
+        reference_poses: a layer of better poses, to measure the drift of the chosen ones; None: no drift.
+        work: folder for the finished traversals, so that an interrupted check continues; None: none.
+        progress: receives the progress.
+
+    Raises:
+        UsageError: the dataset has no traversal with images, or the layer of reference poses does not exist.
+    """
+    chosen, weights, tracker = choice or FrameChoice(), prior or PosePrior(), options or TrackingOptions()
+    rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]
+    if not rows:
+        raise UsageError("no traversal has images", expected="images to check the calibration with")
+    reference = None if reference_poses is None else dataset.with_layers(poses=reference_poses)
+    settings = json.dumps([METHOD, dataset.index_sha256, asdict(dataset.layers), reference_poses,
+                           *(asdict(one) for one in (chosen, weights, tracker))])  # fmt: skip
+    key = hashlib.sha256(settings.encode()).hexdigest()[:16]
+    reporter = progress or NullProgress()
+    reporter.start("traversals", len(rows))
+    checks = []
+    for row in rows:
+        file = None if work is None else work / f"{key}.{row['traversal_id']}.json"
+        if file is not None and file.is_file():
+            checks.append(_from_plain(json.loads(file.read_text())))
+        else:
+            one = dataset.where(traversal=row["traversal_id"])
+            other = None if reference is None else reference.where(traversal=row["traversal_id"])
+            checks.append(_check_traversal(one, row, chosen, weights, tracker, other))
+            if file is not None:
+                write_bytes(file, json.dumps(asdict(checks[-1])).encode())
+        reporter.advance(1)
+    return CalibrationCheck(dataset.root, checks, _statistics(checks), compare_stages(dataset))
+
+
+def _check_traversal(
+    dataset: Dataset,
+    row: Mapping[str, Any],
+    choice: FrameChoice,
+    prior: PosePrior,
+    options: TrackingOptions,
+    reference: Dataset | None,
+) -> TraversalCheck:
+    about = {name: row[name] for name in ("traversal_id", "vehicle_id", "drive_id", "entry_ns", "light")}
+    _require_one_box_layer(dataset)
+    unread: list[str] = []
+    try:
+        frames = choose_frames(dataset, choice)
+        tracked = track_traversal(dataset, frames, unread, options)
+        estimates = estimate_rotations(tracked.rig, prior)
+        drift = {} if reference is None else _drift(dataset, reference)
+    except UsageError as error:
+        status = "failed" if unread else "not checked"
+        return TraversalCheck(**about, status=status, message=str(error), unread=tuple(unread))
+    except MirrorError as error:
+        return TraversalCheck(**about, status="failed", message=str(error))
+    cameras = [
+        _camera_check(one, tracked.calibrations[one.camera].stage, explain(one, tracked.conditions))
+        for one in estimates
+    ]
+    return TraversalCheck(
+        **about, status="checked", frames=tracked.frames, driven_m=tracked.conditions.driven_m,
+        turned_deg=tracked.conditions.turned_deg, cameras=tuple(cameras), unread=tuple(unread),
+        drift_percent=drift,
+    )  # fmt: skip
+
+
+def _require_one_box_layer(dataset: Dataset) -> None:
+    """Raise a UsageError where several box layers exist and none was chosen: that is no fault of a traversal."""
+    frames = dataset.frames()
+    if len(frames):
+        with contextlib.suppress(DatasetError):
+            frames[0].boxes()
+
+
+def _camera_check(one: CameraEstimate, stage: str, reason: str | None) -> CameraCheck:
+    known = bool(one.observable.any())
+    status = "unobservable" if not known else "fail" if one.angle_deg > LIMIT_DEG else "ok"
+    error, sigma = one.error_deg.tolist(), one.sigma_deg.tolist()
+    return CameraCheck(
+        one.camera, stage, tuple(error), tuple(sigma), tuple(one.observable.tolist()), one.angle_deg if known else None,
+        status, reason, one.tracks, one.residual_px if one.tracks else None,
+    )  # fmt: skip
+
+
+def _drift(dataset: Dataset, reference: Dataset) -> dict[str, float]:
+    frames = reference.frames()
+    stamps, truth = frames[0].track
+    own_stamps, poses = dataset.frames()[0].track
+    inside = (stamps >= own_stamps[0]) & (stamps <= own_stamps[-1])
+    if not inside.any():
+        raise DatasetError("the reference poses do not overlap the chosen ones in time", file=dataset.root)
+    at = interpolate(own_stamps, poses, stamps[inside])
+    drifts = {f"{length:g}": compute_drift(at, truth[inside], length) for length in LENGTHS_M}
+    return {length: float(np.median(values)) for length, values in drifts.items() if len(values)}
+
+
+def _statistics(checks: Sequence[TraversalCheck]) -> FleetStatistics:
+    own = [(item, one) for item in checks for one in item.cameras if one.angle_deg is not None]
+    angles = [one.angle_deg or 0.0 for _, one in own]
+    sigma = [np.sqrt(sum(s**2 for s, known in zip(one.sigma_deg, one.observable) if known)) for _, one in own]
+    return compute_fleet_statistics(
+        [item.traversal_id for item, _ in own], [item.vehicle_id for item, _ in own], angles, sigma
+    )
+
+
+def _from_plain(plain: dict[str, Any]) -> TraversalCheck:
+    cameras = tuple(CameraCheck(**_with_tuples(one)) for one in plain.pop("cameras"))
+    return TraversalCheck(**{**plain, "cameras": cameras, "unread": tuple(plain["unread"])})
+
+
+def _with_tuples(plain: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+
+
+def _finite(value: Any) -> Any:
+    """Plain values without NaN, which JSON does not have."""
+    if isinstance(value, dict):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

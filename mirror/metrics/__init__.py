@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from mirror.metrics.features.st_lpips import st_lpips as st_lpips
     from mirror.metrics.features.statistics import FeatureAccumulator as FeatureAccumulator
     from mirror.metrics.features.statistics import FeatureStatistics as FeatureStatistics
+    from mirror.metrics.images.affine import AffinePsnr as AffinePsnr
+    from mirror.metrics.images.affine import psnr_affine as psnr_affine
     from mirror.metrics.images.aggregate import Summary as Summary
     from mirror.metrics.images.aggregate import by_group as by_group
     from mirror.metrics.images.aggregate import summarise as summarise
@@ -70,6 +72,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DETECTION_CVPR_2019",
+    "AffinePsnr",
     "CorrectedPsnr",
     "DetectionBoxes",
     "DetectionConfig",
@@ -119,6 +122,7 @@ __all__ = [
     "paired_difference",
     "polygon_mask",
     "psnr",
+    "psnr_affine",
     "psnr_cc",
     "ssim",
     "ssim_map",
@@ -130,6 +134,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "AffinePsnr": "mirror.metrics.images.affine",
         "CorrectedPsnr": "mirror.metrics.images.colour_correction",
         "DETECTION_CVPR_2019": "mirror.metrics.detection.config",
         "DetectionBoxes": "mirror.metrics.detection.boxes",
@@ -180,6 +185,7 @@ __getattr__, __dir__ = lazy_names(
         "paired_difference": "mirror.metrics.images.bootstrap",
         "polygon_mask": "mirror.metrics.boxes.raster",
         "psnr": "mirror.metrics.images.psnr",
+        "psnr_affine": "mirror.metrics.images.affine",
         "psnr_cc": "mirror.metrics.images.colour_correction",
         "ssim": "mirror.metrics.images.ssim",
         "ssim_map": "mirror.metrics.images.ssim",

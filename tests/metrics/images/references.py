@@ -107,3 +107,22 @@ def _windowed(values: Array, line: Array) -> Array:
 
 def _eight_bit(picture: Array) -> Array:
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def affine_by_lstsq(render: Array, truth: Array, mask: Array | None = None) -> tuple[float, list[float], list[float]]:
+    """PSNR after an affine fit of each channel, its gains and offsets, by numpy's least squares; images in [0, 1]."""
+    mask = np.ones(render.shape[:2], bool) if mask is None else mask
+    squares, gains, offsets = [], [], []
+    for x, y in zip(render[mask].astype(np.float64).T, truth[mask].astype(np.float64).T):
+        used = (x >= _EPSILON) & (x <= 1 - _EPSILON) & (y >= _EPSILON) & (y <= 1 - _EPSILON)
+        gain, offset = 1.0, 0.0
+        if used.any():
+            terms = np.stack([x[used] - x[used].mean(), np.ones(used.sum())], axis=1)
+            gain, mean = np.linalg.lstsq(terms, y[used], rcond=1e-9)[0]
+            gain = max(gain, 0.0)
+            offset = mean - gain * x[used].mean()
+        squares.append(np.mean((np.clip(gain * x + offset, 0, 1) - y) ** 2))
+        gains.append(float(gain))
+        offsets.append(float(offset))
+    squared_error = float(np.mean(squares))
+    return math.inf if squared_error == 0 else -10 * math.log10(squared_error), gains, offsets

@@ -140,6 +140,11 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             f"split {split} also has views of {', '.join(without_model)}", expected="a model of each of its scenes",
             remedy="reconstruct them, and name all models; or make a split of fewer scenes",
         )  # fmt: skip
+    if arguments.appearance == "fit" and protocol.fitted_part is None:
+        raise UsageError(
+            f"protocol {protocol.name} lets no appearance be fitted", place="--appearance fit",
+            expected="another policy, or a protocol with a fitted part, such as static-reconstruction",
+        )  # fmt: skip
     appearance = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
 
     def renderer(_: Dataset, requested: Plan) -> Iterator[Render]:
@@ -216,14 +221,13 @@ def _costs(models: Iterable[Path]) -> Runtime:
 def appearance_of(appearance: AppearancePolicy) -> Appearance:
     """The manifest entry for the appearance of images that were not trained on."""
     from mirror.evaluation.submission.manifest import Appearance
-    from mirror.methods.appearance import FITTED_PART
 
     if appearance.policy == "nearest":
         return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
     if appearance.policy == "mean":
         return Appearance(policy="mean", description="of the latents of the camera")
     if appearance.policy == "fit":
-        return Appearance(policy="fitted", description="the latent alone", held_out_pixels=(FITTED_PART,))
+        return Appearance(policy="fitted", description="the latent alone")
     return Appearance(policy="other", description=f"given: {appearance.policy}")
 
 

@@ -140,6 +140,7 @@ def evaluate(
         submission=submission,
         manifest=check.manifest,
         dataset=dataset,
+        hashes=check.hashes,
         layers=plan.layers,
         hidden=options.hidden,
         resolver=options.resolver,
@@ -158,7 +159,7 @@ def evaluate(
     )
     if outcome.failed:
         problems = tuple(Problem("corrupt", name, problem) for name, problem in sorted(outcome.failed.items()))
-        failed_check = CheckReport(check.expected, check.present, problems, check.manifest, check.hash)
+        failed_check = CheckReport(check.expected, check.present, problems, check.manifest, check.hash, check.hashes)
         return Evaluation(plan, failed_check, reused=outcome.reused)
     result = Result(
         protocol=protocol,
@@ -287,8 +288,9 @@ def _list_warnings(plan: Plan, manifest: SubmissionManifest, available: _Availab
         warnings.append(
             f"{name} stands in for {name.removeprefix(STAND_IN_PREFIX)}: another metric, with figures of its own"
         )
-    if manifest.appearance.held_out_pixels:
-        warnings.append("the method's appearance was fitted to held-out pixels; they are not scored")
+    part = plan.protocol.fitted_part
+    if manifest.appearance.policy == "fitted" and part is not None:
+        warnings.append(f"the method's appearance was fitted to {part} of held-out images; it is not scored in any image")
     return warnings
 
 

@@ -126,11 +126,11 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         inputs.extractor,
         sorted(inputs.unavailable),
         inputs.stand_ins,
-        [part.model_dump() for part in inputs.manifest.appearance.held_out_pixels],
+        inputs.fitted_part is not None,
         sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
         [view.model_dump(mode="json") for view in job.views],
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
-        [inputs.fingerprint(path) for path in job.reads],
+        [inputs.hashes.get(path) for path in job.reads],
         [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from mirror.dataset.dataset import Dataset
-from mirror.protocols.rectangle import Rectangle
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
-
-FITTED_PART: Final = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
-"""The part of a held-out image that an appearance may be fitted to; this part is then not scored."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +18,7 @@ class AppearancePolicy:
         policy: ``nearest``, ``mean``, ``fit``, a traversal, a word of light or weather, or ``sweep:A:B``.
         views: all views that will be rendered, so that a policy can compare complete driven lines.
         everywhere: whether the policy also applies to trained traversals, which edits their light.
-        truth: only for ``fit``: the dataset and plan that give the images; only their left halves are read.
+        truth: only for ``fit``: the dataset and plan that give the images; only the protocol's fitted part is read.
     """
 
     policy: str = "nearest"

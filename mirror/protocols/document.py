@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from mirror.errors import SchemaError, UsageError
 from mirror.geometry.cameras import WIDEST_DEG
+from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
 
 RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
@@ -135,6 +136,12 @@ class Psnr(Document):
     metric: Literal["psnr"]
 
 
+class PsnrAffine(Document):
+    """PSNR after each channel got its own gain (0 or more) and offset by least squares; it ranks novel groups."""
+
+    metric: Literal["psnr_affine"]
+
+
 class PsnrCc(Document):
     """PSNR after the quadratic colour warp of MTGS (PSNR* in the paper); ``iterations`` fits on unclipped pixels."""
 
@@ -217,7 +224,7 @@ class ReportedFigure(Document):
 
 
 Metric = Annotated[
-    Psnr | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure, Field(discriminator="metric")
+    Psnr | PsnrAffine | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure, Field(discriminator="metric")
 ]
 
 
@@ -252,6 +259,8 @@ class Protocol(Document):
         pixels: raster of the renders.
         masks: pixels that are not scored.
         vehicles: vehicles that are edited; None: none.
+        fitted_part: the only part of held-out images that an appearance may be fitted to. A submission with a fitted
+            appearance is scored on the rest, in every group. None: no appearance may be fitted. The hash omits None.
         metrics: metrics that are computed.
         averaging: levels of the mean, innermost first: image values are averaged within each part of the first level,
             these means within the next. ``("traversal", "scene")`` is the order of MTGS, ``("scene",)`` of OmniRe.
@@ -267,6 +276,7 @@ class Protocol(Document):
     pixels: Pixels
     masks: Masks
     vehicles: Vehicles | None = None
+    fitted_part: Rectangle | None = Field(default=None, exclude_if=lambda part: part is None)
     metrics: tuple[Metric, ...] = Field(min_length=1)
     averaging: tuple[Literal["traversal", "scene"], ...]
     intervals: Intervals = Intervals()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from pydantic import Field, model_validator
@@ -24,3 +25,16 @@ class Rectangle(Document):
         if self.left >= self.right or self.top >= self.bottom:
             raise ValueError("left < right and top < bottom")
         return self
+
+    def __str__(self) -> str:
+        return f"columns {self.left:g} to {self.right:g}, rows {self.top:g} to {self.bottom:g}"
+
+    def touched(self, height: int, width: int) -> tuple[slice, slice]:
+        """Rows and columns of all pixels of a raster that the rectangle touches."""
+        rows = slice(math.floor(self.top * height), math.ceil(self.bottom * height))
+        return rows, slice(math.floor(self.left * width), math.ceil(self.right * width))
+
+    def inside(self, height: int, width: int) -> tuple[slice, slice]:
+        """Rows and columns of the pixels of a raster that lie wholly inside the rectangle."""
+        rows = slice(math.ceil(self.top * height), math.floor(self.bottom * height))
+        return rows, slice(math.ceil(self.left * width), math.floor(self.right * width))

@@ -31,7 +31,7 @@ cameras = ["front_wide", "front_left"]
 [pixels]
 space = "{space}"
 max_width_px = {width}
-[masks]
+{more}[masks]
 ego = true
 dynamic = ["boxes"]
 {metrics}
@@ -39,6 +39,7 @@ dynamic = ["boxes"]
 resamples = 200
 block_frames = {block}
 """
+LEFT_HALF = "[fitted_part]\nleft = 0.0\ntop = 0.0\nright = 0.5\nbottom = 1.0\n"
 _PSNR = '[[metrics]]\nmetric = "psnr"\n'
 _SSIM = '[[metrics]]\nmetric = "ssim"\npreset = "gaussian11"\nmask = "map"\n'
 
@@ -52,9 +53,12 @@ def small_text(
     width: int = 120,
     metrics: str = _PSNR + _SSIM,
     block: int = 1,
+    more: str = "",
 ) -> str:
     """Return a protocol with few images, as TOML."""
-    return _TEXT.format(task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block)
+    return _TEXT.format(
+        task=task, groups=groups, every=every, space=space, width=width, metrics=metrics, block=block, more=more
+    )
 
 
 def small(**changes: Any) -> Protocol:

@@ -19,7 +19,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.compare import compare
 from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
-from mirror.evaluation.submission.manifest import Appearance, Rectangle
+from mirror.evaluation.submission.manifest import Appearance
 from mirror.evaluation.workers import ScoreLog
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
@@ -142,22 +142,6 @@ def test_infinite_psnr_is_counted_and_not_averaged(root: Path, dataset: Dataset,
     assert figures["psnr"].n_inf == figures["psnr"].n > 0
     assert figures["ssim"].value == pytest.approx(1.0)
     assert figures["psnr_pooled"].value is None
-
-
-def test_fitted_held_out_pixels_are_not_scored(root: Path, dataset: Dataset, tmp_path: Path) -> None:
-    def half(view: RenderView, truth: UInt8) -> UInt8:
-        spoilt = truth.copy()
-        spoilt[:, : math.ceil(truth.shape[1] / 2)] = 255 - spoilt[:, : math.ceil(truth.shape[1] / 2)]
-        return spoilt
-
-    left = Rectangle(left=0.0, top=0.0, right=0.5, bottom=1.0)
-    appearance = Appearance(policy="fitted", held_out_pixels=(left,))
-    write_renders(dataset, small(), tmp_path / "s", half, appearance=appearance)
-    done = evaluate(tmp_path / "s", root, small(), SPLIT, tmp_path / "out", ALONE)
-    assert done.result is not None
-    figure = next(item for item in done.result.figures if item.metric == "psnr")
-    assert figure.n_inf == figure.n
-    assert any("held-out pixels" in warning for warning in done.result.warnings)
 
 
 def test_render_that_cannot_be_decoded_stops_the_scoring(root: Path, dataset: Dataset, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Fits appearances to the left half of held-out images, a declared part that is not scored."""
+"""Fits appearances to the part of held-out images that the protocol allows and then does not score."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import Run, TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
-from mirror.methods.appearance import FITTED_PART, AppearancePolicy
+from mirror.methods.appearance import AppearancePolicy
+from mirror.protocols.rectangle import Rectangle
 from mirror.protocols.views.view import RenderView
 
 _STEPS: Final = 60
@@ -38,13 +39,20 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
         Cameras that were trained on or fitted.
 
     Raises:
-        UsageError: the policy has no truth.
+        UsageError: the policy has no truth, or the protocol lets no appearance be fitted.
     """
     if appearance.truth is None:
         raise UsageError(
             "there are no held-out images to fit to", place="--appearance fit", expected="--split and --protocol"
         )
     dataset, plan = appearance.truth
+    part = plan.protocol.fitted_part
+    if part is None:
+        raise UsageError(
+            f"protocol {plan.protocol.name} lets no appearance be fitted",
+            place="--appearance fit",
+            expected="a protocol with a fitted part",
+        )
     # A moved camera does not see what was recorded.
     moved_groups = {group.name for group in plan.protocol.groups if group.ego_shift_m}
     trained = run.sources
@@ -64,7 +72,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
             np.linspace(0, len(source_views) - 1, min(len(source_views), _MAX_IMAGES)).round().astype(int)
         )
         nearest = selector.select(source_views[0]).content
-        latent = _fit_latent(street, nearest, images, [source_views[place] for place in chosen])
+        latent = _fit_latent(street, nearest, images, [source_views[place] for place in chosen], part)
         street.appearance.add(source, latent)
         template = next(camera for camera in trained if (camera.traversal_id, camera.camera) == nearest)
         fitted_cameras.append(
@@ -73,18 +81,20 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
     return (*trained, *fitted_cameras)
 
 
-def _fit_latent(street: Street, nearest: Source, images: TrainingImageCache, views: list[RenderView]) -> torch.Tensor:
+def _fit_latent(
+    street: Street, nearest: Source, images: TrainingImageCache, views: list[RenderView], part: Rectangle
+) -> torch.Tensor:
     latent = street.appearance(nearest).detach().clone().requires_grad_()
     adam = torch.optim.Adam([latent], lr=_RATE)
     for step in range(_STEPS):
         image = images(views[step % len(views)])
-        part = torch.zeros_like(image.scored)
-        part[:, : int(FITTED_PART.right * part.shape[1])] = True
-        part &= image.scored
-        if not part.any():
+        fitted = torch.zeros_like(image.scored)
+        fitted[part.inside(*fitted.shape)] = True
+        fitted &= image.scored
+        if not fitted.any():
             continue
         output = street(image.viewpoint, latent)
-        (gradient,) = torch.autograd.grad(colour_loss(output.rgb, image.rgb, part), latent)
+        (gradient,) = torch.autograd.grad(colour_loss(output.rgb, image.rgb, fitted), latent)
         latent.grad = gradient
         adam.param_groups[0]["lr"] = _RATE * (1.0 - step / _STEPS)
         adam.step()

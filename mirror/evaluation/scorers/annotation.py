@@ -148,7 +148,7 @@ def _read_detections(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame
             that the protocol does not have.
     """
     path = job.reads[0]
-    raw = parse_untrusted(inputs.files.read(path, MAX_TABLE_BYTES), path, MAX_TABLE_BYTES)
+    raw = parse_untrusted(inputs.read(path), path, MAX_TABLE_BYTES)
     try:
         frames = Detections.model_validate(raw).frames
     except (ValidationError, RecursionError) as error:

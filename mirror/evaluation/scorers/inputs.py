@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.check import MAX_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.evaluation.submission.untrusted import UntrustedFiles, open_untrusted
+from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles, open_untrusted
 from mirror.protocols.document import Protocol
 from mirror.protocols.png import decode_render, max_png_bytes
 from mirror.protocols.rectangle import Rectangle
@@ -32,6 +30,7 @@ class ScoringInputs:
         submission: folder or zip of the submission.
         manifest: manifest of the submission.
         dataset: dataset with the truth.
+        hashes: SHA-256 of the checked files of the submission, by path.
         layers: names of the layers of masks and boxes, by traversal.
         hidden: folder of hidden truth; None: the truth is the dataset's images.
         resolver: finds weights.
@@ -47,6 +46,7 @@ class ScoringInputs:
     submission: Path
     manifest: SubmissionManifest
     dataset: Dataset
+    hashes: Mapping[str, str]
     layers: Mapping[str, tuple[str, ...]]
     hidden: Path | None
     resolver: WeightResolver
@@ -78,22 +78,33 @@ class ScoringInputs:
             UntrustedError: the render cannot be read.
             RenderError: the render is broken or has a wrong size.
         """
-        data = self.files.read(view.path, max_png_bytes(view.width_px, view.height_px))
+        data = self.read(view.path, max_png_bytes(view.width_px, view.height_px))
         return decode_render(data, view.width_px, view.height_px, view.path)
+
+    @property
+    def fitted_part(self) -> Rectangle | None:
+        """The part of every image that is not scored because the method's appearance was fitted to it."""
+        return self.protocol.fitted_part if self.manifest.appearance.policy == "fitted" else None
 
     def scored_mask(self, view: RenderView) -> Bool:
         """Return the mask (H, W) of scored pixels: the protocol's, without pixels that the method was fitted to."""
         scored = self.truth.scored_mask(view)
-        for part in self.manifest.appearance.held_out_pixels:
-            scored[_slices(part, *scored.shape)] = False
+        part = self.fitted_part
+        if part is not None:
+            scored[part.touched(*scored.shape)] = False
         return scored
 
-    def fingerprint(self, path: str) -> str:
-        """Return the SHA-256 of a file of the submission."""
-        return hashlib.sha256(self.files.read(path, MAX_TABLE_BYTES)).hexdigest()
+    def read(self, path: str, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
+        """Read a file of the submission: the same bytes that were checked and hashed before the scoring.
 
-
-def _slices(part: Rectangle, height: int, width: int) -> tuple[slice, slice]:
-    """Return the rows and columns of all pixels that a rectangle touches."""
-    rows = slice(int(np.floor(part.top * height)), int(np.ceil(part.bottom * height)))
-    return rows, slice(int(np.floor(part.left * width)), int(np.ceil(part.right * width)))
+        Raises:
+            UntrustedError: the file cannot be read, or was changed after the check.
+        """
+        data = self.files.read(path, max_bytes)
+        if hashlib.sha256(data).hexdigest() != self.hashes.get(path):
+            raise UntrustedError(
+                "was changed while the submission was evaluated",
+                file=f"{self.files.where}: {path}",
+                remedy="evaluate a copy that nobody writes to",
+            )
+        return data

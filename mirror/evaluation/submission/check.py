@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 from mirror.evaluation.submission.manifest import MANIFEST, SubmissionManifest, read_manifest
@@ -48,7 +48,8 @@ class CheckReport:
         present: number of expected files that exist.
         problems: all problems, sorted by kind and path.
         manifest: the manifest; None if it cannot be read.
-        hash: SHA-256 over the paths and contents of the expected files that can be read, sorted by path.
+        hash: SHA-256 over the paths and contents of the manifest and the expected files that can be read, by path.
+        hashes: SHA-256 of each of these files, by path; what is scored later must have the same.
         not_checked: what this check leaves out, each with the command that checks it.
     """
 
@@ -57,6 +58,7 @@ class CheckReport:
     problems: tuple[Problem, ...]
     manifest: SubmissionManifest | None
     hash: str
+    hashes: Mapping[str, str] = field(default_factory=dict)
     not_checked: tuple[str, ...] = ()
 
     def counts(self) -> dict[str, int]:
@@ -79,9 +81,9 @@ def check_submission(
         advance: called with 1 after each checked file.
     """
     problems: list[Problem] = []
-    manifest = None
+    manifest, manifest_hash = None, ""
     try:
-        manifest = read_manifest(files)
+        manifest, manifest_hash = read_manifest(files)
     except UntrustedError as error:
         problems.append(Problem("manifest", MANIFEST, _without_file(error)))
     else:
@@ -105,17 +107,26 @@ def check_submission(
         advance(1)
         return problem_or_hash
 
-    digest = hashlib.sha256()
+    hashes = {} if manifest is None else {MANIFEST: manifest_hash}
     with thread_pool(_THREADS) as pool:
         for (path, _), problem_or_hash in zip(sorted(present), pool.map(check_and_advance, sorted(present))):
             if isinstance(problem_or_hash, Problem):
                 problems.append(problem_or_hash)
             else:
-                digest.update(json.dumps([path, problem_or_hash]).encode())
+                hashes[path] = problem_or_hash
     order = get_args(Kind)
     problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
     not_checked = tuple(_list_not_checked([size for _, size in present], decode=decode))
-    return CheckReport(len(expected), len(present), tuple(problems), manifest, digest.hexdigest(), not_checked)
+    return CheckReport(
+        len(expected), len(present), tuple(problems), manifest, _hash_all(hashes), hashes, not_checked
+    )
+
+
+def _hash_all(hashes: Mapping[str, str]) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(hashes):
+        digest.update(json.dumps([path, hashes[path]]).encode())
+    return digest.hexdigest()
 
 
 def _list_not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) -> Iterator[str]:
@@ -146,7 +157,11 @@ def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[Pr
         "dataset_hash": plan.dataset_hash,
         "plan_hash": plan.hash,
     }
-    return [
+    problems = []
+    if manifest.appearance.policy == "fitted" and plan.protocol.fitted_part is None:
+        problem = f"appearance.policy is 'fitted', but protocol {plan.protocol.name} lets no appearance be fitted"
+        problems.append(Problem("manifest", MANIFEST, problem))
+    return problems + [
         Problem(
             "manifest", MANIFEST, f"{key} is {getattr(manifest, key)!r}, not {value!r}: made for another evaluation"
         )

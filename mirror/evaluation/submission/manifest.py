@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+import hashlib
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles, parse_untrusted
-from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, is_identifier
 
 MANIFEST: Final = "manifest.json"
 MAX_MANIFEST_BYTES: Final = 1 << 20
-FORMAT_VERSION: Final = "1.0"
+FORMAT_VERSION: Final = "1.1"
 
 _NAME_THEM: Final = "to check the other files nevertheless, give --protocol and --split"
 
@@ -52,18 +52,10 @@ class Appearance(Document):
             nearest trained traversal, the mean of the trained codes, or a zero vector. ``fitted``: fitted to the
             held-out pixels below. ``other``: see ``description``.
         description: free text.
-        held_out_pixels: parts of held-out images that the appearance was fitted to; they are not scored.
     """
 
     policy: Literal["none", "nearest-traversal", "mean", "zero", "fitted", "other"]
     description: Text = ""
-    held_out_pixels: Annotated[tuple[Rectangle, ...], Field(max_length=16)] = ()
-
-    @model_validator(mode="after")
-    def _require_held_out_pixels(self) -> Appearance:
-        if self.policy == "fitted" and not self.held_out_pixels:
-            raise ValueError("a fitted appearance must list the held_out_pixels that it was fitted to")
-        return self
 
 
 class Runtime(Document):
@@ -105,7 +97,7 @@ class SubmissionManifest(Document):
     """
 
     format: Literal["mirror-submission"] = "mirror-submission"
-    version: Literal["1.0"] = "1.0"
+    version: Literal["1.1"] = "1.1"
     protocol: Word
     protocol_hash: Hash
     split: Word
@@ -130,7 +122,7 @@ def read_protocol_and_split(files: UntrustedFiles, protocol: str | None, split: 
     if protocol is not None and split is not None:
         return protocol, split
     try:
-        raw = _read_json(files)
+        raw = parse_untrusted(_read_bytes(files), f"{files.where}: {MANIFEST}", MAX_MANIFEST_BYTES)
     except UntrustedError as error:
         remedy = f"{error.remedy}; {_NAME_THEM}" if error.remedy else _NAME_THEM
         raise UntrustedError(
@@ -147,15 +139,16 @@ def read_protocol_and_split(files: UntrustedFiles, protocol: str | None, split: 
     return protocol or str(stated[0]), split or str(stated[1])
 
 
-def read_manifest(files: UntrustedFiles) -> SubmissionManifest:
+def read_manifest(files: UntrustedFiles) -> tuple[SubmissionManifest, str]:
     """Read the manifest of a submission.
 
     Raises:
         UntrustedError: it is missing, too large or not JSON, or a key is wrong; the first five wrong keys are named.
     """
-    raw = _read_json(files)
+    data = _read_bytes(files)
+    raw = parse_untrusted(data, f"{files.where}: {MANIFEST}", MAX_MANIFEST_BYTES)
     try:
-        return SubmissionManifest.model_validate(raw)
+        return SubmissionManifest.model_validate(raw), hashlib.sha256(data).hexdigest()
     except (ValidationError, RecursionError) as error:
         details = error.errors() if isinstance(error, ValidationError) else []
         listed = "; ".join(f"{'.'.join(map(str, item['loc'])) or 'document'}: {item['msg']}" for item in details[:5])
@@ -166,10 +159,11 @@ def read_manifest(files: UntrustedFiles) -> SubmissionManifest:
         ) from error
 
 
-def _read_json(files: UntrustedFiles) -> Any:
-    place = f"{files.where}: {MANIFEST}"
+def _read_bytes(files: UntrustedFiles) -> bytes:
     if MANIFEST not in files.sizes:
         raise UntrustedError(
-            "missing", file=place, expected="a manifest", remedy="`mirror submission new` writes a template"
+            "missing",
+            file=f"{files.where}: {MANIFEST}",
+            expected="a manifest", remedy="`mirror submission new` writes a template"
         )
-    return parse_untrusted(files.read(MANIFEST, MAX_MANIFEST_BYTES), place, MAX_MANIFEST_BYTES)
+    return files.read(MANIFEST, MAX_MANIFEST_BYTES)

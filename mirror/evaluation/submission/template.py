@@ -91,7 +91,7 @@ def write_template(
     readme = _README.format(protocol=protocol.name, split=plan.split, count=len(expected))
     write_bytes(out / README, readme.encode())
     blank = {"name": "", "version": "1", "authors": "", "url": "", "licence": "", "trained_on": ""}
-    appearance = {"policy": "", "description": "", "held_out_pixels": []}
+    appearance = {"policy": "", "description": ""}
     manifest = {"format": "mirror-submission", "version": "1.0", **_identify(plan)}
     write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
     finish_render_folder(out)

@@ -218,7 +218,8 @@ def _list_remarks(figure: Scored) -> Iterator[str]:
 
 def _list_options(result: Result) -> dict[str, str]:
     hidden = result.dataset.hidden_truth
-    return {**result.options, **({} if hidden is None else {"hidden truth": hidden[:12]})}
+    fitted = {"appearance": "fitted"} if result.submission.appearance.policy == "fitted" else {}
+    return {**result.options, **fitted, **({} if hidden is None else {"hidden truth": hidden[:12]})}
 
 
 def _list_groups(result: Result) -> tuple[str, ...]:

@@ -23,9 +23,12 @@ Column = tuple[str, str]
 _Options = tuple[tuple[str, str], ...]
 _Key = tuple[str, str, str | None, tuple[str, str] | None, _Options]
 
+_NEVER_RANKS: Final = ("psnr_cc", "psnr_affine")
+"""Metrics that rank nothing: a render can be recoloured for their fits (docs/threat-model.md)."""
+
 _RANKED_BY: Final = {
-    "static-reconstruction": ("novel", "psnr_cc"),
-    "lane-shift": ("right-3m", "psnr_cc"),
+    "static-reconstruction": ("novel", "psnr_invariant"),
+    "lane-shift": ("right-3m", "psnr"),
     "vehicle-translation": ("0m", "fid"),
     "editing-accuracy": (ALL, "edit_iou_hull"),
 }
@@ -138,7 +141,8 @@ def _select_rank_column(protocol: str, columns: Sequence[Column], entries: Seque
     preferred = _RANKED_BY.get(protocol)
     if preferred is not None and any(find_value(entry, preferred) is not None for entry in entries):
         return preferred
-    return max(columns, key=lambda column: sum(find_value(entry, column) is not None for entry in entries))
+    allowed = [column for column in columns if column[1] not in _NEVER_RANKS] or columns
+    return max(allowed, key=lambda column: sum(find_value(entry, column) is not None for entry in entries))
 
 
 def _list_columns(protocol: str, entries: Iterable[Entry]) -> tuple[Column, ...]:

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from mirror.metrics.images.colour_correction import CorrectedPsnr as CorrectedPsnr
     from mirror.metrics.images.colour_correction import correct_colours as correct_colours
     from mirror.metrics.images.colour_correction import psnr_cc as psnr_cc
+    from mirror.metrics.images.invariant import psnr_invariant as psnr_invariant
     from mirror.metrics.images.psnr import Psnr as Psnr
     from mirror.metrics.images.psnr import PsnrSummary as PsnrSummary
     from mirror.metrics.images.psnr import psnr as psnr
@@ -124,6 +125,7 @@ __all__ = [
     "psnr",
     "psnr_affine",
     "psnr_cc",
+    "psnr_invariant",
     "ssim",
     "ssim_map",
     "st_lpips",
@@ -187,6 +189,7 @@ __getattr__, __dir__ = lazy_names(
         "psnr": "mirror.metrics.images.psnr",
         "psnr_affine": "mirror.metrics.images.affine",
         "psnr_cc": "mirror.metrics.images.colour_correction",
+        "psnr_invariant": "mirror.metrics.images.invariant",
         "ssim": "mirror.metrics.images.ssim",
         "ssim_map": "mirror.metrics.images.ssim",
         "st_lpips": "mirror.metrics.features.st_lpips",

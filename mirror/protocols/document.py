@@ -137,9 +137,15 @@ class Psnr(Document):
 
 
 class PsnrAffine(Document):
-    """PSNR after each channel got its own gain (0 or more) and offset by least squares; it ranks novel groups."""
+    """PSNR after each channel got its own gain (0 or more) and offset by least squares."""
 
     metric: Literal["psnr_affine"]
+
+
+class PsnrInvariant(Document):
+    """PSNR that no recolouring of the render changes; it ranks novel groups."""
+
+    metric: Literal["psnr_invariant"]
 
 
 class PsnrCc(Document):
@@ -224,7 +230,19 @@ class ReportedFigure(Document):
 
 
 Metric = Annotated[
-    Psnr | PsnrAffine | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure, Field(discriminator="metric")
+    Psnr
+    | PsnrInvariant
+    | PsnrAffine
+    | PsnrCc
+    | Ssim
+    | Lpips
+    | Fid
+    | Kid
+    | Fvd
+    | EditIou
+    | Detection
+    | ReportedFigure,
+    Field(discriminator="metric"),
 ]
 
 

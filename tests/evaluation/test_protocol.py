@@ -79,9 +79,9 @@ def test_hashes_of_shipped_protocols_are_unchanged() -> None:
         ("annotation", 1): "7bf7aa16",
         ("editing-accuracy", 1): "d698a73a",
         ("generation", 1): "298995b8",
-        ("lane-shift", 1): "3d4172cd",
+        ("lane-shift", 2): "741f4813",
         ("runtime", 1): "c0001232",
-        ("static-reconstruction", 1): "3a8721fe",
+        ("static-reconstruction", 2): "96a0a985",
         ("static-reconstruction-omnire", 1): "2e829941",
         ("vehicle-translation", 1): "c32d6347",
     }

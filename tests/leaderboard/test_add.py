@@ -184,7 +184,7 @@ def test_other_version_of_the_protocol_is_refused(folder: Path, board: Path) -> 
     plain["protocol"]["masks"]["ego"] = False
     other = PROTOCOL.model_validate(plain["protocol"]).hash
     plain["protocol_hash"] = plain["submission"]["protocol_hash"] = other
-    with pytest.raises(RefusedError, match="is not the board's version 1"):
+    with pytest.raises(RefusedError, match="is not the board's version 2"):
         add_result(write(folder, plain), board, "a street")
     plain["protocol"]["name"] = plain["submission"]["protocol"] = "own"
     own = PROTOCOL.model_validate(plain["protocol"]).hash

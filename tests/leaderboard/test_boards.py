@@ -38,7 +38,7 @@ def test_other_hashes_make_another_table() -> None:
 
 def test_rows_are_sorted_by_the_protocols_column() -> None:
     (board,) = make_boards([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
-    assert board.ranked_by == ("novel", "psnr_cc")
+    assert board.ranked_by == ("novel", "psnr_invariant")
     assert [entry.method for entry in board.entries] == ["high", "middle", "low"]
     assert board.best(("novel", "psnr")) == 30.0
     assert board.best(("novel", "lpips_alex")) is None
@@ -57,6 +57,7 @@ def test_columns_are_in_the_protocols_order() -> None:
     assert board.columns == (
         ("training", "psnr"),
         ("novel", "psnr"),
+        ("novel", "psnr_invariant"),
         ("novel", "psnr_cc"),
         # LPIPS has no value.
         ("novel", "ssim"),

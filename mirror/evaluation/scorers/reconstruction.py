@@ -15,10 +15,11 @@ from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.images.affine import psnr_affine
 from mirror.metrics.images.colour_correction import psnr_cc
+from mirror.metrics.images.invariant import psnr_invariant
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.images.ssim import ssim
 from mirror.metrics.score import EMPTY_MASK, Score
-from mirror.protocols.document import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, Ssim, metric_name
+from mirror.protocols.document import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, PsnrInvariant, Ssim, metric_name
 from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 _MEASURES: Final = {
     "psnr": Measure("psnr", "dB", "higher"),
+    "psnr_invariant": Measure("psnr_invariant", "dB", "higher"),
     "psnr_affine": Measure("psnr_affine", "dB", "higher"),
     "psnr_cc": Measure("psnr_cc", "dB", "higher"),
     "ssim": Measure("ssim", "", "higher"),
@@ -127,6 +129,8 @@ def _score(
     mask = None if scored.all() else scored
     if isinstance(metric, Psnr):
         return psnr(render, truth, mask=mask), {}
+    if isinstance(metric, PsnrInvariant):
+        return psnr_invariant(render, truth, mask=mask), {}
     if isinstance(metric, PsnrAffine):
         return psnr_affine(render, truth, mask=mask).db, {}
     if isinstance(metric, PsnrCc):

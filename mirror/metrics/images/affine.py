@@ -1,4 +1,4 @@
-"""PSNR after an affine fit of each channel, ``psnr_affine``: it ranks methods on traversals of another appearance.
+"""PSNR after an affine fit of each channel, ``psnr_affine``.
 
 A render of another traversal has another exposure and white balance. Each channel of the render gets its own gain
 (0 or more) and offset, by least squares over the pixels that are saturated in neither image. The fitted channel is
@@ -6,7 +6,9 @@ clipped to the data range, and PSNR is computed over all selected pixels.
 
 A channel is corrected by nothing but itself. `mirror.metrics.images.colour_correction` (PSNR*) fits each channel to
 ten products of all three: a render whose channels hold luma and two ramps gets a better score there than the honest
-render, because the fit composes an image from them. Here a ramp is only a worse channel.
+render, because the fit composes an image from them. Here a ramp is only a worse
+channel. Renders can still be recoloured for this fit: the blue channel in all three gained 0.86 dB on one street.
+`mirror.metrics.images.invariant` has no such gain.
 """
 
 from __future__ import annotations

@@ -290,7 +290,9 @@ def _list_warnings(plan: Plan, manifest: SubmissionManifest, available: _Availab
         )
     part = plan.protocol.fitted_part
     if manifest.appearance.policy == "fitted" and part is not None:
-        warnings.append(f"the method's appearance was fitted to {part} of held-out images; it is not scored in any image")
+        warnings.append(
+            f"the method's appearance was fitted to {part} of held-out images; it is not scored in any image"
+        )
     return warnings
 
 

@@ -230,18 +230,7 @@ class ReportedFigure(Document):
 
 
 Metric = Annotated[
-    Psnr
-    | PsnrInvariant
-    | PsnrAffine
-    | PsnrCc
-    | Ssim
-    | Lpips
-    | Fid
-    | Kid
-    | Fvd
-    | EditIou
-    | Detection
-    | ReportedFigure,
+    Psnr | PsnrInvariant | PsnrAffine | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure,
     Field(discriminator="metric"),
 ]
 

@@ -25,9 +25,7 @@ from mirror.protocols.views import RenderView, plan_views
 from tests.evaluation.submissions import LEFT_HALF, SPLIT, small, write_renders
 
 ALONE = EvaluationOptions(workers=1)
-GROUPS = (
-    '[[groups]]\nname = "training"\nroles = ["train"]\n\n[[groups]]\nname = "novel"\nroles = ["held_out"]\n'
-)
+GROUPS = '[[groups]]\nname = "training"\nroles = ["train"]\n\n[[groups]]\nname = "novel"\nroles = ["held_out"]\n'
 
 
 def test_choosing_the_scored_pixels_is_refused(root: Path, dataset: Dataset, tmp_path: Path) -> None:

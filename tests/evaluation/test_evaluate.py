@@ -19,7 +19,6 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.compare import compare
 from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
-from mirror.evaluation.submission.manifest import Appearance
 from mirror.evaluation.workers import ScoreLog
 from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol

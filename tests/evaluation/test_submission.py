@@ -15,7 +15,7 @@ import pytest
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.check import check_submission
-from mirror.evaluation.submission.manifest import Appearance, read_manifest
+from mirror.evaluation.submission.manifest import read_manifest
 from mirror.evaluation.submission.template import expected_files, write_template
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
 from mirror.protocols.png import encode_png

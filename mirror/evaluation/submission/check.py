@@ -117,9 +117,7 @@ def check_submission(
     order = get_args(Kind)
     problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
     not_checked = tuple(_list_not_checked([size for _, size in present], decode=decode))
-    return CheckReport(
-        len(expected), len(present), tuple(problems), manifest, _hash_all(hashes), hashes, not_checked
-    )
+    return CheckReport(len(expected), len(present), tuple(problems), manifest, _hash_all(hashes), hashes, not_checked)
 
 
 def _hash_all(hashes: Mapping[str, str]) -> str:

@@ -164,6 +164,7 @@ def _read_bytes(files: UntrustedFiles) -> bytes:
         raise UntrustedError(
             "missing",
             file=f"{files.where}: {MANIFEST}",
-            expected="a manifest", remedy="`mirror submission new` writes a template"
+            expected="a manifest",
+            remedy="`mirror submission new` writes a template",
         )
     return files.read(MANIFEST, MAX_MANIFEST_BYTES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +88,7 @@ def test_swapping_a_render_after_the_check_is_found(
     score_jobs = run.score_jobs
 
     def swap_first(*args: object, **options: object) -> ScoringOutcome:
-        os.replace(better, tmp_path / "s" / swapped.path)
+        better.replace(tmp_path / "s" / swapped.path)
         return score_jobs(*args, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(run, "score_jobs", swap_first)

@@ -42,7 +42,7 @@ class GenerationRun(Document):
     Attributes:
         format: always ``mirror-generation-run``.
         version: version of this document.
-        part: what is trained.
+        part: what is trained, such as ``autoencoder`` or ``generator``.
         settings: settings of the training.
         seed: seed of all random numbers.
         steps: number of steps.
@@ -54,7 +54,7 @@ class GenerationRun(Document):
 
     format: Literal["mirror-generation-run"] = "mirror-generation-run"
     version: Literal["1"] = "1"
-    part: Literal["autoencoder", "generator"]
+    part: str
     settings: dict[str, Any]
     seed: int
     steps: int

@@ -28,9 +28,11 @@ _PLACE: Final = (8.41694, 49.01252)
 _VIEW_DEG: Final = 70.0
 _EYE_M: Final = 1.6
 _CLEAR_M: Final = 22.0
-_PEOPLE: Final = (8, 1)
-_CARS: Final = (1, 6)
+PEOPLE: Final = (8, 1)
+CARS: Final = (1, 6)
 """Numbers in images with even index, and in images with odd index."""
+CARS_M: Final = (4.5, 24.0)
+"""Distances of the nearest and the farthest car."""
 _TRIALS: Final = 20
 _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _BROW_AND_CHIN: Final = (0.55, -0.95)
@@ -84,7 +86,17 @@ def build_street() -> World:
     return build_world(roi, 24.0, 3)
 
 
-def render_crowds(world: World, condition: Condition, count: int, width_px: int, seed: int) -> Iterator[CrowdImage]:
+def render_crowds(
+    world: World,
+    condition: Condition,
+    count: int,
+    width_px: int,
+    seed: int,
+    *,
+    people: tuple[int, int] = PEOPLE,
+    cars: tuple[int, int] = CARS,
+    cars_m: tuple[float, float] = CARS_M,
+) -> Iterator[CrowdImage]:
     """Yield images along the street, alternately of people and of cars, facing the camera; some cars face away.
 
     Args:
@@ -93,6 +105,9 @@ def render_crowds(world: World, condition: Condition, count: int, width_px: int,
         count: number of images.
         width_px: width of an image.
         seed: seed of positions and appearance.
+        people: numbers of people in images with even and odd index.
+        cars: numbers of cars likewise.
+        cars_m: distances of the nearest and the farthest car.
     """
     height = width_px * 9 // 16
     focal = 0.5 * width_px / math.tan(math.radians(0.5 * _VIEW_DEG))
@@ -110,7 +125,7 @@ def render_crowds(world: World, condition: Condition, count: int, width_px: int,
             for user in world.parked
             if math.dist((user.motion.at(0.0).x_m, user.motion.at(0.0).y_m), lane.line[at, :2]) > _CLEAR_M
         ]
-        road_users += _place_road_users(world, lane.line[at], course, _PEOPLE[number % 2], _CARS[number % 2], rng)
+        road_users += _place_road_users(world, lane.line[at], course, people[number % 2], cars[number % 2], cars_m, rng)
         image = render(world, pose, camera, 0.0, condition, road_users=road_users, seed=number)
         faces, plates = _faces(image.view, camera, pose), _plates(image.view, camera, pose)
         yield CrowdImage(image.bgr, faces, plates, camera, pose, road_users)
@@ -128,14 +143,20 @@ def _pose(place: Float64, course: float) -> Poses:
 
 
 def _place_road_users(
-    world: World, origin: Float64, course: float, people: int, cars: int, rng: np.random.Generator
+    world: World,
+    origin: Float64,
+    course: float,
+    people: int,
+    cars: int,
+    cars_m: tuple[float, float],
+    rng: np.random.Generator,
 ) -> list[RoadUser]:
     """Place cars and people in front of the camera without overlaps."""
     road_users: list[RoadUser] = []
     occupied: list[tuple[float, float, float]] = []
     for number in range(people + cars):
         is_car = number >= people
-        nearest, farthest, radius = (4.5, 24.0, 2.3) if is_car else (1.7, 14.0, 0.5)
+        nearest, farthest, radius = (*cars_m, 2.3) if is_car else (1.7, 14.0, 0.5)
         for _ in range(_TRIALS):
             distance = math.exp(rng.uniform(math.log(nearest), math.log(farthest)))
             bearing = course + math.radians(rng.uniform(-0.42, 0.42) * _VIEW_DEG)

@@ -27,6 +27,15 @@ def suppress(boxes: Float64, scores: Float64, overlap: float) -> Int64:
     return np.asarray(kept, np.int64).reshape(-1)
 
 
+def overlaps(boxes: Float64, others: Float64) -> Float64:
+    """Intersection over union (N, M) of boxes (N, 4) and others (M, 4)."""
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    common: Float64 = np.maximum(high - low, 0.0).prod(axis=2)
+    one, other = ((given[:, 2:] - given[:, :2]).prod(axis=1) for given in (boxes, others))
+    return common / (one[:, None] + other[None] - common)
+
+
 def to_regions(boxes: Float64, scores: Float64, kind: Kind, source: str, size_px: tuple[int, int]) -> list[Region]:
     """Regions of boxes (N, 4) within a raster of width and height; those outside of it are left out."""
     limits = np.array([*size_px, *size_px], np.float64)

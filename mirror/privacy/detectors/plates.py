@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from mirror.arrays import Bool, Float64, UInt8
-from mirror.privacy.detectors.boxes import detect_in_tiles, suppress, to_regions
+from mirror.privacy.detectors.boxes import detect_in_tiles, overlaps, suppress, to_regions
 from mirror.privacy.detectors.protocol import DetectorKind, DetectorOptions
 from mirror.privacy.detectors.sessions import resolve_weights
 from mirror.privacy.regions import Kind, Region
@@ -18,7 +19,9 @@ _OVERLAP_PX: Final = 160
 _SCALES: Final = (2.0, 3.0)
 _THRESHOLD: Final = 0.05
 _LEAST_ASPECT: Final = 1.2
-_WIDEST: Final = 0.2
+_SURE: Final = 0.3
+_AGREEMENT: Final = 0.4
+_WIDEST: Final = 0.15
 """Share of the image's width: wider boxes were windscreens and shop signs."""
 _STRIDES: Final = (8, 16, 32)
 _ANCHORS_PX: Final = ((24, 48), (96, 192), (384, 768))
@@ -52,17 +55,18 @@ class ChinesePlates:
     def __call__(self, image: UInt8) -> list[Region]:
         """Find number plates in an image (H, W, 3), RGB."""
         bgr = np.ascontiguousarray(image[..., ::-1])
-        boxes, scores = self._find(bgr)
+        found = [self._find(bgr)]
         for scale in _SCALES:
             more, more_scores, left_out = detect_in_tiles(
                 self._find, bgr, scale=scale, tile_px=_TILE_PX, overlap_px=_OVERLAP_PX, skipped=self.skipped
             )
             self.skipped_tiles += left_out
-            boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
+            found.append((more, more_scores))
+        boxes, scores = _agreed(found)
         width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
         likely = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * image.shape[1])
         boxes, scores = boxes[likely], scores[likely]
-        kept = suppress(boxes, scores, 0.6)
+        kept = suppress(boxes, scores, 0.5)
         return to_regions(boxes[kept], scores[kept], self.kind, self.name, (image.shape[1], image.shape[0]))
 
     def _find(self, bgr: UInt8) -> tuple[Float64, Float64]:
@@ -79,6 +83,18 @@ class ChinesePlates:
         low = np.minimum(middle - half, points.min(axis=1))
         high = np.maximum(middle + half, points.max(axis=1))
         return np.concatenate([low, high], axis=1), conf[likely, 1]
+
+
+def _agreed(found: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
+    """Join the boxes of several scales: those with a score above `_SURE`, and those that two scales agree on."""
+    kept = []
+    for number, (boxes, scores) in enumerate(found):
+        is_agreed = scores > _SURE
+        for other, _ in (*found[:number], *found[number + 1 :]):
+            if len(boxes) and len(other):
+                is_agreed |= (overlaps(boxes, other) > _AGREEMENT).any(axis=1)
+        kept.append((boxes[is_agreed], scores[is_agreed]))
+    return np.concatenate([boxes for boxes, _ in kept]), np.concatenate([scores for _, scores in kept])
 
 
 def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:

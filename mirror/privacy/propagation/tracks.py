@@ -86,7 +86,9 @@ def _link(images: Sequence[Sequence[Region]], times: Float64, gap: int) -> list[
         for row, region in enumerate(regions):
             for column, track in enumerate(active):
                 distance = _distance(np.array(region.box_px), track.expected(number, times))
-                if distance <= _REACH:
+                # Without a velocity, it may have moved as far in every image that was missed.
+                elapsed = number - track.images[-1] if len(track.images) == 1 else 1
+                if distance <= _REACH * elapsed:
                     pairs.append((distance, row, column))
         rows: set[int] = set()
         columns: set[int] = set()

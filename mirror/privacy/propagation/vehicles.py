@@ -17,14 +17,16 @@ VEHICLES: Final = frozenset(
 )
 """Categories of boxes that carry number plates; others are told apart by their words."""
 SOURCE: Final = "vehicle_boxes"
-_HALF_WIDTH_M: Final = 0.42
-_LOW_M, _HIGH_M = 0.28, 1.12
+_HALF_WIDTH_M: Final = 0.28
+_LOW_M, _HIGH_M = 0.42, 0.95
+"""A strip is enlarged like every region, by 30 %: to 0.73 m times 0.69 m."""
 _DEPTHS_M: Final = (0.0, 0.30)
 """Distance of the plate from the end of the box: bumpers are curved, tailgates are inclined."""
 _LEAST_COSINE: Final = 0.17
 """Plates that are seen at more than 80 degrees are not readable."""
 _PLATE_M: Final = 0.52
-_LEAST_PX: Final = 12.0
+_LEAST_PX: Final = 20.0
+"""Width of a plate as it appears: below it, a character has less than three pixels."""
 _SURE: Final = 0.3
 
 
@@ -96,8 +98,9 @@ def _strip_px(camera: Camera, camera_SE3_box: Poses, size_m: Float64, end: float
     clipped = np.clip(bounds, 0.0, np.tile(size, 2))
     if (clipped[2:] - clipped[:2] < 1.0).any():
         return None
-    plate_px = _PLATE_M * camera.fx_px / max(float(np.linalg.norm(middle)), 1e-9)
-    return clipped if camera.fx_px <= 1.0 or plate_px >= _LEAST_PX else None
+    width_px = cosine * _PLATE_M * camera.fx_px / max(float(np.linalg.norm(middle)), 1e-9)
+    # An f-theta lens has no focal length in pixels.
+    return clipped if camera.fx_px <= 1.0 or width_px >= _LEAST_PX else None
 
 
 def _holds(box_px: Float64, point: tuple[float, float]) -> bool:

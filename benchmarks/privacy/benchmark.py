@@ -1,0 +1,133 @@
+"""De-identification: recall of faces and plates, what is covered beside them, the template attack, and run time.
+
+``python -m benchmarks privacy [--sections recall attack control time] [--lights day-clear ...] [--images N]`` on the
+synthetic street, by light. A region counts if 90 % of it are covered; faces need 60 % of their front visible, plates
+85 %. Of the N images a light, half show people and cars as in ``synth_detectors``, half show cars at 4.5 to 11 m, for
+the recall of plates only. Recall is by image: nothing is propagated, but for the rows with fallback, which use the
+vehicles' exact 3D boxes. YuNet is in the folder of real recordings (``MIRROR_REAL_DATA``); `mirror weights fetch
+clp_det` gets the other. Each section, and each light of the first, has a report of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from benchmarks.privacy.attack import CHANCE, mosaic, read_plates, redacting
+from benchmarks.privacy.recall import Tally
+from benchmarks.report import Row, report
+from benchmarks.synth_detectors.benchmark import face_weights
+from benchmarks.synth_detectors.crowd import build_street, make_condition, render_crowds
+from mirror.errors import ExitCode
+from mirror.privacy.detectors.faces import YuNet
+from mirror.privacy.detectors.plates import ChinesePlates
+from mirror.privacy.detectors.protocol import Detector, DetectorOptions
+from mirror.privacy.operators import Redaction
+from mirror.synth.street.world import World
+
+CONDITIONS: Final = (("day", "clear"), ("night", "clear"), ("dusk", "clear"), ("day", "rain"))
+SECTIONS: Final = ("recall", "attack", "control", "time")
+_WIDTH_PX: Final = 960
+_SEED: Final = 29
+_NEAR_M: Final = (4.5, 11.0)
+_ATTACK_PX: Final = 64
+_ATTACK_MARGIN: Final = 0.05
+_CONTROL: Final = 0.5
+_YUNET_MS: Final = 50.0
+
+
+def recall_rows(
+    world: World, light: str, weather: str, count: int, detectors: Sequence[Detector], how: Redaction
+) -> Iterator[Row]:
+    """Yield recall and over-coverage of one light."""
+    start = time.monotonic()
+    condition = make_condition(light, weather)
+    tally, near = Tally(), Tally()
+    for image in render_crowds(world, condition, count // 2, _WIDTH_PX, _SEED):
+        tally.add(image, detectors, how)
+    close = {"people": (0, 0), "cars": (4, 4), "cars_m": _NEAR_M}
+    for image in render_crowds(world, condition, count - count // 2, _WIDTH_PX, _SEED + 1, **close):  # type: ignore[arg-type]
+        near.add(image, detectors, how)
+    # Cars that stand so close are there for their plates: what is covered is measured in the street's own images.
+    tally.sizes_px["plate"] += near.sizes_px["plate"]
+    for fallback in (False, True):
+        tally.found["plate", fallback] += near.found["plate", fallback]
+    print(f"{light} {weather}: {count} images in {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+    yield from tally.rows(f"{light} {weather}")
+
+
+def attack_rows(plates: int) -> Iterator[Row]:
+    """Yield the share of characters that the template attack reads from the toolkit's operators."""
+    how, size = Redaction(), f"{plates} plates of {_ATTACK_PX} px, 4 images each"
+    filled = 100.0 * read_plates(redacting("plate", how), _ATTACK_PX, plates)
+    bar = 100.0 * (CHANCE + _ATTACK_MARGIN)
+    yield Row(f"mean fill: characters read (%); chance {100.0 * CHANCE:.1f}", size, filled, bar=bar)
+
+
+def control_rows(plates: int) -> Iterator[Row]:
+    """Yield what the same attack reads from operators that do not protect plates."""
+    size = f"{plates} plates of {_ATTACK_PX} px, 4 images each"
+    control = 100.0 * read_plates(mosaic(16, 5), _ATTACK_PX, plates)
+    yield Row("mosaic of 16 x 5 cells: characters not read (%)", size, 100.0 - control, bar=100.0 * _CONTROL)
+    few = max(plates // 10, 1)
+    cells = 100.0 * read_plates(redacting("face", Redaction()), _ATTACK_PX, few)
+    yield Row("4 x 4 smoothed cells, the operator of faces: characters read (%)", f"{few} plates", cells)
+
+
+def time_rows(faces: Path) -> Iterator[Row]:
+    """Yield the processor time of the detectors for an image, on one thread."""
+    world = build_street()
+    image = next(iter(render_crowds(world, make_condition("day", "clear"), 1, _WIDTH_PX, _SEED)))
+    rgb, size = np.ascontiguousarray(image.bgr[..., ::-1]), f"{_WIDTH_PX} x {_WIDTH_PX * 9 // 16}, one thread"
+    options = DetectorOptions(faces)
+    single, tiled = YuNet(options, tiled=False), YuNet(options)
+    plates = ChinesePlates(DetectorOptions())
+    yield Row("YuNet, image only (ms)", size, _processor_ms(lambda: single(rgb), 15), bar=_YUNET_MS)
+    yield Row("YuNet, image and tiles at 2 x (ms)", size, _processor_ms(lambda: tiled(rgb), 5))
+    yield Row("clp_det, image and tiles at 2 x and 3 x (ms)", size, _processor_ms(lambda: plates(rgb), 3))
+
+
+def _processor_ms(call: Callable[[], object], repeats: int) -> float:
+    """The median processor time of a call on one thread, after one that does not count."""
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        times.append(1e3 * (time.process_time() - start))
+    return float(np.median(times))
+
+
+def main(argv: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks privacy")
+    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS))
+    names = [f"{light}-{weather}" for light, weather in CONDITIONS]
+    parser.add_argument("--lights", nargs="+", choices=names, default=[], help="only these; default: all")
+    parser.add_argument("--images", type=int, default=60, help="number of images of each light")
+    parser.add_argument("--plates", type=int, default=200, help="number of plates that are attacked")
+    parser.add_argument("--faces", type=Path, default=face_weights(), help="yunet_n_dynamic.onnx")
+    options = parser.parse_args(argv)
+    cv2.setNumThreads(1)
+    code: int = ExitCode.DONE
+    if "time" in options.sections:
+        code = max(code, report("privacy_time", {"time": time_rows(options.faces)}))
+    if "recall" in options.sections:
+        detectors: list[Detector] = [YuNet(DetectorOptions(options.faces)), ChinesePlates(DetectorOptions())]
+        world, how = build_street(), Redaction()
+        for light, weather in CONDITIONS:
+            if not options.lights or light + "-" + weather in options.lights:
+                rows = recall_rows(world, light, weather, options.images, detectors, how)
+                name = f"privacy_recall_{light}_{weather}"
+                code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
+    if "attack" in options.sections:
+        code = max(code, report("privacy_attack", {"attack": attack_rows(options.plates)}))
+    if "control" in options.sections:
+        code = max(code, report("privacy_control", {"control": control_rows(options.plates)}))
+    return code

@@ -13,6 +13,7 @@ from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.synth.portable import arrays
 
 Stage = Literal["factory", "online"]
 
@@ -185,13 +186,13 @@ def draw_drift(time_s: Float64, over_s: float, rng: np.random.Generator) -> Floa
         return states[:, 0]
     states[0] *= np.sqrt(np.diag(spread))[:, None]
     steps, which = np.unique(np.diff(time_s), return_inverse=True)
-    onward = np.exp(-rate * steps)[:, None, None] * (
+    onward = arrays.exp(-rate * steps)[:, None, None] * (
         np.array([[1.0, 0.0], [0.0, 1.0]]) + steps[:, None, None] * np.array([[rate, 1.0], [-(rate**2), -rate]])
     )
-    added = spread - onward @ spread @ np.swapaxes(onward, 1, 2)
+    added = spread - arrays.matmul(arrays.matmul(onward, spread), np.swapaxes(onward, 1, 2))
     root = _cholesky(added)
     for i, step in enumerate(which, start=1):
-        states[i] = onward[step] @ states[i - 1] + root[step] @ states[i]
+        states[i] = arrays.matmul(onward[step], states[i - 1]) + arrays.matmul(root[step], states[i])
     return states[:, 0]
 
 
@@ -230,5 +231,5 @@ def _draw_truncated_normal(rng: np.random.Generator, sigma: float) -> Float64:
     """Draw a normal vector (3,) no longer than MAX_SIGMA standard deviations."""
     while True:
         vector = rng.normal(size=3)
-        if np.linalg.norm(vector) <= MAX_SIGMA:
+        if arrays.norm(vector) <= MAX_SIGMA:
             return sigma * vector

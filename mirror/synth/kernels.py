@@ -10,19 +10,14 @@ import numba
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def per_pixel(
-    *, inline: Literal["never", "always"] = "never", contract: bool = False
-) -> Callable[[_Function], _Function]:
+def per_pixel(*, inline: Literal["never", "always"] = "never") -> Callable[[_Function], _Function]:
     """Return a decorator that compiles a function without allocations and without reference counts.
 
     Reference counts would take a fifth of the time of an image.
 
     Args:
         inline: ``always`` inlines the function into the kernels that call it.
-        contract: whether products and sums may be fused.
     """
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
-    if contract:
-        options["fastmath"] = {"contract"}
     decorator: Callable[[_Function], _Function] = numba.njit(**options)
     return decorator

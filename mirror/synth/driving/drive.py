@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,6 +13,7 @@ from mirror.arrays import Float64
 from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
 from mirror.synth.driving.trace import Schedule, Trace
 from mirror.synth.driving.ways import STEP_M
+from mirror.synth.portable import arrays
 
 _DIVE_DEG: Final = 0.22
 _LEAN_DEG: Final = 0.32
@@ -51,12 +53,14 @@ class Drive:
         pull = np.gradient(speed, schedule.step_s)
         time = knots + self.sway
         rough = np.minimum(speed / 6.0, 1.0)
-        pitch = _DIVE_DEG * pull + rough * (0.05 * np.sin(8.3 * time) + 0.07 * np.sin(5.1 * time + 1.0))
-        roll = _LEAN_DEG * speed**2 * bend + rough * (0.06 * np.sin(6.7 * time) + 0.08 * np.sin(4.3 * time + 2.0))
-        window = np.hanning(2 * _SETTLES + 3)[1:-1]
+        pitch = _DIVE_DEG * pull + rough * (0.05 * arrays.sin(8.3 * time) + 0.07 * arrays.sin(5.1 * time + 1.0))
+        roll = _LEAN_DEG * speed**2 * bend + rough * (
+            0.06 * arrays.sin(6.7 * time) + 0.08 * arrays.sin(4.3 * time + 2.0)
+        )
+        window = 0.5 - 0.5 * arrays.cos(2.0 * math.pi * np.arange(1, 2 * _SETTLES + 2) / (2 * _SETTLES + 2))
         window /= window.sum()
         padded = np.pad(np.column_stack([pitch, roll]), ((_SETTLES, _SETTLES), (0, 0)), "edge")
-        return np.column_stack([np.convolve(padded[:, axis], window, "valid") for axis in (0, 1)])
+        return np.column_stack([arrays.convolve(padded[:, axis], window) for axis in (0, 1)])
 
     def driven_m(self, time_s: Float64) -> Float64:
         """Return the lengths (N,) driven since the start at times (N,)."""
@@ -88,9 +92,9 @@ class Drive:
         f = (inside - i)[:, None]
         g = 1.0 - f
         weights = (
-            g**3 / 6.0,
+            g * g * g / 6.0,
             (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0,
             (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0,
-            f**3 / 6.0,
+            f * f * f / 6.0,
         )
         return sum((w * springs[i + k - 1] for k, w in enumerate(weights)), start=np.zeros((len(i), 2)))

@@ -13,6 +13,7 @@ from numba import njit
 
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.synth.driving.ways import STEP_M
+from mirror.synth.portable import scalars
 
 STANDSTILL_M: Final = 0.5
 """Gap to the road user ahead when both stand."""
@@ -71,7 +72,7 @@ def pace_at(ways: Ways, way: int, along: float) -> float:
 @inner_njit
 def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float) -> float:
     """Acceleration on a free road: towards the desired speed, which is lower before bends and varies a little."""
-    easing = 1.0 - 0.10 * (0.5 + 0.5 * math.sin(s / 17.0 + road_users.phase[u]))
+    easing = 1.0 - 0.10 * (0.5 + 0.5 * scalars.sin(s / 17.0 + road_users.phase[u]))
     free = road_users.eager[u] * easing
     now = min(pace_at(ways, road_users.way[u], s) * free, road_users.fastest_mps[u])
     soon = min(pace_at(ways, road_users.way[u], s + 0.8 * v) * free, road_users.fastest_mps[u])

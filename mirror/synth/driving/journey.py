@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -24,6 +23,7 @@ from mirror.synth.driving.vehicles import Ways, make_cyclists, make_leaving_cars
 from mirror.synth.driving.walkers import make_walkers, place_standing_people
 from mirror.synth.driving.ways import STEP_M
 from mirror.synth.driving.zones import find_zones
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Body, Motion, RoadUser
 
 _WARM_UP_S: Final = 60.0
@@ -88,7 +88,7 @@ def simulate_journey(
     chosen = make_route(route, site.network, site.radius_m, variant, chassis.wheelbase_m)
     bustle = TrafficDensity() if bustle is None else bustle
     for attempt in range(_ATTEMPTS):
-        share = (2.0 / 3.0) ** attempt
+        share = scalars.power(2.0 / 3.0, attempt)
         less = replace(bustle, vehicles=bustle.vehicles * share, people=bustle.people * share)
         journey = _attempt(site, route, chosen, chassis, np.random.default_rng([seed, attempt]), scene_seed,
                          fastest_mps, aside_m, less)  # fmt: skip
@@ -191,7 +191,7 @@ def _is_blocking(car: ParkedCar, other: ParkedCar) -> bool:
     """Whether another car is parked directly in front of a car."""
     place, other_place = car.motion.placement, other.motion.placement
     dx, dy = other_place.x_m - place.x_m, other_place.y_m - place.y_m
-    cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
+    cos, sin = scalars.cos(place.yaw_rad), scalars.sin(place.yaw_rad)
     return 1.0 < cos * dx + sin * dy < _PULL_OUT_M and abs(cos * dy - sin * dx) < 1.5
 
 
@@ -255,4 +255,4 @@ def _vehicle_centres(drive: Drive, chassis: Chassis, times: Float64) -> Float64:
     poses, _ = drive.trace.at(drive.schedule.at(times)[0])
     ahead = 0.5 * chassis.length_m - chassis.rear_overhang_m - chassis.origin_m
     yaw = poses[:, 3]
-    return np.column_stack([poses[:, 0] + ahead * np.cos(yaw), poses[:, 1] + ahead * np.sin(yaw), yaw])
+    return np.column_stack([poses[:, 0] + ahead * arrays.cos(yaw), poses[:, 1] + ahead * arrays.sin(yaw), yaw])

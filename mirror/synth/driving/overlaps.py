@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64
+from mirror.synth.portable import scalars
 
 
 @njit(cache=True, nogil=True)
@@ -31,12 +30,12 @@ def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within
         for j in range(count):
             if (j >= i and not fixed[j]) or j == i or not is_selected[j]:
                 continue
-            reach = math.hypot(halves[i, 0], halves[i, 1]) + math.hypot(halves[j, 0], halves[j, 1])
+            reach = scalars.hypot(halves[i, 0], halves[i, 1]) + scalars.hypot(halves[j, 0], halves[j, 1])
             for t in range(times):
                 dx, dy = places[j, t, 0] - places[i, t, 0], places[j, t, 1] - places[i, t, 1]
                 if not dx * dx + dy * dy < reach * reach:
                     continue
-                if math.hypot(places[i, t, 0], places[i, t, 1]) > within_m:
+                if scalars.hypot(places[i, t, 0], places[i, t, 1]) > within_m:
                     continue
                 if _overlap(dx, dy, places[i, t, 2], places[j, t, 2], halves[i], halves[j]):
                     is_selected[i] = False
@@ -49,8 +48,8 @@ def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within
 @njit(cache=True, nogil=True)
 def _overlap(dx: float, dy: float, yaw: float, other: float, half: Float64, half_other: Float64) -> bool:
     """Whether two rectangles overlap: no side of either separates them."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    cos_other, sin_other = math.cos(other), math.sin(other)
+    cos, sin = scalars.cos(yaw), scalars.sin(yaw)
+    cos_other, sin_other = scalars.cos(other), scalars.sin(other)
     c, s = abs(cos * cos_other + sin * sin_other), abs(sin * cos_other - cos * sin_other)
     length, width = half_other[0], half_other[1]
     return (

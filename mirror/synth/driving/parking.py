@@ -11,6 +11,7 @@ import numpy as np
 from mirror.synth.driving.bodies import POPULATION, Kind, get_body
 from mirror.synth.driving.paths import select_lanes
 from mirror.synth.driving.site import Site
+from mirror.synth.portable import arrays
 from mirror.synth.road_users.body import Body, Placement, StaticMotion
 from mirror.synth.street.network import Lane
 
@@ -80,13 +81,13 @@ def _place_car(site: Site, lane: Lane, at: float, aside: float, skew: float, bod
     half = 0.3 * body.size_m[0]
     along = np.array([at - half, at, at + half])
     x, y = (np.interp(along, lane.along_m, lane.line[:, axis]) for axis in (0, 1))
-    yaw = float(np.arctan2(y[2] - y[0], x[2] - x[0])) + skew
-    left = np.array([-np.sin(yaw), np.cos(yaw)])
+    yaw = float(arrays.arctan2(y[2] - y[0], x[2] - x[0])) + skew
+    left = np.array([-arrays.sin(yaw), arrays.cos(yaw)])
     track = 0.4 * body.size_m[1]
     wheels_x = np.array([x[0], x[2], x[1] + track * left[0], x[1] - track * left[0]]) - aside * left[0]
     wheels_y = np.array([y[0], y[2], y[1] + track * left[1], y[1] - track * left[1]]) - aside * left[1]
     back, front, port, starboard = site.height_m(wheels_x, wheels_y)
     return Placement(
         float(x[1] - aside * left[0]), float(y[1] - aside * left[1]), float(0.5 * (back + front)), yaw,
-        float(np.arctan2(front - back, 2.0 * half)), float(np.arctan2(port - starboard, 2.0 * track)),
+        float(arrays.arctan2(front - back, 2.0 * half)), float(arrays.arctan2(port - starboard, 2.0 * track)),
     )  # fmt: skip

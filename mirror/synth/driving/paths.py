@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 from mirror.synth.street.network import Lane, Network, Use
 
 TURN_RAD: Final = math.radians(40.0)
@@ -45,28 +46,28 @@ class Path:
     def inside_m(self, radius_m: float) -> float:
         """Return the length within a circle around the origin."""
         line = self.line
-        step = np.hypot(*np.diff(line, axis=0).T)
+        step = arrays.hypot(*np.diff(line, axis=0).T)
         middle = 0.5 * (line[1:] + line[:-1])
-        return float(step[np.hypot(*middle.T) < radius_m].sum())
+        return float(step[arrays.hypot(*middle.T) < radius_m].sum())
 
     @property
     def closest_m(self) -> float:
         """Smallest distance from the origin."""
-        return float(np.hypot(*self.line.T).min())
+        return float(arrays.hypot(*self.line.T).min())
 
     @property
     def chord(self) -> Float64:
         """(2,) unit vector from its beginning to its end."""
         line = self.line
         step = line[-1] - line[0]
-        return step / np.hypot(*step)
+        return step / arrays.hypot(*step)
 
 
 def turn_rad(lane: Lane) -> float:
     """Return the change of direction along a lane, positive to the left, radians."""
     step = np.diff(lane.line[:, :2], axis=0)
-    step = step[np.hypot(*step.T) > 1e-6]
-    heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    step = step[arrays.hypot(*step.T) > 1e-6]
+    heading = np.unwrap(arrays.arctan2(step[:, 1], step[:, 0]))
     return float(heading[-1] - heading[0])
 
 

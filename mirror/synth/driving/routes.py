@@ -15,6 +15,7 @@ from mirror.synth.driving.paths import Path, beside_m, iterate_paths, select_lan
 from mirror.synth.driving.trace import trail_rear_axle
 from mirror.synth.driving.turning import build_turn_around, point_and_direction_at
 from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, change_lane_pieces, lane_piece
+from mirror.synth.portable import arrays
 from mirror.synth.street.network import Network
 
 LEAD_M: Final = 24.0
@@ -69,7 +70,7 @@ class Streets:
         self.wheelbase_m = wheelbase_m
         lanes = select_lanes(network, "drive", "turn")
         every = [path for start in source_lanes(lanes) for path in iterate_paths(lanes, start)]
-        ends = [(np.hypot(*path.line[0]), np.hypot(*path.line[-1])) for path in every]
+        ends = [(arrays.hypot(*path.line[0]), arrays.hypot(*path.line[-1])) for path in every]
         self.paths = [path for path, near in zip(every, ends) if min(near) > radius_m]
         through = [path for path in self.paths if not path.turns and path.inside_m(radius_m) > radius_m]
         if not through:
@@ -113,7 +114,7 @@ class Streets:
 
     def _turns_at_m(self, path: Path) -> float:
         lane = max((lane for lane in path.lanes if lane.use == "turn"), key=lambda lane: abs(turn_rad(lane)))
-        return round(float(np.hypot(*lane.line[0, :2])))
+        return round(float(arrays.hypot(*lane.line[0, :2])))
 
     def edge(self) -> list[Path]:
         """Return straight paths that only touch the ROI."""
@@ -140,7 +141,7 @@ class Streets:
         for out, home in ((self.along, self.back), (self.back, self.along)):
             if out and home:
                 place, _ = point_and_direction_at(out[0], at_m)
-                lane = min(out[0].lanes, key=lambda lane: float(np.hypot(*(lane.line[:, :2] - place).T).min()))
+                lane = min(out[0].lanes, key=lambda lane: float(arrays.hypot(*(lane.line[:, :2] - place).T).min()))
                 at = beside_m(lane, place)
                 if lane.use == "drive" and at > _CLEAR_M and (lane.length_m - at > _CLEAR_M or not lane.successors):
                     return out[0], home[0]
@@ -165,7 +166,7 @@ class Streets:
 
 def _joins(path: Path, begin: Float64, end: Float64) -> bool:
     """Whether a path leads from near one point to near another."""
-    return bool(np.hypot(*(path.line[0] - begin)) < _BESIDE_M and np.hypot(*(path.line[-1] - end)) < _BESIDE_M)
+    return bool(arrays.hypot(*(path.line[0] - begin)) < _BESIDE_M and arrays.hypot(*(path.line[-1] - end)) < _BESIDE_M)
 
 
 def _cross_lines(a: Float64, b: Float64) -> float:
@@ -191,7 +192,7 @@ def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = 
 
 
 def _through_way(way: Way, streets: Streets) -> Route:
-    inside = STEP_M * np.flatnonzero(np.hypot(*way.points.T) < streets.radius_m)
+    inside = STEP_M * np.flatnonzero(arrays.hypot(*way.points.T) < streets.radius_m)
     return Route(way, max(float(inside[0]) - LEAD_M, 0.0), min(float(inside[-1]) + LEAD_M + 6.0, way.length_m))
 
 
@@ -291,7 +292,7 @@ def _repeated_route(streets: Streets, variant: int) -> Route:
     """Leaves the ROI, turns around and enters it again."""
     out, home = streets.out_and_home(streets.radius_m + 34.0)
     way, swing = build_turn_around(out, home, streets.radius_m + 34.0)
-    inside = np.hypot(*way.points.T) < streets.radius_m
+    inside = arrays.hypot(*way.points.T) < streets.radius_m
     middle = int(swing / STEP_M)
     leaves = STEP_M * float(np.flatnonzero(inside[:middle])[-1])
     comes = STEP_M * float(middle + np.argmax(inside[middle:]))
@@ -307,7 +308,7 @@ def _uturn_route(streets: Streets, variant: int) -> Route:
     for _ in range(16):
         apex = 0.5 * (low + high)
         way, swing = build_turn_around(out, home, apex)
-        outside = np.hypot(*trail_rear_axle(way.points, streets.wheelbase_m).T) > streets.radius_m
+        outside = arrays.hypot(*trail_rear_axle(way.points, streets.wheelbase_m).T) > streets.radius_m
         near = np.abs(np.arange(len(way.points)) * STEP_M - swing) < _UTURN_M
         seconds = float((STEP_M / np.minimum(way.pace_mps, _SLOW_MPS))[outside & near].sum())
         low, high = (apex, high) if seconds < _OUTSIDE_S else (low, apex)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -12,6 +11,7 @@ from numba import njit
 
 from mirror.arrays import Float64
 from mirror.synth.driving.ways import STEP_M, Way
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Placement
 
 HeightField = Callable[[Float64, Float64], Float64]
@@ -69,7 +69,7 @@ class Aside:
 
     def at(self, along_m: Float64) -> Float64:
         """Return the offsets (N,) to the right of the middle at lengths (N,), metres."""
-        slow = np.sin(along_m / 31.0 + self.phase) + 0.5 * np.sin(along_m / 13.0 + 2.3 * self.phase)
+        slow = arrays.sin(along_m / 31.0 + self.phase) + 0.5 * arrays.sin(along_m / 13.0 + 2.3 * self.phase)
         return self.right_m + self.wander_m * slow
 
 
@@ -99,7 +99,7 @@ class Trace:
         values = np.einsum("nk,nkd->nd", weights, rows)
         slope = np.einsum("nk,nkd->nd", slopes, rows[:, :, :2]) / STEP_M
         values[:, :2] += (along_m - inside)[:, None] * slope
-        return values, np.hypot(slope[:, 0], slope[:, 1])
+        return values, arrays.hypot(slope[:, 0], slope[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +181,16 @@ class TraceMotion:
         g = 1.0 - f
         weights = np.array(
             (
-                (g**3 / 6.0, (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0, (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0, f**3 / 6.0),
+                (
+                    g * g * g / 6.0,
+                    (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0,
+                    (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0,
+                    f * f * f / 6.0,
+                ),
                 (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f),
             )
         )
-        value, slope = (weights @ trace.controls[k - 1 : k + 3]).tolist()
+        value, slope = (arrays.matmul(weights, trace.controls[k - 1 : k + 3])).tolist()
         over = knot - on
         return Placement(
             value[0] + over * slope[0],
@@ -194,7 +199,7 @@ class TraceMotion:
             value[3],
             value[4],
             value[5],
-            math.hypot(slope[0], slope[1]) / STEP_M * speed / schedule.step_s,
+            scalars.hypot(slope[0], slope[1]) / STEP_M * speed / schedule.step_s,
             along,
         )
 
@@ -217,8 +222,8 @@ def build_trace(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside 
         guide = guide + aside.at(along)[:, None] * np.column_stack([step[:, 1], -step[:, 0]])
     rear = trail_rear_axle(np.ascontiguousarray(guide), chassis.wheelbase_m)
     step = np.gradient(rear, axis=0)
-    yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
-    ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    yaw = np.unwrap(arrays.arctan2(step[:, 1], step[:, 0]))
+    ahead = np.column_stack([arrays.cos(yaw), arrays.sin(yaw)])
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     base, track = chassis.wheelbase_m, 0.8 * chassis.width_m
     middle = rear + 0.5 * base * ahead
@@ -226,14 +231,19 @@ def build_trace(way: Way, chassis: Chassis, height_m: HeightField, aside: Aside 
     back, front, port, starboard = height_m(wheels[:, 0], wheels[:, 1]).reshape(4, len(rear))
     origin = rear + chassis.origin_m * ahead
     height = back + (front - back) * (chassis.origin_m / base)
-    pitch, roll = np.arctan2(front - back, base), np.arctan2(port - starboard, track)
+    pitch, roll = arrays.arctan2(front - back, base), arrays.arctan2(port - starboard, track)
     return Trace(np.column_stack([origin, height, yaw, pitch, roll]), begin)
 
 
 def _weights(f: Float64) -> tuple[Float64, Float64]:
     """Weights (N, 4) of the four nearest control points, for the value and for the slope."""
     g = 1.0 - f
-    value = (g**3 / 6.0, (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0, (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0, f**3 / 6.0)
+    value = (
+        g * g * g / 6.0,
+        (4.0 - 3.0 * f * f * (2.0 - f)) / 6.0,
+        (4.0 - 3.0 * g * g * (2.0 - g)) / 6.0,
+        f * f * f / 6.0,
+    )
     slope = (-0.5 * g * g, f * (1.5 * f - 2.0), g * (2.0 - 1.5 * g), 0.5 * f * f)
     return np.stack(value, axis=1), np.stack(slope, axis=1)
 
@@ -246,7 +256,7 @@ def _on_line(points: Float64, along_m: Float64) -> Float64:
     place = STEP_M * np.arange(len(points))
     points_at = np.column_stack([np.interp(inside, place, points[:, axis]) for axis in (0, 1)])
     first, last = points[1] - points[0], points[-1] - points[-2]
-    return points_at + np.where(over < 0.0, over * first / np.linalg.norm(first), over * last / np.linalg.norm(last))
+    return points_at + np.where(over < 0.0, over * first / arrays.norm(first), over * last / arrays.norm(last))
 
 
 @njit(cache=True, nogil=True)
@@ -254,7 +264,7 @@ def trail_rear_axle(guide: Float64, base: float) -> Float64:
     """Return the points (N, 2) of the rear axle when the front axle follows the points (N, 2)."""
     rear = np.empty_like(guide)
     dx, dy = guide[1, 0] - guide[0, 0], guide[1, 1] - guide[0, 1]
-    long = math.hypot(dx, dy)
+    long = scalars.hypot(dx, dy)
     x, y = guide[0, 0] - base * dx / long, guide[0, 1] - base * dy / long
     for i in range(len(guide)):
         before = max(i - 1, 0)
@@ -262,7 +272,7 @@ def trail_rear_axle(guide: Float64, base: float) -> Float64:
             share = part / _PULLS
             dx = guide[before, 0] + share * (guide[i, 0] - guide[before, 0]) - x
             dy = guide[before, 1] + share * (guide[i, 1] - guide[before, 1]) - y
-            pull = 1.0 - base / math.hypot(dx, dy)
+            pull = 1.0 - base / scalars.hypot(dx, dy)
             x, y = x + pull * dx, y + pull * dy
         rear[i, 0], rear[i, 1] = x, y
     return rear

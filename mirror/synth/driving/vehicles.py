@@ -14,6 +14,7 @@ from mirror.synth.driving.paths import Path, beside_m, draw_path, iterate_paths,
 from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.ways import Piece, Way, build_way, change_lane_pieces, lane_piece
+from mirror.synth.portable import arrays
 from mirror.synth.street.network import Lane, Network
 
 _MIX: Final[dict[Kind, float]] = {"car": 0.78, "van": 0.10, "truck": 0.05, "bus": 0.03, "motorcycle": 0.04}
@@ -98,7 +99,7 @@ def make_vehicles(
     """
     lanes = select_lanes(site.network, "drive", "turn")
     for start in source_lanes(lanes):
-        if np.hypot(*start.line[0, :2]) < site.radius_m:
+        if arrays.hypot(*start.line[0, :2]) < site.radius_m:
             continue
         per_hour = next(rate for speed, rate in _PER_HOUR if start.speed_mps < speed)
         motorway = start.speed_mps >= _MOTORWAY_MPS
@@ -184,7 +185,7 @@ def make_leaving_cars(
     for lane, at, number in places:
         length, width, _ = get_body("car", number).size_m
         place = np.array([np.interp(at, lane.along_m, lane.line[:, axis]) for axis in (0, 1)])
-        beside = min(drives.values(), key=lambda drive: float(np.min(np.hypot(*(drive.line[:, :2] - place).T))))
+        beside = min(drives.values(), key=lambda drive: float(np.min(arrays.hypot(*(drive.line[:, :2] - place).T))))
         on = beside_m(beside, place)
         reach = 0.5 * float(length) + 16.0
         if beside.length_m - on < reach + 10.0 or lane.length_m - at < reach:

@@ -15,6 +15,7 @@ from mirror.synth.driving.paths import Path, select_lanes, turn_rad
 from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.vehicles import Ways
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Body, Placement, StaticMotion
 from mirror.synth.street.network import Lane
 
@@ -54,7 +55,7 @@ def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.
         start = starts[int(rng.choice(len(starts), p=lengths / lengths.sum()))]
         way = ways.along(_draw_stroll(lanes, start, rng))
         enter = rng.uniform(0.0, start.length_m)
-        if math.hypot(*way.at(enter)) > site.radius_m + _MARGIN_M:
+        if scalars.hypot(*way.at(enter)) > site.radius_m + _MARGIN_M:
             continue
         # Two pedestrians of a group walk side by side at the same speed.
         group = files if rng.random() < 0.3 else (files[int(rng.integers(len(files)))],)
@@ -91,8 +92,8 @@ def place_standing_people(
         at, turn, two = rng.uniform(8.0, lane.length_m - 8.0), rng.uniform(-0.2, 0.2), rng.random() < 0.8
         place, ahead = _place_at(lane, at)
         kerb = road[np.argmin(np.sum((road - place) ** 2, axis=1))] - place
-        by_wall = place - _WALL_M * kerb / np.hypot(*kerb)
-        yaw = math.atan2(ahead[1], ahead[0])
+        by_wall = place - _WALL_M * kerb / arrays.hypot(*kerb)
+        yaw = scalars.atan2(ahead[1], ahead[0])
         for side in (-1.0, 1.0) if two else (1.0,):
             spot = by_wall + 0.5 * side * _TALK_M * ahead
             yield from _place_person(site, bustle, spot, yaw + turn + (math.pi if side > 0.0 else 0.0), rng)
@@ -101,7 +102,9 @@ def place_standing_people(
         _, ahead = _place_at(lane, float(lane.along_m[np.argmin(np.sum((lane.line[:, :2] - stop) ** 2, axis=1))]))
         for member in range(int(rng.integers(1, 5))):
             spot = stop + (_SHELTER_M + _QUEUE_M * member) * ahead
-            yield from _place_person(site, bustle, spot, math.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng)
+            yield from _place_person(
+                site, bustle, spot, scalars.atan2(-ahead[1], -ahead[0]) + rng.normal(0.0, 0.12), rng
+            )
 
 
 def _place_at(lane: Lane, at: float) -> tuple[Float64, Float64]:
@@ -109,14 +112,14 @@ def _place_at(lane: Lane, at: float) -> tuple[Float64, Float64]:
     low, high = (
         np.array([np.interp(at + step, lane.along_m, lane.line[:, axis]) for axis in (0, 1)]) for step in (-0.5, 0.5)
     )
-    return 0.5 * (low + high), (high - low) / np.hypot(*(high - low))
+    return 0.5 * (low + high), (high - low) / arrays.hypot(*(high - low))
 
 
 def _place_person(
     site: Site, bustle: TrafficDensity, spot: Float64, yaw: float, rng: np.random.Generator
 ) -> Iterator[tuple[Body, StaticMotion]]:
     body = _make_person(int(rng.integers(POPULATION["pedestrian"])), bustle)
-    if np.hypot(*spot) < site.radius_m + _MARGIN_M:
+    if arrays.hypot(*spot) < site.radius_m + _MARGIN_M:
         height = float(site.height_m(spot[:1], spot[1:])[0])
         yield body, StaticMotion(Placement(float(spot[0]), float(spot[1]), height, yaw))
 

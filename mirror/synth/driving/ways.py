@@ -11,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64, Int32
 from mirror.errors import UsageError
+from mirror.synth.portable import arrays
 from mirror.synth.street.network import Lane, Network
 
 STEP_M: Final = 0.5
@@ -90,7 +91,7 @@ class Way:
     def heading_rad(self) -> Float64:
         """(N,) unwrapped directions, radians."""
         step = np.gradient(self.points, axis=0)
-        return np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        return np.unwrap(arrays.arctan2(step[:, 1], step[:, 0]))
 
     @cached_property
     def pace_mps(self) -> Float64:
@@ -145,7 +146,7 @@ def build_way(pieces: Sequence[Piece]) -> Way:
     if not pieces:
         raise UsageError("a way of 0 pieces", expected="at least one piece")
     rough, owner = _join(pieces)
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rough, axis=0).T))])
+    length = np.concatenate([[0.0], np.cumsum(arrays.hypot(*np.diff(rough, axis=0).T))])
     if length[-1] < 2 * STEP_M:
         raise UsageError(f"a way of {length[-1]:.2f} m", expected=f"at least {2 * STEP_M} m")
     even = STEP_M * np.arange(int(length[-1] / STEP_M) + 1)
@@ -171,7 +172,7 @@ def _join(pieces: Sequence[Piece]) -> tuple[Float64, Int32]:
     points = np.vstack(lines)
     owner = np.repeat(np.arange(len(lines), dtype=np.int32), [len(line) for line in lines])
     # The point between two pieces belongs to the second one.
-    new = np.concatenate([np.hypot(*np.diff(points, axis=0).T) > 1e-3, [True]])
+    new = np.concatenate([arrays.hypot(*np.diff(points, axis=0).T) > 1e-3, [True]])
     return points[new], owner[new]
 
 
@@ -181,12 +182,12 @@ def _shift_across(before: Float64, line: Float64, change_m: float) -> Float64:
     start = max(total - change_m, 0.0)
     along = np.linspace(start, total, max(int((total - start) / STEP_M), 8))
     old = _points_at(before, along)
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    length = np.concatenate([[0.0], np.cumsum(arrays.hypot(*np.diff(line, axis=0).T))])
     beside = np.array([length[np.argmin(np.sum((line - point) ** 2, axis=1))] for point in (old[0], old[-1])])
     share = np.linspace(0.0, 1.0, len(old))
     new = _points_at(line, beside[0] + (beside[1] - beside[0]) * share)
     # The quintic step has a continuous curvature at its ends.
-    weight = (share**3 * (10.0 - 15.0 * share + 6.0 * share**2))[:, None]
+    weight = (share * share * share * (10.0 - 15.0 * share + 6.0 * share**2))[:, None]
     return np.vstack([old + weight * (new - old), line[length > beside[1] + 1e-3]])
 
 
@@ -220,14 +221,15 @@ def _smooth(points: Float64) -> Float64:
     """Smooth points with a triangular kernel of width twice `_SMOOTH_M`."""
     half = round(_SMOOTH_M / STEP_M)
     reach = 2 * half
-    window = np.convolve(np.ones(half + 1), np.ones(half + 1))
+    rising = np.arange(1.0, half + 2.0)
+    window = np.concatenate([rising, rising[-2::-1]])
     window /= window.sum()
     steps = np.arange(reach, 0, -1)[:, None]
     head = points[0] - steps * (points[1] - points[0])
     tail = points[-1] + steps[::-1] * (points[-1] - points[-2])
     long = np.vstack([head, points, tail])
     offset = reach - half
-    smooth = np.column_stack([np.convolve(long[:, axis], window, "valid") for axis in (0, 1)])
+    smooth = np.column_stack([arrays.convolve(long[:, axis], window) for axis in (0, 1)])
     return smooth[offset : offset + len(points)]
 
 
@@ -239,11 +241,11 @@ def _right_of(line: Float64) -> Float64:
 
 
 def _length(line: Float64) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+    return float(arrays.hypot(*np.diff(line, axis=0).T).sum())
 
 
 def _points_at(line: Float64, along_m: Float64) -> Float64:
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    length = np.concatenate([[0.0], np.cumsum(arrays.hypot(*np.diff(line, axis=0).T))])
     return np.column_stack([np.interp(along_m, length, line[:, axis]) for axis in (0, 1)])
 
 

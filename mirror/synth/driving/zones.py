@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,6 +10,7 @@ from numba import njit
 
 from mirror.arrays import Float64, Int64
 from mirror.synth.driving.ways import STEP_M, Way
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.street.network import Lane
 
 GRID_M: Final = 1.0
@@ -69,7 +69,7 @@ def _make_zone(p: Way, q: Way, runs: Int64) -> Zone:
     a0, a1, b0, b1 = runs[0, 0], runs[-1, 0], runs[:, 1].min(), runs[:, 2].max()
     limits = _zone_limits(runs, a0, a1, b0, b1)
     turned = p.heading_rad[_STRIDE * runs[:, 0]] - q.heading_rad[_STRIDE * ((runs[:, 1] + runs[:, 2]) // 2)]
-    along = bool(GRID_M * min(a1 - a0, b1 - b0) > _ALONG_M and np.cos(turned).mean() > 0.7)
+    along = bool(GRID_M * min(a1 - a0, b1 - b0) > _ALONG_M and arrays.cos(turned).mean() > 0.7)
     begin, end = (float(GRID_M * a0), float(GRID_M * b0)), (float(GRID_M * a1), float(GRID_M * b1))
     hold = (_hold_position(p, begin[0]), _hold_position(q, begin[1]))
     return Zone(begin, end, limits, hold, along, _goes_first(p, q, begin, end, along))
@@ -125,13 +125,13 @@ def _find_runs(a: Float64, b: Float64, clearance: float) -> tuple[Int64, Int64]:
     for i in range(len(a)):
         j = 0
         while j < len(b) and count < len(runs):
-            distance = math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
+            distance = scalars.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1])
             if distance >= clearance:
                 # No point can be in reach before the remaining distance is covered, so it is skipped.
                 j += max(int((distance - clearance) / GRID_M), 1)
                 continue
             start = j
-            while j < len(b) and math.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]) < clearance:
+            while j < len(b) and scalars.hypot(a[i, 0] - b[j, 0], a[i, 1] - b[j, 1]) < clearance:
                 j += 1
             runs[count, 0], runs[count, 1], runs[count, 2] = i, start, j - 1
             owner[count] = count

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 
 DOME: Final = 96
 """Samples along a side of a dome: a square around the zenith in stereographic projection; the horizon is the inscribed
@@ -51,17 +52,17 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
     """
     away = dome_directions().reshape(-1, 3)
     up, aside = np.radians(elevation_deg), np.radians(azimuth_deg)
-    sun = np.array([np.cos(up) * np.cos(aside), np.cos(up) * np.sin(aside), np.sin(up)])
+    sun = np.array([arrays.cos(up) * arrays.cos(aside), arrays.cos(up) * arrays.sin(aside), arrays.sin(up)])
     eye = np.array([0.0, 0.0, _EARTH_M + 10.0])
     reach = distance_to_sphere(np.broadcast_to(eye, away.shape), away, _TOP_M)
     # Steps grow with distance, because most of the light near the horizon comes from nearby air.
-    edges = np.linspace(0.0, 1.0, _VIEW_STEPS + 1) ** 2.5
-    cosine = away @ sun
+    edges = arrays.power(np.linspace(0.0, 1.0, _VIEW_STEPS + 1), 2.5)
+    cosine = arrays.matmul(away, sun)
     air_phase = 3.0 / (16.0 * np.pi) * (1.0 + cosine**2)
     square = _FORWARD**2
     haze_phase = (
         3.0 / (8.0 * np.pi) * (1.0 - square) * (1.0 + cosine**2)
-        / ((2.0 + square) * (1.0 + square - 2.0 * _FORWARD * cosine) ** 1.5)
+        / ((2.0 + square) * arrays.power(1.0 + square - 2.0 * _FORWARD * cosine, 1.5))
     )  # fmt: skip
     radiance = np.zeros((len(away), 3))
     passed = np.zeros((len(away), 3))
@@ -69,12 +70,12 @@ def clear_dome(elevation_deg: float, azimuth_deg: float) -> Float64:
         length = (far - near_m) * reach
         point = eye + (0.5 * (near_m + far) * reach)[:, None] * away
         density = densities(np.linalg.norm(point, axis=1) - _EARTH_M)
-        inside = density @ EXTINCTION * length[:, None]
-        sunlit = np.exp(-passed - 0.5 * inside - optical_depth_to_sun(point, sun))
+        inside = arrays.matmul(density, EXTINCTION) * length[:, None]
+        sunlit = arrays.exp(-passed - 0.5 * inside - optical_depth_to_sun(point, sun))
         scattered = density[:, :1] * air_phase[:, None] * _AIR + density[:, 1:2] * haze_phase[:, None] * _HAZE
         radiance += sunlit * scattered * length[:, None]
         passed += inside
-    radiance += _AGAIN * (1.0 - np.exp(-passed)) * (dome_weights().reshape(-1, 1) * radiance).sum(axis=0)
+    radiance += _AGAIN * (1.0 - arrays.exp(-passed)) * (dome_weights().reshape(-1, 1) * radiance).sum(axis=0)
     dome: Float64 = radiance.reshape(DOME, DOME, 3)
     dome.flags.writeable = False
     return dome
@@ -107,7 +108,7 @@ def densities(height_m: Float64) -> Float64:
     """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
     height = np.maximum(height_m, 0.0)
     ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
-    return np.stack([np.exp(-height / _AIR_M), np.exp(-height / _HAZE_M), ozone], axis=-1)
+    return np.stack([arrays.exp(-height / _AIR_M), arrays.exp(-height / _HAZE_M), ozone], axis=-1)
 
 
 def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
@@ -119,13 +120,13 @@ def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
 def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
     """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = distance_to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
-    along = points @ sun
+    along = arrays.matmul(points, sun)
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))
     hidden = (along < 0.0) & (passing < _EARTH_M)
     depth = np.zeros_like(points)
     for near_m, far in pairwise(np.linspace(0.0, 1.0, _SUN_STEPS + 1) ** 2):
         point = points + (0.5 * (near_m + far) * reach)[:, None] * sun
-        depth += (far - near_m) * (densities(np.linalg.norm(point, axis=1) - _EARTH_M) @ EXTINCTION)
+        depth += (far - near_m) * (arrays.matmul(densities(np.linalg.norm(point, axis=1) - _EARTH_M), EXTINCTION))
     depth *= reach[:, None]
     depth[hidden] = _NO_LIGHT
     return depth

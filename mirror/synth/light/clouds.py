@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 
 SIDE: Final = 1024
 """Samples along a period of the finest level."""
@@ -49,8 +50,8 @@ def cloud_field() -> Float32:
 def _noise(rng: np.random.Generator, steepness: float) -> Float64:
     """Periodic noise (SIDE, SIDE) of variance 1; its amplitudes fall with a power of the frequency."""
     frequency = np.fft.fftfreq(SIDE, 1.0 / SIDE)
-    size = np.hypot(frequency[: SIDE // 2 + 1], frequency[:, None])
-    amplitude = np.where(size > 0.0, (size**2 + _LONGEST**2) ** (-0.5 * steepness), 0.0)
+    size = arrays.hypot(frequency[: SIDE // 2 + 1], frequency[:, None])
+    amplitude = np.where(size > 0.0, arrays.power(size**2 + _LONGEST**2, -0.5 * steepness), 0.0)
     white = np.fft.rfft2(rng.standard_normal((SIDE, SIDE)))
     noise: Float64 = np.fft.irfft2(white * amplitude, (SIDE, SIDE))
     return noise / noise.std()

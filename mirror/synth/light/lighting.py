@@ -14,6 +14,7 @@ from mirror.synth.light.condition import Condition, Weather
 from mirror.synth.light.sky import sky
 from mirror.synth.light.sun import season_of, sun_direction, sunlight
 from mirror.synth.model import flat
+from mirror.synth.portable import arrays
 
 LIGHTING: Final = np.dtype(
     [
@@ -84,7 +85,7 @@ _ADAPTED: Final = 0.72
 _MIDDLE: Final = 0.20
 _REFLECTANCE: Final = 0.19
 _AROUND: Final = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-_RING: Final = np.array([np.cos(_AROUND), np.sin(_AROUND)])
+_RING: Final = np.array([arrays.cos(_AROUND), arrays.sin(_AROUND)])
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -114,8 +115,8 @@ def compute_lighting(condition: Condition, longitude_deg: float, latitude_deg: f
     effects, weather = condition.effects, condition.weather
     record = np.zeros(1, LIGHTING)[0]
     sun = sun_direction(condition.start_ns, longitude_deg, latitude_deg)
-    elevation = float(np.degrees(np.arcsin(np.clip(sun[2], -1.0, 1.0))))
-    azimuth = float(np.degrees(np.arctan2(sun[1], sun[0])))
+    elevation = float(np.degrees(arrays.arcsin(np.clip(sun[2], -1.0, 1.0))))
+    azimuth = float(np.degrees(arrays.arctan2(sun[1], sun[0])))
     dark = float(np.clip((7.0 - elevation) / 15.0, 0.0, 1.0))
     record["sun"], record["dark"] = sun, dark
     record["shadows"] = float(effects.sun_shadows)
@@ -125,7 +126,7 @@ def compute_lighting(condition: Condition, longitude_deg: float, latitude_deg: f
     dome32 = dome.astype(np.float32)
     light, ring = _sums(record, dome32)
     record["sky_light"], record["horizon"] = light, ring.mean(axis=0)
-    towards = sun[:2] / np.hypot(*sun[:2]) @ _RING
+    towards = arrays.matmul(sun[:2] / arrays.hypot(*sun[:2]), _RING)
     record["horizon_away"] = ring[towards < -0.5].mean(axis=0)
     record["horizon_glow"] = ring[towards > 0.85].mean(axis=0) - record["horizon_away"]
     record["sunlight"] = _SUNLIGHT * sunlight(elevation) if weather == "clear" else 0.0
@@ -151,7 +152,7 @@ def compute_lighting(condition: Condition, longitude_deg: float, latitude_deg: f
 def _dome(elevation: float, azimuth: float) -> Float64:
     """Radiance of a clear sky at its perceived brightness, plus the night sky."""
     clear = clear_dome(round(elevation, 2), round(azimuth, 2))
-    light = float(_LUMINANCE @ np.einsum("ij,ijk->k", dome_weights(), clear))
+    light = float(arrays.matmul(_LUMINANCE, np.einsum("ij,ijk->k", dome_weights(), clear)))
     target = float(np.interp(elevation, _ELEVATIONS_DEG, _SKY_LIGHT))
     # Below -9 degrees single scattering gives no light; only the night sky is left.
     share = float(np.clip((elevation + 9.0) / 3.0, 0.0, 1.0))
@@ -165,7 +166,7 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
     rng = np.random.default_rng([condition.start_ns // 86_400_000_000_000, condition.visit])
     record["cloud_shift"] = rng.uniform(0.0, PERIOD, 2)
     heading = rng.uniform(0.0, 2.0 * np.pi)
-    record["cloud_wind"] = 0.004 * np.cos(heading), 0.004 * np.sin(heading)
+    record["cloud_wind"] = 0.004 * arrays.cos(heading), 0.004 * arrays.sin(heading)
     light = np.einsum("ij,ijk->k", dome_weights(), dome)
     if condition.weather == "clear":
         cloud_light = (
@@ -175,9 +176,9 @@ def _clouds(record: Records, condition: Condition, elevation: float, dome: Float
         town_glow = (0.75 + 0.75 * _WARM * float(np.clip((-elevation - 6.0) / 6.0, 0.0, 1.0))) * light
         record["cloud_lit"], record["cloud_base"] = cloud_light + town_glow, 0.12 * cloud_light + town_glow
         return
-    grey = float(_LUMINANCE @ light) * _OVERCAST[condition.weather] * _GREY
+    grey = float(arrays.matmul(_LUMINANCE, light)) * _OVERCAST[condition.weather] * _GREY
     # Twilight also colours an overcast sky.
-    grey += 0.25 * _OVERCAST[condition.weather] * (light - float(_LUMINANCE @ light))
+    grey += 0.25 * _OVERCAST[condition.weather] * (light - float(arrays.matmul(_LUMINANCE, light)))
     spread = 0.17 if condition.weather == "clouds" else 0.12
     record["cloud_lit"], record["cloud_base"] = (1.0 + spread) * grey, (1.0 - spread) * grey
 
@@ -200,9 +201,9 @@ def _camera(record: Records) -> None:
     dark = float(record["dark"])
     level = max(float(record["sun"][2]), 0.0) * record["sunlight"] + record["sky_light"]
     light = level + 0.30 * record["lamp_light"] + 0.02 * record["headlight"]
-    luminance = float(_LUMINANCE @ light)
-    gains = (luminance / light) ** _ADAPTED
-    record["white"] = gains / (_LUMINANCE @ gains)
+    luminance = float(arrays.matmul(_LUMINANCE, light))
+    gains = arrays.power(luminance / light, _ADAPTED)
+    record["white"] = gains / (arrays.matmul(_LUMINANCE, gains))
     record["middle"] = _REFLECTANCE * luminance
     record["exposure"] = _MIDDLE * (1.0 - 0.45 * dark) / record["middle"]
     record["read_noise"] = 0.0006 + 0.0030 * dark

@@ -8,6 +8,7 @@ from typing import Final
 from mirror.arrays import Float32, Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.light.clouds import LEVELS, PERIOD, SIDE
+from mirror.synth.portable import scalars
 
 # The cloud layer curves down to the horizon: in a level direction its distance is 1 / _BEND heights.
 _BEND: Final = 0.11
@@ -17,8 +18,8 @@ _EDGE: Final = 0.16
 _DETAIL: Final = 7.3
 _DETAIL_SHARE: Final = 0.07
 _TOWARDS_SUN: Final = 0.045
-_DISC_COSINE: Final = math.cos(math.radians(0.40))
-_RIM_COSINE: Final = math.cos(math.radians(0.22))
+_DISC_COSINE: Final = scalars.cos(math.radians(0.40))
+_RIM_COSINE: Final = scalars.cos(math.radians(0.22))
 _DISC: Final = 30.0
 _SUN_IS_CLEAR: Final = 70.0
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64, Int64
 from mirror.recordings.light import Light, solar_elevation_deg
+from mirror.synth.portable import arrays
 
 SUN_ELEVATION_DEG: Final[dict[Light, float]] = {"day": 38.0, "dusk": -2.5, "night": -25.0}
 """Target elevations of the sun; in winter at high latitudes the highest of the day, if that is lower."""
@@ -30,7 +31,7 @@ def sun_direction(timestamp_ns: npt.ArrayLike, longitude_deg: float, latitude_de
     """
     stamps = np.asarray(timestamp_ns, np.int64)
     ups = ((longitude_deg + 90.0, 0.0), (longitude_deg, latitude_deg + 90.0), (longitude_deg, latitude_deg))
-    return np.stack([np.sin(np.radians(solar_elevation_deg(stamps, *up))) for up in ups], axis=-1)
+    return np.stack([arrays.sin(np.radians(solar_elevation_deg(stamps, *up))) for up in ups], axis=-1)
 
 
 def instant_of(date: str, light: Light, longitude_deg: float, latitude_deg: float, *, morning: bool = False) -> int:
@@ -63,7 +64,7 @@ def season_of(timestamp_ns: int, latitude_deg: float) -> float:
 def air_mass(elevation_deg: float) -> float:
     """Return the relative air mass towards the sun (F. Kasten, A. Young, Applied Optics 28, 1989)."""
     above = max(elevation_deg, 0.0)
-    return 1.0 / (np.sin(np.radians(above)) + 0.50572 * (above + 6.07995) ** -1.6364)
+    return 1.0 / (arrays.sin(np.radians(above)) + 0.50572 * arrays.power(above + 6.07995, -1.6364))
 
 
 def sunlight(elevation_deg: float) -> Float64:
@@ -72,5 +73,5 @@ def sunlight(elevation_deg: float) -> Float64:
     The light fades over half a degree while the disc sets.
     """
     depth = _RAYLEIGH + _HAZE
-    through: Float64 = np.exp(-depth * (air_mass(elevation_deg) - air_mass(_BALANCED_AT_DEG)))
+    through: Float64 = arrays.exp(-depth * (air_mass(elevation_deg) - air_mass(_BALANCED_AT_DEG)))
     return through * float(np.clip(0.5 + np.radians(elevation_deg) / _DISC_RAD, 0.0, 1.0))

@@ -12,6 +12,7 @@ from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.shapes import polygons
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model
+from mirror.synth.portable import arrays
 
 
 def tubes(
@@ -48,7 +49,7 @@ def tubes(
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     aside = np.cross(along, across)
     angle = 2.0 * math.pi * (np.arange(corners + 1) + 0.5) / corners
-    ring = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * aside[:, None]
+    ring = arrays.cos(angle)[:, None] * across[:, None] + arrays.sin(angle)[:, None] * aside[:, None]
     low, high = starts[:, None] + radii[:, None, None] * ring, ends[:, None] + end_radii[:, None, None] * ring
     quads = np.stack([low[:, :-1], low[:, 1:], high[:, 1:], high[:, :-1]], axis=2).reshape(-1, 4, 3)
     each = np.broadcast_to(np.asarray(colours, np.float64), (len(starts), 3))

@@ -14,6 +14,7 @@ from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.shapes import polygons
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, Model, merge_models
+from mirror.synth.portable import arrays
 
 Place = Sequence[float] | Float64
 Way = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
@@ -133,11 +134,11 @@ class Pieces:
         x, y, z = ((last - first) / math.dist(first, last)).tolist()
         # A perpendicular direction: the cross product with the x axis, or with the y axis for a tube along x.
         across = (0.0, z, -y) if abs(x) < 0.7 else (-z, 0.0, x)
-        size = math.hypot(*across)
+        size = arrays.norm(across)
         a, b, c = (part / size for part in across)
         angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
-        ring = np.outer(np.cos(angle), (a, b, c)) + np.outer(
-            np.sin(angle), (y * c - z * b, z * a - x * c, x * b - y * a)
+        ring = np.outer(arrays.cos(angle), (a, b, c)) + np.outer(
+            arrays.sin(angle), (y * c - z * b, z * a - x * c, x * b - y * a)
         )
         low, high = first + radius_m * ring, last + (radius_m if end_radius_m is None else end_radius_m) * ring
         for i in range(corners):

@@ -13,6 +13,7 @@ from mirror.errors import UsageError
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.surfaces import FACE, MOST_CORNERS, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, merge_models
+from mirror.synth.portable import arrays, scalars
 
 Colour = Sequence[float] | Float64
 _LEAST_AREA_M2 = 1e-8
@@ -61,28 +62,28 @@ def polygon(
         raise UsageError(f"a polygon with corners of shape {points.shape}", expected=f"(3 to {MOST_CORNERS}, 3)")
     ahead = np.roll(points, -1, axis=0)
     normal = np.cross(points - points[0], ahead - points[0]).sum(axis=0)
-    size = float(np.linalg.norm(normal))
+    size = float(arrays.norm(normal))
     if size < 2 * _LEAST_AREA_M2:
         raise UsageError(
             "a polygon without area", place=str(points.tolist()), expected="corners that are not on a line"
         )
     normal = normal / size
     face = np.zeros(1, FACE)
-    face["normal"], face["offset"] = normal, points.mean(axis=0) @ normal
+    face["normal"], face["offset"] = normal, arrays.matmul(points.mean(axis=0), normal)
     if texture is None:
         u = _level(normal) if u_axis is None else np.asarray(u_axis, np.float64)
-        u = u - (u @ normal) * normal
-        u = u / np.linalg.norm(u)
+        u = u - (arrays.matmul(u, normal)) * normal
+        u = u / arrays.norm(u)
         v = np.cross(normal, u)
-        along, up = points @ u, points @ v
+        along, up = arrays.matmul(points, u), arrays.matmul(points, v)
         if origin is None:
             u0, v0 = -0.5 * (along.min() + along.max()), -0.5 * (up.min() + up.max())
         else:
             place = np.asarray(origin, np.float64)
-            u0, v0 = -float(place @ u), -float(place @ v)
+            u0, v0 = -float(arrays.matmul(place, u)), -float(arrays.matmul(place, v))
     else:
         u, u0, v, v0 = _affine(points, np.asarray(texture, np.float64), normal)
-        along, up = points @ u, points @ v
+        along, up = arrays.matmul(points, u), arrays.matmul(points, v)
     face["u_axis"], face["u0"], face["v_axis"], face["v0"] = u, u0, v, v0
     face["half"] = 0.5 * (along.max() - along.min()), 0.5 * (up.max() - up.min())
     face["colour"], face["count"], face["material"], face["label"], face["side"] = (
@@ -146,7 +147,7 @@ def polygons(
         frame = np.stack([points[:, 1] - points[:, 0], points[:, 2] - points[:, 0], normal], axis=1)
         known = np.zeros((number, 3, 2))
         known[:, 0], known[:, 1] = texture[:, 1] - texture[:, 0], texture[:, 2] - texture[:, 0]
-        axes = np.linalg.solve(frame, known)
+        axes = arrays.solve(frame, known)
         u, v = axes[:, :, 0], axes[:, :, 1]
         u0 = texture[:, 0, 0] - np.einsum("fi,fi->f", u, points[:, 0])
         v0 = texture[:, 0, 1] - np.einsum("fi,fi->f", v, points[:, 0])
@@ -172,9 +173,9 @@ def _affine(points: Float64, texture: Float64, normal: Float64) -> tuple[Float64
     crossed = np.linalg.norm(np.cross(edges[0], edges[1:]), axis=1)
     other = 1 + int(np.argmax(crossed))
     frame = np.stack([edges[0], edges[other], normal])
-    axes = np.linalg.solve(frame, np.vstack([texture[1] - texture[0], texture[1 + other] - texture[0], (0.0, 0.0)]))
+    axes = arrays.solve(frame, np.vstack([texture[1] - texture[0], texture[1 + other] - texture[0], (0.0, 0.0)]))
     u, v = axes[:, 0], axes[:, 1]
-    return u, float(texture[0, 0] - points[0] @ u), v, float(texture[0, 1] - points[0] @ v)
+    return u, float(texture[0, 0] - arrays.matmul(points[0], u)), v, float(texture[0, 1] - arrays.matmul(points[0], v))
 
 
 def block(
@@ -239,7 +240,7 @@ def block(
 
 def _flat(corners: npt.ArrayLike) -> bool:
     points = np.asarray(corners)
-    area = np.linalg.norm(np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0))
+    area = arrays.norm(np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0))
     return bool(area < 2 * _LEAST_AREA_M2)
 
 
@@ -370,12 +371,12 @@ def tube(
     """
     first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
     along = last - first
-    along = along / np.linalg.norm(along)
+    along = along / arrays.norm(along)
     across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 else [0.0, 1.0, 0.0])
-    across = across / np.linalg.norm(across)
+    across = across / arrays.norm(across)
     aside = np.cross(along, across)
     angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
-    round_ = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), aside)
+    round_ = np.outer(arrays.cos(angle), across) + np.outer(arrays.sin(angle), aside)
     low, high = first + radius_m * round_, last + (radius_m if end_radius_m is None else end_radius_m) * round_
     parts = []
     for i in range(corners):
@@ -393,7 +394,7 @@ def wheel(centre: Sequence[float], radius_m: float, width_m: float, label: Label
     """Build a wheel around the y axis, with rims on both sides."""
     x, y, z = centre
     angle = 2.0 * math.pi * (np.arange(corners) + 0.5) / corners
-    dx, dz = radius_m * np.cos(angle), radius_m * np.sin(angle)
+    dx, dz = radius_m * arrays.cos(angle), radius_m * arrays.sin(angle)
     left = np.c_[x + dx, np.full(corners, y + 0.5 * width_m), z + dz]
     right = left - (0.0, width_m, 0.0)
     black = (0.02, 0.02, 0.02)
@@ -433,7 +434,7 @@ def ellipsoid(
         seed: seed of the texture.
     """
     record = np.zeros(1, ROUND)
-    cos, sin, up_cos, up_sin = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+    cos, sin, up_cos, up_sin = scalars.cos(yaw), scalars.sin(yaw), scalars.cos(pitch), scalars.sin(pitch)
     record["centre"], record["half"] = centre, 0.5 * np.asarray(size)
     record["axes"] = [
         [cos * up_cos, sin * up_cos, up_sin],

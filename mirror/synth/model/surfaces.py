@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from mirror.arrays import Float64, Records
+from mirror.synth.portable import arrays
 
 NO_OBJECT: Final = -1
 NO_IMAGE: Final = -1
@@ -126,19 +127,19 @@ class Model:
         rotation, translation = np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
         faces, rounds = join_parts([self.faces]), join_parts([self.rounds])
         for name, shift in (("normal", "offset"), ("u_axis", "u0"), ("v_axis", "v0")):
-            turned = self.faces[name] @ rotation.T
+            turned = arrays.matmul(self.faces[name], rotation.T)
             faces[name] = turned
-            moved = turned @ translation
+            moved = arrays.matmul(turned, translation)
             faces[shift] = self.faces[shift] + (moved if name == "normal" else -moved)
-        rounds["centre"] = self.rounds["centre"] @ rotation.T + translation
-        rounds["axes"] = self.rounds["axes"] @ rotation.T
+        rounds["centre"] = arrays.matmul(self.rounds["centre"], rotation.T) + translation
+        rounds["axes"] = arrays.matmul(self.rounds["axes"], rotation.T)
         if number is not None:
             faces["object"], rounds["object"] = number, number
-        return Model(faces, self.corners @ rotation.T + translation, rounds)
+        return Model(faces, arrays.matmul(self.corners, rotation.T) + translation, rounds)
 
     def place(self, x_m: float, y_m: float, z_m: float = 0.0, yaw_rad: float = 0.0, number: int | None = None) -> Model:
         """Translate the model, after a counter-clockwise rotation about the vertical."""
-        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+        cos, sin = arrays.cos(yaw_rad), arrays.sin(yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return self.transform(turn, np.array([x_m, y_m, z_m]), number)
 

@@ -7,10 +7,9 @@ Errors, in units in the last place: below 1.5 for `sin`, `cos`, `exp`, `log` and
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
-from numba import njit
+from mirror.synth.kernels import per_pixel
 
 # Parts of pi/2 and of log 2 (Cody and Waite, 1980): the leading parts have 33 bits, so that their products with the
 # number of periods are exact.
@@ -43,7 +42,7 @@ _ATAN_EIGHTHS: Final = tuple(
 )
 """Arc tangents of 0, 1/8, ... 1."""
 
-_compiled: Final[Callable[[Any], Any]] = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+_compiled: Final = per_pixel()
 
 
 @_compiled

@@ -11,6 +11,7 @@ import math
 from mirror.arrays import Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.model import Material, Side
+from mirror.synth.portable import scalars
 from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import band, hash_unit, stripes
 from mirror.synth.road_users.coachwork.sheets import Panel
@@ -155,7 +156,7 @@ def _rim(face: Records, u: float, v: float, footprint: float) -> Appearance:
     elif kind == 3:
         count, duty = 16.0, 0.62
     # Spokes have a constant angle, so they become narrower towards the hub.
-    turn = math.atan2(v, u) / (2.0 * math.pi) * count
+    turn = scalars.atan2(v, u) / (2.0 * math.pi) * count
     spokes = stripes(turn + 0.5 * duty, 1.0, duty, min(step * count / (2.0 * math.pi * max(away, 0.05)), 50.0))
     gap = (1.0 - spokes) * band(away, 0.20, 0.66, step)
     # The brake disc is visible between the spokes.

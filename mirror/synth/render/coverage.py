@@ -10,16 +10,20 @@ from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
 from mirror.synth.kernels import per_pixel
+from mirror.synth.portable import scalars
 from mirror.synth.render.lens import TILE_PX
 
 SKY: Final = -1
 _AREA: Final = TILE_PX * TILE_PX
 
-_TURN: Final = math.atan(0.5)
+_TURN: Final = scalars.atan(0.5)
 OFFSETS: Final = np.array(
     [(0.0, 0.0)]
     + [
-        (math.cos(_TURN) * i / 3.0 - math.sin(_TURN) * j / 3.0, math.sin(_TURN) * i / 3.0 + math.cos(_TURN) * j / 3.0)
+        (
+            scalars.cos(_TURN) * i / 3.0 - scalars.sin(_TURN) * j / 3.0,
+            scalars.sin(_TURN) * i / 3.0 + scalars.cos(_TURN) * j / 3.0,
+        )
         for i in (-1, 0, 1)
         for j in (-1, 0, 1)
         if i or j
@@ -29,7 +33,7 @@ OFFSETS: Final = np.array(
 """Rays of a pixel: the first passes through its centre and gives the ground truth, the others form a rotated grid."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, error_model="numpy")
 def compute_coverage(
     rays: Float64,
     rotation: Float64,
@@ -188,7 +192,7 @@ def ray_steps(
     )
 
 
-@per_pixel(contract=True)
+@per_pixel()
 def _spread_rays(
     rays: Float64, rotation: Float64, offsets: Float32, top: int, left: int, sx: Float32, sy: Float32, sz: Float32
 ) -> None:
@@ -215,7 +219,7 @@ def _spread_rays(
             sz[first + pixel] = sz[pixel] + z
 
 
-@per_pixel(contract=True)
+@per_pixel()
 def _try_face(
     rows: Float32,
     first: int,
@@ -262,7 +266,7 @@ def _try_face(
             found[i] = mark if nearer else found[i]
 
 
-@per_pixel(contract=True)
+@per_pixel()
 def _try_round(
     rows: Float32, first: int, sx: Float32, sy: Float32, sz: Float32, inverse: Float32, found: Int32, place: int
 ) -> None:

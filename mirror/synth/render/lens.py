@@ -11,6 +11,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
+from mirror.synth.portable import arrays
 from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian
 
 TILE_PX: Final = 8
@@ -66,7 +67,7 @@ def make_lens(camera: Camera) -> Lens:
         start += down * across
         cones.append(_cones(rays.direction, side, _MARGIN_PX * widest))
     middle = rays.direction[height // 2, max(width // 2 - 1, 0) : width // 2 + 1]
-    apart = float(np.arccos(min(middle[0] @ middle[-1], 1.0))) or 1.0 / camera.fx_px
+    apart = float(arrays.arccos(min(arrays.matmul(middle[0], middle[-1]), 1.0))) or 1.0 / camera.fx_px
     return Lens(np.ascontiguousarray(rays.direction), np.concatenate(cones), levels, apart)
 
 
@@ -79,5 +80,5 @@ def _cones(rays: Float64, side: int, margin_rad: float) -> Float64:
     axes = tiles.sum(axis=1)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     nearest = np.einsum("tri,ti->tr", tiles, axes).min(axis=1)
-    half = np.arccos(np.clip(nearest, -1.0, 1.0)) + margin_rad
-    return np.column_stack([axes, np.cos(half), np.sin(half)])
+    half = arrays.arccos(np.clip(nearest, -1.0, 1.0)) + margin_rad
+    return np.column_stack([axes, arrays.cos(half), arrays.sin(half)])

@@ -9,6 +9,7 @@ from mirror.arrays import Float32, Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
+from mirror.synth.portable import scalars
 from mirror.synth.render.shadows import CELL_M, sun_visibility
 from mirror.synth.render.surroundings import AMBIENT_OCCLUSION_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M
 
@@ -171,7 +172,7 @@ def shade_point(
             # Traffic signs are retroreflective.
             beam *= _SENT_BACK
     over, under = opening * (0.5 + 0.5 * nz), opening * (0.5 - 0.5 * nz)
-    clear = math.exp(-t * setting.haze_per_m)
+    clear = scalars.exp(-t * setting.haze_per_m)
     r = er + fr * (
         sun * setting.sunlight_0 + over * setting.sky_light_0 + under * setting.ground_light_0
         + lamplight * setting.lamp_light_0 + beam

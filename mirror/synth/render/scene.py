@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
 from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merge_models
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.render.binning import bounding_spheres
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
@@ -189,7 +189,7 @@ class Scene:
         moving, placements = self._moving(time_s, ego)
         ego_model = self.ego_model.transform(turn, ego, NO_OBJECT)
         ego_model.faces["label"], ego_model.rounds["label"] = Label.EGO, Label.EGO
-        beam = np.concatenate([ego + turn @ _HEADLIGHTS_M, turn @ _AHEAD])
+        beam = np.concatenate([ego + arrays.matmul(turn, _HEADLIGHTS_M), arrays.matmul(turn, _AHEAD)])
         return self._instant(time_s, merge_models([moving, ego_model]), moving, placements, ego, beam)
 
     def around(self, time_s: float, place_m: Float64) -> Instant:
@@ -204,7 +204,7 @@ class Scene:
             if not (traffic or _is_static(user)):
                 continue
             place = user.motion.at(time_s)
-            if math.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _RENDER_RANGE_M:
+            if scalars.hypot(place.x_m - middle[0], place.y_m - middle[1]) < _RENDER_RANGE_M:
                 placements[number] = place
         models = []
         for number, place in placements.items():
@@ -325,7 +325,7 @@ def _lamp_map(lights: Float64, edge: float) -> tuple[Float32, Float64]:
         columns = np.abs(grid - x) <= _LAMP_REACH_M
         square = (grid[columns] - x) ** 2 + (grid[rows] - y)[:, None] ** 2
         fade = np.clip(1.0 - square / _LAMP_REACH_M**2, 0.0, 1.0) ** 2
-        light[np.ix_(rows, columns)] += fade * (36.0 / (36.0 + square)) ** 1.5
+        light[np.ix_(rows, columns)] += fade * arrays.power(36.0 / (36.0 + square), 1.5)
     return light.astype(np.float32), np.array([-edge, -edge])
 
 
@@ -338,12 +338,12 @@ def _ambient_occlusion(bodies: Sequence[tuple[Body, Placement]], ego: Float64) -
         reach = half + 1.2
         columns = slice(*np.searchsorted(grid, (x - reach, x + reach)))
         rows = slice(*np.searchsorted(grid, (y - reach, y + reach)))
-        cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
+        cos, sin = scalars.cos(place.yaw_rad), scalars.sin(place.yaw_rad)
         dx, dy = grid[columns] - x, (grid[rows] - y)[:, None]
-        beyond = np.hypot(
+        beyond = arrays.hypot(
             np.maximum(np.abs(cos * dx + sin * dy) - half, 0.0), np.maximum(np.abs(cos * dy - sin * dx) - aside, 0.0)
         )
-        shade[rows, columns] = 1.0 - (1.0 - shade[rows, columns]) * (1.0 - 0.8 * np.exp(-beyond / 0.22))
+        shade[rows, columns] = 1.0 - (1.0 - shade[rows, columns]) * (1.0 - 0.8 * arrays.exp(-beyond / 0.22))
     return shade, ego[:2] - _SHADOW_RANGE_M
 
 
@@ -354,7 +354,7 @@ def _headlight_glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) ->
     for body, place in vehicles:
         if body.category not in _DRIVEN:
             continue
-        cos, sin = math.cos(place.yaw_rad), math.sin(place.yaw_rad)
+        cos, sin = scalars.cos(place.yaw_rad), scalars.sin(place.yaw_rad)
         x, y = place.x_m + 0.5 * body.size_m[0] * cos - ego[0], place.y_m + 0.5 * body.size_m[0] * sin - ego[1]
         columns = slice(*np.searchsorted(grid, (x - _BEAM_M, x + _BEAM_M)))
         rows = slice(*np.searchsorted(grid, (y - _BEAM_M, y + _BEAM_M)))
@@ -362,5 +362,5 @@ def _headlight_glow(vehicles: Sequence[tuple[Body, Placement]], ego: Float64) ->
         ahead, aside = cos * dx + sin * dy, cos * dy - sin * dx
         width = 0.8 + 0.22 * np.maximum(ahead, 0.0)
         near = np.clip(ahead / 3.0, 0.0, 1.0) * np.clip((_BEAM_M - ahead) / 12.0, 0.0, 1.0)
-        light[rows, columns] += near * np.exp(-((aside / width) ** 2)) / (1.0 + 0.012 * ahead * ahead)
+        light[rows, columns] += near * arrays.exp(-((aside / width) ** 2)) / (1.0 + 0.012 * ahead * ahead)
     return light, ego[:2] + grid[0]

@@ -11,6 +11,7 @@ from numba import njit
 from mirror.arrays import Float32, Float64, Records
 from mirror.synth.kernels import per_pixel
 from mirror.synth.model import FACE, ROUND, Model, flat
+from mirror.synth.portable import arrays
 
 CELL_M: Final = 0.125
 _NOTHING_M: Final = -1e9
@@ -36,7 +37,7 @@ class ShadowMap(NamedTuple):
 def sun_axes(sun: Float64) -> Float64:
     """Return two unit axes (2, 3) perpendicular to the sun's direction (3,); the first is horizontal."""
     across = np.cross([0.0, 0.0, 1.0], sun)
-    size = np.linalg.norm(across)
+    size = arrays.norm(across)
     across = across / size if size > 1e-9 else np.array([1.0, 0.0, 0.0])
     return np.stack([across, np.cross(sun, across)])
 
@@ -53,8 +54,8 @@ def render_shadow_map(model: Model, sun: Float64, centre: Float64, reach_m: floa
     axes = sun_axes(sun)
     if not len(model):
         return ShadowMap.none()
-    plane = np.concatenate([model.corners, *_extremes(model.rounds, axes)]) @ axes.T
-    middle = axes @ centre
+    plane = arrays.matmul(np.concatenate([model.corners, *_extremes(model.rounds, axes)]), axes.T)
+    middle = arrays.matmul(axes, centre)
     low, high = np.maximum(plane.min(axis=0), middle - reach_m), np.minimum(plane.max(axis=0), middle + reach_m)
     if (high <= low).any():
         return ShadowMap.none()

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.surroundings import GROUND_CELL_M, Surroundings
 from mirror.synth.render.view import rasterize_view
@@ -42,8 +43,10 @@ def add_reflections(radiance: Float32, scene: Surroundings, lens: Lens, rotation
         return radiance
     normal, offset = fit_ground_plane(scene, origin)
     flip = np.eye(3) - 2.0 * np.outer(normal, normal)
-    below = origin - 2.0 * (normal @ origin - offset) * normal
-    mirrored = rasterize_view(scene, lens, flip @ rotation, below, offsets=_ONE_RAY, mask=mask, ground=False)
+    below = origin - 2.0 * (arrays.matmul(normal, origin) - offset) * normal
+    mirrored = rasterize_view(
+        scene, lens, arrays.matmul(flip, rotation), below, offsets=_ONE_RAY, mask=mask, ground=False
+    )
     return _blend_reflection(radiance, _stretch_vertically(mirrored.radiance(2.0)))
 
 
@@ -59,12 +62,13 @@ def fit_ground_plane(scene: Surroundings, place: Float64) -> tuple[Float64, floa
     x, y = np.meshgrid(left + columns * GROUND_CELL_M - place[0], low + rows * GROUND_CELL_M - place[1])
     z = ground[np.ix_(rows, columns)].astype(np.float64)
     # The ground below the camera has the largest weight, because pavements and verges are higher.
-    weight = np.exp(-(x * x + y * y) / (0.5 * _REACH_M) ** 2).ravel()
+    weight = arrays.exp(-(x * x + y * y) / (0.5 * _REACH_M) ** 2).ravel()
     terms = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) * weight[:, None]
-    slope_x, slope_y, height = np.linalg.lstsq(terms, z.ravel() * weight, rcond=None)[0]
+    # Least squares by the normal equations, which the weights leave well conditioned.
+    slope_x, slope_y, height = arrays.solve(arrays.matmul(terms.T, terms), arrays.matmul(terms.T, z.ravel() * weight))
     normal = np.array([-slope_x, -slope_y, 1.0])
-    normal /= np.linalg.norm(normal)
-    return normal, float(normal @ (place[0], place[1], height))
+    normal /= arrays.norm(normal)
+    return normal, float(arrays.matmul(normal, (place[0], place[1], height)))
 
 
 def _reflection_mask(share: Float32) -> Float32:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.geometry.cameras import Camera
+from mirror.synth.portable import arrays, scalars
 
 _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -51,7 +52,7 @@ class Optics:
         width, height = raster.size_px(width_px)
         half = math.radians(self.view_deg / 2.0)
         unit = Camera(self.model, 2, 2, 1.0, 1.0, 0.0, 0.0, self.distortion)
-        edge = float(unit.project([math.sin(half), 0.0, math.cos(half)]).uv_px[0])
+        edge = float(unit.project([scalars.sin(half), 0.0, scalars.cos(half)]).uv_px[0])
         focal = 0.5 * width / edge
         if self.model == "f_theta":
             scaled = tuple(focal * value for value in self.distortion)
@@ -82,7 +83,10 @@ class Mount:
     def ego_SE3_camera(self) -> Poses:  # noqa: N802
         """Return the pose of the camera in the ego frame."""
         yaw, pitch = math.radians(self.yaw_deg), math.radians(self.pitch_deg)
-        cos, sin, up_cos, up_sin = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+        cos, sin, up_cos, up_sin = scalars.cos(yaw), scalars.sin(yaw), scalars.cos(pitch), scalars.sin(pitch)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         tilt = np.array([[up_cos, 0.0, -up_sin], [0.0, 1.0, 0.0], [up_sin, 0.0, up_cos]])
-        return Poses(quaternion_from_matrix((turn @ tilt @ _EGO_R_CAMERA)[None]), np.array([self.place_m]))
+        return Poses(
+            quaternion_from_matrix((arrays.matmul(arrays.matmul(turn, tilt), _EGO_R_CAMERA))[None]),
+            np.array([self.place_m]),
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +10,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.synth.model import Model
+from mirror.synth.portable import scalars
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +89,9 @@ class Placement:
     @property
     def rotation(self) -> Float64:
         """Rotation (3, 3) of ``world_SE3_body``: roll first, then pitch, then yaw."""
-        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        up_cos, up_sin = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
-        roll_cos, roll_sin = math.cos(self.roll_rad), math.sin(self.roll_rad)
+        cos, sin = scalars.cos(self.yaw_rad), scalars.sin(self.yaw_rad)
+        up_cos, up_sin = scalars.cos(self.pitch_rad), scalars.sin(self.pitch_rad)
+        roll_cos, roll_sin = scalars.cos(self.roll_rad), scalars.sin(self.roll_rad)
         return np.array(
             [
                 [cos * up_cos, -sin * roll_cos - cos * up_sin * roll_sin, sin * roll_sin - cos * up_sin * roll_cos],

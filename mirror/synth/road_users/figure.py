@@ -11,6 +11,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.synth.model import NO_IMAGE, Label, Material, Model, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.skeleton import Skeleton, head_half_m
 from mirror.synth.textures.faces import HEAD_ASPECT, draw_features
 
@@ -144,14 +145,14 @@ def build_person(person: Person, skeleton: Skeleton, label: Label) -> Model:
 def _add_head(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> None:
     """Add skull, hair, ears, nose and hat; lengths are in half heights of the head."""
     half, look = head_half_m(person.height_m), draw_features(person.face)
-    cos, sin = math.cos(skeleton.nod), math.sin(skeleton.nod)
+    cos, sin = scalars.cos(skeleton.nod), scalars.sin(skeleton.nod)
     axes = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
     def part(
         x: float, y: float, z: float, size: tuple[float, float, float], colour: Colour,
         material: Material = Material.CLOTH, image: int = NO_IMAGE,
     ) -> None:  # fmt: skip
-        centre = skeleton.head + half * (np.array([x, y, z]) @ axes)
+        centre = skeleton.head + half * (arrays.matmul(np.array([x, y, z]), axes))
         rounds.add(centre, (half * size[0], half * size[1], half * size[2]), axes, colour, material, image)
 
     rounds.limb(skeleton.neck - [0.0, 0.0, 0.01], skeleton.head - half * axes[2] * 0.55, 0.46 * half, look.skin,
@@ -184,7 +185,7 @@ def _add_trunk(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> No
     axes = _trunk_axes(skeleton)
     size, wide = person.height_m, person.height_m * person.stout
     shoulder_line = skeleton.shoulders[0] - skeleton.shoulders[1]
-    shoulder_line = shoulder_line / np.linalg.norm(shoulder_line)
+    shoulder_line = shoulder_line / arrays.norm(shoulder_line)
     below = person.top if person.garment in ("coat", "dress") else person.legs
     bulk = 1.0 if person.garment == "shirt" else 1.08
     way = chest - middle
@@ -203,7 +204,7 @@ def _add_trunk(rounds: _EllipsoidList, person: Person, skeleton: Skeleton) -> No
 
 def _trunk_axes(skeleton: Skeleton) -> Float64:
     up = skeleton.shoulders.mean(axis=0) - skeleton.hips.mean(axis=0)
-    up = up / np.linalg.norm(up)
+    up = up / arrays.norm(up)
     return np.array([[up[2], 0.0, -up[0]], [0.0, 1.0, 0.0], up])
 
 
@@ -239,7 +240,7 @@ def _hem_model(person: Person, skeleton: Skeleton, label: Label) -> Model:
     middle = skeleton.hips.mean(axis=0)
     low, flare = _HEMS[person.garment]
     angle = 2.0 * math.pi * (np.arange(9) + 0.5) / 8
-    ring = 0.061 * wide * np.cos(angle)[:, None] * axes[0] + 0.089 * wide * np.sin(angle)[:, None] * axes[1]
+    ring = 0.061 * wide * arrays.cos(angle)[:, None] * axes[0] + 0.089 * wide * arrays.sin(angle)[:, None] * axes[1]
     top, foot = middle + 0.11 * size * axes[2] + ring, middle + low * size * axes[2] + flare * ring
     quads = np.stack([foot[:-1], foot[1:], top[1:], top[:-1]], axis=1)
     return polygons(quads, person.top, Material.CLOTH, label, seeds=person.seed, two_sided=True)
@@ -268,7 +269,7 @@ def _umbrella_model(person: Person, colour: Colour, skeleton: Skeleton, label: L
     """An umbrella of eight panels."""
     apex = _umbrella_position(person, skeleton)
     angle = 2.0 * math.pi * np.arange(9) / 8
-    rim = apex + np.c_[0.48 * np.cos(angle), 0.48 * np.sin(angle), np.full(9, -0.24)]
+    rim = apex + np.c_[0.48 * arrays.cos(angle), 0.48 * arrays.sin(angle), np.full(9, -0.24)]
     panels = np.stack([rim[:-1], rim[1:], np.broadcast_to(apex, (8, 3))], axis=1)
     return polygons(panels, colour, Material.CLOTH, label, seeds=person.seed, two_sided=True)
 

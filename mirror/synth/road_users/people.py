@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Label, Model
+from mirror.synth.portable import arrays
 from mirror.synth.road_users.body import Body, Placement, Saddle
 from mirror.synth.road_users.figure import Bag, Colour, Garment, Hat, Person, build_person
 from mirror.synth.road_users.skeleton import STRIDE, riding_skeleton, walking_skeleton
@@ -136,7 +137,7 @@ def build_rider(rng: np.random.Generator, saddle: Saddle, *, motorcycle: bool = 
     bag: Bag = "none" if person.bag == "handbag" else person.bag
     garment: Garment = "jacket" if motorcycle or rng.random() < 0.6 else "shirt"
     # The rider's height is raised until the legs reach the pedals.
-    reach = max(float(np.linalg.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
+    reach = max(float(arrays.norm(np.subtract(saddle.hip, foot))) for foot in (saddle.foot, saddle.foot_right))
     height = max(person.height_m, reach / _RIDING_LEG)
     person = replace(
         person, height_m=min(height, 2.0), garment=garment, hat=hats[int(rng.integers(len(hats)))], bag=bag

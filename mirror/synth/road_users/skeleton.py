@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Saddle
 
 _THIGH: Final = 0.245
@@ -78,13 +79,15 @@ def walking_skeleton(height_m: float, phase: float, pace: float, *, arm_raised: 
     stride = STRIDE * height_m * pace
     phases = (phase + np.array([0.0, 0.5])) % 1.0
     stance, swing = np.minimum(phases / _STANCE, 1.0), np.maximum((phases - _STANCE) / (1.0 - _STANCE), 0.0)
-    eased = swing - np.sin(2.0 * math.pi * swing) / (2.0 * math.pi)
+    eased = swing - arrays.sin(2.0 * math.pi * swing) / (2.0 * math.pi)
     x = np.where(phases < _STANCE, _STANCE * stride * (0.5 - stance), _STANCE * stride * (eased - 0.5))
     # The heel leaves the ground in the last third of the stance; the toes point up as it comes down.
-    roll = pace * np.clip((stance - 0.62) / 0.38, 0.0, 1.0) ** 1.5 * np.where(swing > 0.0, 1.0 - eased, 1.0)
-    pitch = -0.95 * roll + 0.30 * pace * np.where(swing > 0.0, eased**3, np.clip(1.0 - 5.0 * stance, 0.0, 1.0))
-    lift = 0.075 * height_m * roll + 0.035 * height_m * pace * np.sin(math.pi * swing) ** 2
-    ahead = 0.03 * height_m * np.sin(roll)
+    roll = pace * arrays.power(np.clip((stance - 0.62) / 0.38, 0.0, 1.0), 1.5) * np.where(swing > 0.0, 1.0 - eased, 1.0)
+    pitch = -0.95 * roll + 0.30 * pace * np.where(
+        swing > 0.0, eased * eased * eased, np.clip(1.0 - 5.0 * stance, 0.0, 1.0)
+    )
+    lift = 0.075 * height_m * roll + 0.035 * height_m * pace * arrays.sin(math.pi * swing) ** 2
+    ahead = 0.03 * height_m * arrays.sin(roll)
     ankles = _left_right_rows(x + ahead, np.array([0.8, -0.8]) * _HIP_OUT * height_m, _ANKLE * height_m + lift)
     return _upright_skeleton(height_m, ankles, pitch, x / (0.5 * _STANCE * STRIDE * height_m), 0.05 * pace, arm_raised)
 
@@ -101,15 +104,15 @@ def _upright_skeleton(
     side = np.array([1.0, -1.0])
     hips = _left_right_rows(turn, side * _HIP_OUT * height_m, hip)
     knees = _middle_joints(hips, ankles, _THIGH * height_m, _SHANK * height_m, np.array([1.0, 0.0, 0.0]))
-    soles = _left_right_rows(np.cos(pitch), 0.08 * side, np.sin(pitch))
+    soles = _left_right_rows(arrays.cos(pitch), 0.08 * side, arrays.sin(pitch))
     middle = np.array([0.0, 0.0, hip])
-    up = np.array([math.sin(lean), 0.0, math.cos(lean)])
+    up = np.array([scalars.sin(lean), 0.0, scalars.cos(lean)])
     chest = middle + _TRUNK * height_m * up
     shoulders = chest + _left_right_rows(-0.6 * turn, side * _SHOULDER_OUT * height_m, 0.0)
     swing = 0.03 - 0.33 * step
     bend = 0.18 + np.maximum(-0.30 * step, 0.0) + 0.12 * np.abs(step)
-    arm = _left_right_rows(np.sin(swing), 0.10 * side, -np.cos(swing))
-    forearm = _left_right_rows(np.sin(swing + bend), 0.02 * side, -np.cos(swing + bend))
+    arm = _left_right_rows(arrays.sin(swing), 0.10 * side, -arrays.cos(swing))
+    forearm = _left_right_rows(arrays.sin(swing + bend), 0.02 * side, -arrays.cos(swing + bend))
     elbows = shoulders + _ARM * height_m * arm
     wrists = elbows + _FOREARM * height_m * forearm
     if arm_raised:
@@ -127,7 +130,7 @@ def _neck_and_head(height_m: float, chest: Float64, up: Float64) -> tuple[Float6
     # The head is as high as for a person who stands upright, hair included.
     total = (1.0 - 0.985 * (_THIGH + _SHANK + _ANKLE) - _TRUNK) * height_m
     rise = total - head_half_m(height_m) - 0.012
-    return neck, chest + rise * np.array([0.5 * up[0], 0.0, 1.0]) / math.hypot(0.5 * up[0], 1.0) + [0.012, 0.0, 0.0]
+    return neck, chest + rise * np.array([0.5 * up[0], 0.0, 1.0]) / scalars.hypot(0.5 * up[0], 1.0) + [0.012, 0.0, 0.0]
 
 
 def riding_skeleton(height_m: float, saddle: Saddle) -> Skeleton:
@@ -141,7 +144,7 @@ def riding_skeleton(height_m: float, saddle: Saddle) -> Skeleton:
     grips = np.array([saddle.hand, saddle.hand]) * _left_right_rows(1.0, side, 1.0)
     wrists = grips + np.array([-0.05, 0.0, 0.02]) * height_m
     leans = np.linspace(0.0, 1.1, 45)
-    ups = np.c_[np.sin(leans), np.zeros(45), np.cos(leans)]
+    ups = np.c_[arrays.sin(leans), np.zeros(45), arrays.cos(leans)]
     chests = hip + _TRUNK * height_m * ups
     apart = np.linalg.norm(chests + np.array([0.0, _SHOULDER_OUT, 0.0]) * height_m - wrists[0], axis=1)
     up = ups[int(np.argmin(np.abs(apart - 0.88 * (_ARM + _FOREARM) * height_m)))]
@@ -161,6 +164,6 @@ def _middle_joints(starts: Float64, ends: Float64, first_m: float, second_m: flo
     way = way / length
     length = np.clip(length, abs(first_m - second_m) + 1e-6, first_m + second_m)
     along = (first_m**2 - second_m**2 + length**2) / (2.0 * length)
-    out = towards - (way @ towards)[:, None] * way
+    out = towards - (arrays.matmul(way, towards))[:, None] * way
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     return starts + along * way + np.sqrt(np.maximum(first_m**2 - along**2, 0.0)) * out

@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.synth.model import Label, Material, Side, ellipsoid, tube
 from mirror.synth.model.surfaces import merge_models
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Body, Saddle, make_body
 from mirror.synth.road_users.coachwork.fittings import (
     BLACK,
@@ -204,8 +205,8 @@ def _add_box(
 def _add_solid_wheel(sheets: Sheets, x: float, radius: float, width: float) -> None:
     """Add a motorcycle's wheel."""
     turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
-    reach = radius / math.cos(math.pi / _CORNERS)
-    disc = np.c_[x + reach * np.sin(turn), np.full(_CORNERS, 0.5 * width), radius - reach * np.cos(turn)]
+    reach = radius / scalars.cos(math.pi / _CORNERS)
+    disc = np.c_[x + reach * arrays.sin(turn), np.full(_CORNERS, 0.5 * width), radius - reach * arrays.cos(turn)]
     sheets.sheet(disc, Side.LEFT, RIM._replace(two_sided=False), both=True)
     _add_tread(sheets, disc, width)
 
@@ -213,8 +214,8 @@ def _add_solid_wheel(sheets: Sheets, x: float, radius: float, width: float) -> N
 def _add_open_wheel(sheets: Sheets, x: float, radius: float) -> None:
     """Add a bicycle's wheel: an open tyre and its hub."""
     turn = 2.0 * math.pi * (np.arange(_CORNERS) + 0.5) / _CORNERS
-    reach = radius / math.cos(math.pi / _CORNERS)
-    outer = np.c_[x + reach * np.sin(turn), np.zeros(_CORNERS), radius - reach * np.cos(turn)]
+    reach = radius / scalars.cos(math.pi / _CORNERS)
+    outer = np.c_[x + reach * arrays.sin(turn), np.zeros(_CORNERS), radius - reach * arrays.cos(turn)]
     middle = np.array([x, 0.0, radius])
     inner = middle + (outer - middle) * (1.0 - 0.042 / radius)
     for i in range(_CORNERS):
@@ -231,7 +232,7 @@ def _add_tread(sheets: Sheets, disc: np.ndarray, width: float) -> None:
     for i in range(count):
         j = (i + 1) % count
         middle = 0.5 * (disc[i] + disc[j]) - disc.mean(axis=0)
-        if abs(middle[2]) > 0.94 * np.linalg.norm(middle):
+        if abs(middle[2]) > 0.94 * arrays.norm(middle):
             side = Side.TOP if middle[2] > 0.0 else Side.BOTTOM
         else:
             side = Side.FRONT if middle[0] > 0.0 else Side.BACK
@@ -257,7 +258,7 @@ def _add_small_plate(sheets: Sheets, x: float, z: float, number: int) -> None:
 def _add_cranks(rng: np.random.Generator, sheets: Sheets, crank: Point, shift: float = 0.0) -> Saddle:
     """Add cranks at a random angle; return the rider's contact points."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
-    dx, dz = _SPOKE_M * math.cos(turn), _SPOKE_M * math.sin(turn)
+    dx, dz = _SPOKE_M * scalars.cos(turn), _SPOKE_M * scalars.sin(turn)
     left, right = (crank[0] + dx, 0.12, crank[1] + dz), (crank[0] - dx, -0.12, crank[1] - dz)
     for x, y, z in (left, right):
         sheets.block((x - 0.05, y - 0.05, z - 0.02), (x + 0.05, y + 0.05, z), BLACK, (Side.TOP, Side.FRONT))

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mirror.synth.model import Label, Material, Side
+from mirror.synth.portable import scalars
 from mirror.synth.road_users.body import Body, make_body
 from mirror.synth.road_users.coachwork.design import Design, build_vehicle
 from mirror.synth.road_users.coachwork.fittings import draw_car_paint
@@ -110,7 +111,7 @@ def design_van(
     axles = end - overhangs[0], overhangs[1] - end
     foot, brow = axles[0] + cowl, min(height - 0.06, waist + 0.86)
     rail = height - 0.14
-    top = foot - (brow - waist) / math.tan(math.radians(screen_deg))
+    top = foot - (brow - waist) / scalars.tan(math.radians(screen_deg))
     roof: Sequence[Point] = (
         (foot, waist), (top, brow), (top - 0.05 - 1.8 * (height - brow), height),
         (0.28 - end, height - 0.02), (0.10 - end, waist),

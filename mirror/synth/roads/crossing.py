@@ -11,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.line import Line
 from mirror.synth.roads.section import Section
 
@@ -124,10 +125,10 @@ class Crossing:
         half, other = first.street.section.half_m, second.street.section.half_m
         start = first.at(corner.first_out_m, half + beside_m)
         end = second.at(corner.second_out_m, -other - beside_m)
-        begin, stop = (math.atan2(*(place - corner.centre)[::-1]) for place in (start, end))
+        begin, stop = (scalars.atan2(*(place - corner.centre)[::-1]) for place in (start, end))
         sweep = (stop - begin + math.pi) % (2.0 * math.pi) - math.pi
         angles = begin + sweep * np.arange(1, _ARC_PIECES) / _ARC_PIECES
-        arc = corner.centre + (corner.radius_m - beside_m) * np.c_[np.cos(angles), np.sin(angles)]
+        arc = corner.centre + (corner.radius_m - beside_m) * np.c_[arrays.cos(angles), arrays.sin(angles)]
         return np.vstack([corner.inner, start, arc, end])
 
 
@@ -164,7 +165,7 @@ def build_crossing(name: str, arms: Sequence[Arm], control: Control, radius_m: f
 def _intersect(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[float, float]:
     """Distances out where the line ``left_m`` left of an arm meets the line ``right_m`` right of another."""
     turn = (other.heading_rad - arm.heading_rad) % (2.0 * math.pi)
-    sin, cos = math.sin(turn), math.cos(turn)
+    sin, cos = scalars.sin(turn), scalars.cos(turn)
     if sin < 0.2:
         raise UsageError(
             f"{arm.street.name} and {other.street.name} meet at {math.degrees(turn):.0f} degrees",
@@ -180,7 +181,7 @@ def _intersect(arm: Arm, other: Arm, left_m: float, right_m: float) -> tuple[flo
             ],
             axis=1,
         )
-        step = np.linalg.solve(slopes, gap)
+        step = arrays.solve(slopes, gap)
         out = out - step
         if np.abs(step).max() < _EXACT_M:
             break

@@ -8,7 +8,6 @@ carriageway meets another surface.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -18,6 +17,7 @@ import shapely
 
 from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.synth.model import Label, Material, Model, merge_models, polygons
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.relief import Relief
 from mirror.synth.roads.section import Section
@@ -253,8 +253,8 @@ def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
     lines = np.concatenate(
         [np.stack([np.c_[at, first], np.c_[at, last]], axis=1), np.stack([np.c_[first, at], np.c_[last, at]], axis=1)]
     )
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return lines @ np.array([[cos, sin], [-sin, cos]])
+    cos, sin = scalars.cos(yaw_rad), scalars.sin(yaw_rad)
+    return arrays.matmul(lines, np.array([[cos, sin], [-sin, cos]]))
 
 
 def _assign_streets(
@@ -328,8 +328,8 @@ def _kerb_faces(number: Int64, driven: Bool, plane: Float64, low: Float64, high:
 
 def _land_texture(triangles: Float64, yaw_rad: float) -> Float64:
     """Texture coordinates (T, 3, 2) along the axes of the land's grid, metres."""
-    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return triangles[:, :, :2] @ np.array([[cos, -sin], [sin, cos]])
+    cos, sin = scalars.cos(yaw_rad), scalars.sin(yaw_rad)
+    return arrays.matmul(triangles[:, :, :2], np.array([[cos, -sin], [sin, cos]]))
 
 
 def _cover_model(cover: Cover, triangles: Float64, texture: Float64, shade: Float64 | float, seed: int) -> Model:

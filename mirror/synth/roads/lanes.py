@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.layouts import Approach, find_approaches
 from mirror.synth.roads.section import Track
@@ -117,7 +118,7 @@ def _build_lane(
     goal = high if track.way > 0 else low
     stop = None
     if goal.approach is not None and goal.approach.stop_m is not None and track.use in ("drive", "cycle"):
-        length = float(np.hypot(*np.diff(line, axis=0).T).sum())
+        length = float(arrays.hypot(*np.diff(line, axis=0).T).sum())
         stop = length - (goal.approach.stop_m - goal.approach.begin_m)
     left_id, right_id = (_neighbour_id(name, track, beside, side) for side in (1, -1))
     lane = Lane(
@@ -134,7 +135,7 @@ def _sample_line(street: Street, begin: float, end: float, offset_m: float) -> F
     while longest > 0.99 * _STEP_M:
         count = max(count + 1, math.ceil((end - begin) / _STEP_M), math.ceil(count * longest / _STEP_M))
         line = street.line.at(np.linspace(begin, end, count + 1), offset_m)
-        longest = float(np.hypot(*np.diff(line, axis=0).T).max())
+        longest = float(arrays.hypot(*np.diff(line, axis=0).T).max())
     return line
 
 

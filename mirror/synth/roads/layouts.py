@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -12,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64, Records
 from mirror.synth.model import Material
+from mirror.synth.portable import scalars
 from mirror.synth.roads.crossing import Arm, Crossing, Street
 from mirror.synth.roads.ground import Stretch
 from mirror.synth.roads.markings import Mark, dashed_line, pack_layouts, stop_line, yield_line, zebra_marks
@@ -144,7 +144,7 @@ def _make_stretch(street: int, one_m: float, other_m: float, layout: int) -> Str
 def _priority_marks(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
     """Marks of the priority street inside a crossing: wear, middle line, edge lines where no street joins."""
     heading = next(arm.heading_rad for arm in crossing.arms if arm.street is street and arm.way > 0)
-    comes_in = {math.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
+    comes_in = {scalars.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
     section = street.section
     traces = [mark for mark in section.marks if mark.soft_m > 0.0]
     edges = [mark for mark in section.marks if mark.strength == 1.0 and mark.u_stripes[0] == 0.0]

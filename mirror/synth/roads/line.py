@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 
 _STEP_M: Final = 0.1
 _COARSE: Final = 30
@@ -61,7 +62,7 @@ class Line:
         beyond = station - np.clip(station, self.stations[0], self.stations[-1])
         x = np.interp(station, self.stations, self.points[:, 0])
         y = np.interp(station, self.stations, self.points[:, 1])
-        cos, sin = np.cos(heading), np.sin(heading)
+        cos, sin = arrays.cos(heading), arrays.sin(heading)
         return np.stack([x + beyond * cos - offset * sin, y + beyond * sin + offset * cos], axis=-1)
 
     def locate(self, points: npt.ArrayLike) -> tuple[Float64, Float64]:
@@ -71,7 +72,7 @@ class Line:
         """
         where = np.asarray(points, np.float64)
         coarse = self.points[::_COARSE]
-        away = np.einsum("ci,ci->c", coarse, coarse)[None] - 2.0 * where @ coarse.T
+        away = np.einsum("ci,ci->c", coarse, coarse)[None] - arrays.matmul(2.0 * where, coarse.T)
         nearest = np.argmin(away, axis=1)
         station = self.stations[::_COARSE][nearest]
         low = np.where(nearest == 0, -np.inf, station - 2.0 * _COARSE * _STEP_M)
@@ -80,16 +81,16 @@ class Line:
         for _ in range(_TOUCHES):
             gap = where - self.at(station)
             heading = self.heading(station)
-            cos, sin = np.cos(heading), np.sin(heading)
+            cos, sin = arrays.cos(heading), arrays.sin(heading)
             ahead, aside = gap[:, 0] * cos + gap[:, 1] * sin, gap[:, 1] * cos - gap[:, 0] * sin
             stretch = np.maximum(1.0 - np.interp(station, self.stations, bends) * aside, 0.2)
             station = np.clip(station + ahead / stretch, low, high)
         gap, heading = where - self.at(station), self.heading(station)
-        return station, gap[:, 1] * np.cos(heading) - gap[:, 0] * np.sin(heading)
+        return station, gap[:, 1] * arrays.cos(heading) - gap[:, 0] * arrays.sin(heading)
 
     def until(self, distance_m: float) -> Line:
         """The stretch around station 0 that lies within ``distance_m`` of (0, 0)."""
-        far = np.hypot(*self.points.T) > distance_m
+        far = arrays.hypot(*self.points.T) > distance_m
         middle = int(np.argmin(np.abs(self.stations)))
         before, after = np.flatnonzero(far[:middle]), np.flatnonzero(far[middle:])
         first = before[-1] + 1 if len(before) else 0
@@ -116,7 +117,7 @@ def build_line(
     heading = heading_rad + _heading_change(stations, bends) - _heading_change(np.zeros(1), bends)
     middle = heading_rad + _heading_change(stations[:-1] + 0.5 * _STEP_M, bends) - _heading_change(np.zeros(1), bends)
     points = np.zeros((len(stations), 2))
-    for axis, part in enumerate((np.cos, np.sin)):
+    for axis, part in enumerate((arrays.cos, arrays.sin)):
         # Simpson's rule over every step.
         step = _STEP_M / 6.0 * (part(heading[:-1]) + 4.0 * part(middle) + part(heading[1:]))
         points[1:, axis] = np.cumsum(step)
@@ -128,5 +129,5 @@ def _heading_change(stations: Float64, bends: Sequence[Bend]) -> Float64:
     total = np.zeros_like(stations)
     for bend in bends:
         x = np.clip((stations - bend.at_m) / bend.length_m, -0.5, 0.5)
-        total += bend.turn_rad * (0.5 + x + np.sin(2.0 * math.pi * x) / (2.0 * math.pi))
+        total += bend.turn_rad * (0.5 + x + arrays.sin(2.0 * math.pi * x) / (2.0 * math.pi))
     return total

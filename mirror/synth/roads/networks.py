@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.lanes import Port, build_lanes
 from mirror.synth.roads.turnings import assign_right_of_way, build_footways, build_turnings, link_lanes
@@ -70,7 +71,7 @@ def _add_crossing_lanes(crossing: Crossing, ports: Sequence[Port], lanes: dict[s
             continue
         lane = lanes[port.lane_id]
         if lane.use == "walk":
-            follow = tuple(other.lane_id for other in footpaths if np.hypot(*(other.line[0] - port.place)) < 1e-6)
+            follow = tuple(other.lane_id for other in footpaths if arrays.hypot(*(other.line[0] - port.place)) < 1e-6)
             lanes[lane.lane_id] = replace(lane, successors=follow)
             continue
         follow = tuple(other.lane_id for other in through if f".{lane.lane_id}>" in f".{other.lane_id}")

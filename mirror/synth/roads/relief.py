@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Crossing, Street
 
 _FADE_M: Final = 12.0
@@ -33,10 +34,12 @@ class Land:
 
     def height_m(self, points: Float64) -> Float64:
         """Heights (N,) at points (N, 2)."""
-        return points @ self.slope + self._waves(points) - self._waves(np.zeros((1, 2)))
+        return arrays.matmul(points, self.slope) + self._waves(points) - self._waves(np.zeros((1, 2)))
 
     def _waves(self, points: Float64) -> Float64:
-        return np.sin(points @ self.waves[:, :2].T + self.waves[:, 2]) @ self.waves[:, 3]
+        return arrays.matmul(
+            arrays.sin(arrays.matmul(points, self.waves[:, :2].T) + self.waves[:, 2]), self.waves[:, 3]
+        )
 
 
 def draw_land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
@@ -52,10 +55,10 @@ def draw_land(rng: np.random.Generator, slope: float, steepest: float) -> Land:
     number = 2.0 * math.pi / length
     share = np.array([0.30, 0.24, 0.18, 0.14, 0.08, 0.06])
     waves = np.c_[
-        number * np.cos(bearing), number * np.sin(bearing), rng.uniform(0.0, 6.3, 6), steepest * share / number
+        number * arrays.cos(bearing), number * arrays.sin(bearing), rng.uniform(0.0, 6.3, 6), steepest * share / number
     ]
     tilt = rng.uniform(0.0, 2.0 * math.pi)
-    return Land(slope * np.array([math.cos(tilt), math.sin(tilt)]), waves)
+    return Land(slope * np.array([scalars.cos(tilt), scalars.sin(tilt)]), waves)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.model import Label, Material
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Arm, Crossing, Street, build_crossing
 from mirror.synth.roads.ground import Cover
 from mirror.synth.roads.line import Bend, Line, build_line
@@ -88,7 +89,7 @@ def _edge_street(main: Line, radius: float, section: Section, extent: float) -> 
     """A straight street across the main street, at a distance of ``EDGE`` times the radius from the ROI's centre."""
     stations = np.arange(main.first_m, -0.5 * radius, 0.25)
     headings, points = main.heading(stations), main.at(stations)
-    distance = -(points[:, 0] * np.cos(headings) + points[:, 1] * np.sin(headings))
+    distance = -(points[:, 0] * arrays.cos(headings) + points[:, 1] * arrays.sin(headings))
     station = float(stations[int(np.argmin(np.abs(distance - EDGE * radius)))])
     line = build_line(main.at(station), float(main.heading(station)) + 0.5 * math.pi, -2.0 * extent, 2.0 * extent)
     return Street("edge", line.until(extent), section), station
@@ -107,7 +108,7 @@ def _branch_street(
 ) -> Street:
     """A street that begins at the main street's middle."""
     line = build_line(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
-    far = np.hypot(*line.points.T) > extent
+    far = arrays.hypot(*line.points.T) > extent
     stop = int(np.argmax(far)) if far.any() else len(far)
     part = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
     return Street(name, part, section)
@@ -287,7 +288,7 @@ def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Stree
 
 
 def _clip_line(line: Line, extent: float) -> Line:
-    is_inside = np.hypot(*line.points.T) <= extent
+    is_inside = arrays.hypot(*line.points.T) <= extent
     indices = np.flatnonzero(is_inside)
     part = slice(int(indices[0]), int(indices[-1]) + 1)
     stations = line.stations[part]
@@ -295,7 +296,7 @@ def _clip_line(line: Line, extent: float) -> Line:
 
 
 def _offset_from_centre(yaw: float, left_m: float) -> Float64:
-    return left_m * np.array([-math.sin(yaw), math.cos(yaw)])
+    return left_m * np.array([-scalars.sin(yaw), scalars.cos(yaw)])
 
 
 SCHEMES: Final[dict[str, Callable[[float, float, np.random.Generator], Scheme]]] = {

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Corner, Crossing
 from mirror.synth.roads.lanes import WALK_MPS, Port
 from mirror.synth.street.network import Lane
@@ -44,21 +45,21 @@ def cubic_curve(
 ) -> Float64:
     """A cubic curve (N, 2) between two positions with headings; an arc if both are equally far from their corner."""
     turn = _wrap_angle(goal_heading_rad - heading_rad)
-    ahead = np.array([math.cos(heading_rad), math.sin(heading_rad)])
-    after = np.array([math.cos(goal_heading_rad), math.sin(goal_heading_rad)])
+    ahead = np.array([scalars.cos(heading_rad), scalars.sin(heading_rad)])
+    after = np.array([scalars.cos(goal_heading_rad), scalars.sin(goal_heading_rad)])
     gap = goal - start
     if abs(turn) < _STRAIGHT_RAD or abs(turn) > math.pi - _STRAIGHT_RAD:
-        first = second = float(np.hypot(*gap)) / 3.0
+        first = second = float(arrays.hypot(*gap)) / 3.0
     else:
-        share = 4.0 / 3.0 * math.tan(0.25 * abs(turn)) / math.tan(0.5 * abs(turn))
+        share = 4.0 / 3.0 * scalars.tan(0.25 * abs(turn)) / scalars.tan(0.5 * abs(turn))
         sin = ahead[0] * after[1] - ahead[1] * after[0]
         first = share * (gap[0] * after[1] - gap[1] * after[0]) / sin
         second = share * (ahead[0] * gap[1] - ahead[1] * gap[0]) / sin
-        least = 0.2 * float(np.hypot(*gap))
+        least = 0.2 * float(arrays.hypot(*gap))
         first, second = max(first, least), max(second, least)
     control = np.array([start, start + first * ahead, goal - second * after, goal])
     fine = _evaluate_cubic(control, np.linspace(0.0, 1.0, 257))
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fine, axis=0).T))])
+    along = np.concatenate([[0.0], np.cumsum(arrays.hypot(*np.diff(fine, axis=0).T))])
     count = max(math.ceil(along[-1] / step_m), 2)
     share_at = np.interp(np.linspace(0.0, along[-1], count + 1), along, np.linspace(0.0, 1.0, 257))
     return _evaluate_cubic(control, share_at)
@@ -67,10 +68,10 @@ def cubic_curve(
 def _evaluate_cubic(control: Float64, share: Float64) -> Float64:
     t = share[:, None]
     return (
-        (1 - t) ** 3 * control[0]
+        (1 - t) ** 2 * (1 - t) * control[0]
         + 3 * (1 - t) ** 2 * t * control[1]
         + 3 * (1 - t) * t**2 * control[2]
-        + t**3 * control[3]
+        + t**2 * t * control[3]
     )
 
 
@@ -105,7 +106,7 @@ def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
     """Successors of each lane that continues directly in another one, as where lanes branch off and merge."""
     return {
         start.lane_id: tuple(
-            goal.lane_id for goal in ports if not goal.arrives and np.hypot(*(goal.place - start.place)) < _SAME_M
+            goal.lane_id for goal in ports if not goal.arrives and arrays.hypot(*(goal.place - start.place)) < _SAME_M
         )
         for start in ports
         if start.arrives
@@ -155,10 +156,10 @@ def _corner_path(start: Port, goal: Port, corner: Corner | None) -> Float64:
     if corner is None:
         return cubic_curve(start.place, start.heading_rad, goal.place, goal.heading_rad)
     out = corner.inner - corner.centre
-    out = out / np.hypot(*out)
+    out = out / arrays.hypot(*out)
     middle = corner.centre + (corner.radius_m - _FROM_KERB_M) * out
     turn = _wrap_angle(goal.heading_rad - start.heading_rad)
-    heading = math.atan2(out[1], out[0]) - math.copysign(0.5 * math.pi, -turn)
+    heading = scalars.atan2(out[1], out[0]) - math.copysign(0.5 * math.pi, -turn)
     before = cubic_curve(start.place, start.heading_rad, middle, heading)
     return np.vstack([before, cubic_curve(middle, heading, goal.place, goal.heading_rad)[1:]])
 
@@ -190,7 +191,7 @@ def build_footways(
             ids = []
             for left in (True, False):
                 begin, end = at[number, left, True], at[number, not left, False]
-                count = math.ceil(float(np.hypot(*(end.place - begin.place))) / 0.9)
+                count = math.ceil(float(arrays.hypot(*(end.place - begin.place))) / 0.9)
                 line = begin.place + np.linspace(0.0, 1.0, count + 1)[:, None] * (end.place - begin.place)
                 name = f"{crossing.name}.cross{number}{'l' if left else 'r'}"
                 paths.append((Lane(name, "cross", line, 3.0, WALK_MPS), (number, left), (number, not left)))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import shapely
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Street
 from mirror.synth.street.lots import Lot, LotKind
 
@@ -124,8 +125,8 @@ class _Side:
         length = math.dist(front[0], front[-1])
         along = (front[-1] - front[0]) / length
         away = self.side * np.array([-along[1], along[0]])
-        bulge = float(((front - front[0]) @ away).max())
-        yaw = math.atan2(along[1], along[0]) + (0.0 if self.side > 0 else math.pi)
+        bulge = float((arrays.matmul((front - front[0]), away)).max())
+        yaw = scalars.atan2(along[1], along[0]) + (0.0 if self.side > 0 else math.pi)
         return Lot(0.5 * (front[0] + front[-1]) + bulge * away, yaw, length - 2.0 * _CLEAR_M, depth, kind)
 
 

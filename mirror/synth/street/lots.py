@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,6 +9,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
+from mirror.synth.portable import scalars
 
 LotKind = Literal["front", "corner", "yard", "hall", "farm", "works"]
 """A row house; a house at a crossing; a house behind others; a campus building; a farm; a motorway shed."""
@@ -47,7 +47,7 @@ class Lot:
 
     def outline(self) -> shapely.Polygon:
         """The lot's rectangle on the ground plane."""
-        along = np.array([math.cos(self.yaw_rad), math.sin(self.yaw_rad)])
+        along = np.array([scalars.cos(self.yaw_rad), scalars.sin(self.yaw_rad)])
         half, deep = 0.5 * self.length_m * along, self.depth_m * np.array([-along[1], along[0]])
         front = self.origin[:2]
         return shapely.Polygon([front - half, front + half, front + half + deep, front - half + deep])

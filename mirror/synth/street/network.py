@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.synth.portable import arrays
 
 Use = Literal["drive", "turn", "park", "cycle", "walk", "cross"]
 """Purpose of a lane: driving; turning or going straight through a crossing; parking; cycling; walking on the pavement;
@@ -49,7 +50,7 @@ class Lane:
     @cached_property
     def along_m(self) -> Float64:
         """Distances (N,) along the line on the ground plane, at its points."""
-        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.line[:, :2], axis=0).T))])
+        return np.concatenate([[0.0], np.cumsum(arrays.hypot(*np.diff(self.line[:, :2], axis=0).T))])
 
     @property
     def length_m(self) -> float:

@@ -12,6 +12,7 @@ from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material, Model, block, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids, tubes
+from mirror.synth.portable import arrays
 from mirror.synth.street.foliage import Colour, Species, draw_leaf_seeds
 
 Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]
@@ -198,7 +199,7 @@ def _tuft_model(
     """Upright tufts at positions (N, 2), wider at the top."""
     number = len(foot_m)
     foot = np.c_[foot_m, np.full(number, -0.1)]
-    aside = np.c_[np.cos(turn), np.sin(turn), np.zeros(number)] * half_m
+    aside = np.c_[arrays.cos(turn), arrays.sin(turn), np.zeros(number)] * half_m
     # A tuft leans along its own width, so that it stays planar.
     lean = rng.normal(0.0, 0.25, (number, 1)) * aside
     top = foot + lean + np.c_[np.zeros((number, 2)), 0.1 + height_m]
@@ -224,7 +225,7 @@ def _draw_lobes(rng: np.random.Generator, habit: _Habit, height: float, road_m: 
     up = np.clip(low + share * (high - low), low + tall, high - tall)
     over = off + across > road_m
     up = np.where(over, np.maximum(up, PASSING_M + tall), up)
-    return np.c_[off * np.cos(turn), off * np.sin(turn), up], np.c_[across, across, tall]
+    return np.c_[off * arrays.cos(turn), off * arrays.sin(turn), up], np.c_[across, across, tall]
 
 
 def _spray_model(
@@ -254,7 +255,7 @@ def _spray_model(
     size = math.sqrt(_COVER * area.sum() * outer.mean() / (number * 0.76 * math.pi * narrow))
     sizes = size * rng.uniform(0.55, 1.35, len(places))
     corners = _draw_sprays(rng, places, outward, sizes, narrow, hang, 0.65)
-    reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
+    reach = arrays.hypot(corners[..., 0], corners[..., 1]).max(axis=1)
     clear = (corners[..., 2].min(axis=1) > 0.0) & ((reach < road_m) | (corners[..., 2].min(axis=1) >= PASSING_M))
     bright = _height_shade(places[:, 2], float(centres[:, 2].max() + halves[:, 2].max()))
     return _leaf_model(rng, corners[clear], (colour * bright)[clear], seeds[: len(places)][clear])
@@ -284,7 +285,7 @@ def _draw_sprays(
     aside = np.cross(normal, along)
     # The corners lie on an ellipse with gaps below half a turn, so the polygon is always convex.
     angle = 2.0 * math.pi / 5.0 * (np.arange(5) + rng.uniform(-0.32, 0.32, (number, 5)))
-    x, y = sizes[:, None] * np.cos(angle), narrow * sizes[:, None] * np.sin(angle)
+    x, y = sizes[:, None] * arrays.cos(angle), narrow * sizes[:, None] * arrays.sin(angle)
     return places[:, None] + x[..., None] * along[:, None] + y[..., None] * aside[:, None]
 
 
@@ -308,7 +309,7 @@ def _wood_model(rng: np.random.Generator, habit: _Habit, height: float, centres:
     lean = rng.normal(0.0, 0.012 * height, 2)
     knee, tip = np.array([*(0.5 * lean), fork]), np.array([*lean, float(centres[:, 2].max())])
     # The upper part begins a little inside the lower one, so that no gap opens at the bend.
-    inside = knee - 0.1 * (tip - knee) / np.linalg.norm(tip - knee)
+    inside = knee - 0.1 * (tip - knee) / arrays.norm(tip - knee)
     trunk = tubes(
         np.array([[0.0, 0.0, -_ROOT_M], inside]), np.array([knee, tip]), np.array([1.15, 0.8]) * thick,
         np.array([0.8, 0.12]) * thick, habit.bark, Material.BARK, Label.VEGETATION,
@@ -316,7 +317,7 @@ def _wood_model(rng: np.random.Generator, habit: _Habit, height: float, centres:
     share = rng.uniform(0.15, 0.6, len(centres))
     rise = np.minimum(fork + share * (tip[2] - fork), np.maximum(centres[:, 2] - 0.5 * halves[:, 2], fork - 0.6))
     starts = np.c_[np.outer(rise / tip[2], lean), rise]
-    away = (np.hypot(*(centres - starts)[:, :2].T) > 0.15) & (np.arange(len(centres)) % 2 == 0)
+    away = (arrays.hypot(*(centres - starts)[:, :2].T) > 0.15) & (np.arange(len(centres)) % 2 == 0)
     branches = int(away.sum())
     limbs = tubes(
         starts[away], centres[away], np.full(branches, 0.38 * thick), np.full(branches, 0.08 * thick), habit.bark,

@@ -11,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
+from mirror.synth.portable import arrays
 from mirror.synth.textures.catalogue import FACES
 
 Colour = tuple[float, float, float]
@@ -172,8 +173,8 @@ class _Canvas:
         reach = max(a, b) * (1.0 + soft) + 2.0 * self.edge
         where = self.window(x - reach, x + reach, y - reach, y + reach)
         dx, dy = self.x[:, where[1]] - x, self.y[where[0]] - y
-        cos, sin = np.cos(turn), np.sin(turn)
-        radius = np.hypot((cos * dx + sin * dy) / a, (cos * dy - sin * dx) / b)
+        cos, sin = arrays.cos(turn), arrays.sin(turn)
+        radius = arrays.hypot((cos * dx + sin * dy) / a, (cos * dy - sin * dx) / b)
         return where, _step((1.0 - radius) / max(soft, self.edge / min(a, b)))
 
     def stroke(
@@ -190,7 +191,7 @@ class _Canvas:
         for k, ((x0, y0), (x1, y1)) in enumerate(pairwise(points)):
             dx, dy = x1 - x0, y1 - y0
             along = np.clip(((px - x0) * dx + (py - y0) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
-            gap = np.hypot(px - x0 - along * dx, py - y0 - along * dy)
+            gap = arrays.hypot(px - x0 - along * dx, py - y0 - along * dy)
             half = width * (1.0 + (taper - 1.0) * (k + along) / pieces)
             most = np.maximum(most, _step((half - gap) / np.maximum(soft * half, self.edge)))
         self.lay(where, colour, share * most)
@@ -248,7 +249,7 @@ def _draw_eye(canvas: _Canvas, person: Features, side: float) -> None:
     outer, inner = x + side * half, x - side * half
     where, ball = canvas.ellipse(x, y, half, open_, side * 0.06, 0.05)
     px, py = canvas.x[:, where[1]], canvas.y[where[0]]
-    gap = np.hypot(px - x, py - y - 0.004)
+    gap = arrays.hypot(px - x, py - y - 0.004)
     white = np.array(_WHITE) * (0.62 + 0.38 * np.clip((y + 0.03 - py) / 0.05, 0.0, 1.0))[..., None]
     canvas.lay(where, np.broadcast_to(white, (*ball.shape, 3)), ball)
     canvas.lay(where, _scale_colour(person.eyes, 0.6), ball * _step((0.056 - gap) / canvas.edge))
@@ -305,8 +306,8 @@ def _draw_beard(canvas: _Canvas, person: Features, rng: np.random.Generator) -> 
     colour = np.array(person.hair)
     everywhere = slice(None), slice(None)
     if person.beard > 0.0:
-        line = -0.70 + 0.55 * np.clip((x - 0.22) / 0.36, 0.0, 1.0) ** 1.5
-        jaw = _step((line - y) / 0.07) * (1.0 - _step((0.20 - np.hypot(x / 1.1, (y + 0.555) * 2.3)) / 0.04))
+        line = -0.70 + 0.55 * arrays.power(np.clip((x - 0.22) / 0.36, 0.0, 1.0), 1.5)
+        jaw = _step((line - y) / 0.07) * (1.0 - _step((0.20 - arrays.hypot(x / 1.1, (y + 0.555) * 2.3)) / 0.04))
         canvas.lay(everywhere, colour * grain[..., None], np.clip(0.92 * person.beard * jaw, 0.0, 1.0))
     if person.moustache:
         rise = _step((0.050 - np.abs(y + 0.462 + 0.22 * x)) / 0.02) * _step((0.24 - x) / 0.04)
@@ -318,9 +319,9 @@ def _draw_hair(canvas: _Canvas, person: Features, rng: np.random.Generator) -> N
     x, y = canvas.x, canvas.y
     side = np.abs(x)
     line = {
-        "short": 0.60 - 0.9 * np.clip(side - 0.38, 0.0, None) ** 1.4,
-        "parted": 0.64 - 0.16 * np.abs(x - 0.2) - 1.0 * np.clip(side - 0.40, 0.0, None) ** 1.4,
-        "fringe": 0.34 + 0.03 * np.cos(9.0 * x) - 1.6 * np.clip(side - 0.36, 0.0, None),
+        "short": 0.60 - 0.9 * arrays.power(np.clip(side - 0.38, 0.0, None), 1.4),
+        "parted": 0.64 - 0.16 * np.abs(x - 0.2) - 1.0 * arrays.power(np.clip(side - 0.40, 0.0, None), 1.4),
+        "fringe": 0.34 + 0.03 * arrays.cos(9.0 * x) - 1.6 * np.clip(side - 0.36, 0.0, None),
         "long": 0.66 - 0.55 * np.abs(x - 0.08) - 4.0 * np.clip(side - 0.45, 0.0, None),
         "bun": 0.62 - 0.30 * side**2 - 1.2 * np.clip(side - 0.44, 0.0, None),
         "bald": 1.3 - 1.9 * np.clip(side - 0.36, 0.0, None),
@@ -331,7 +332,7 @@ def _draw_hair(canvas: _Canvas, person: Features, rng: np.random.Generator) -> N
     edge = 0.53 if person.style in ("long", "fringe") else 0.585
     share = np.maximum(share, _step((side - edge) / 0.03) * _step((y - temple) / 0.05))
     streak = 1.0 + 0.30 * _mottle(rng, len(canvas.rgb), 30)[:1] + 0.12 * _mottle(rng, len(canvas.rgb), 30)
-    gloss = 1.0 + 0.35 * np.exp(-(((y - 0.78) / 0.08) ** 2))
+    gloss = 1.0 + 0.35 * arrays.exp(-(((y - 0.78) / 0.08) ** 2))
     everywhere = slice(None), slice(None)
     shadow = _step((y + 0.07 - ragged) / 0.06)
     canvas.rgb *= 1.0 - 0.28 * (shadow * (1.0 - share))[..., None]
@@ -342,7 +343,10 @@ def _draw_glasses(canvas: _Canvas, person: Features) -> None:
     frame = (0.02, 0.02, 0.022)
     for side in (-1.0, 1.0):
         x, y = side * 0.275 * person.wide[0], 0.02
-        ring = [(x + 0.165 * float(np.cos(a)), y + 0.115 * float(np.sin(a))) for a in np.linspace(0.0, 2.0 * np.pi, 17)]
+        ring = [
+            (x + 0.165 * float(arrays.cos(a)), y + 0.115 * float(arrays.sin(a)))
+            for a in np.linspace(0.0, 2.0 * np.pi, 17)
+        ]
         canvas.stroke(frame, ring, 0.014)
         canvas.stroke(frame, [(x + side * 0.165, y + 0.03), (side * 0.66, y + 0.06)], 0.012)
     canvas.stroke(frame, [(-0.11, 0.04), (0.0, 0.06), (0.11, 0.04)], 0.013)

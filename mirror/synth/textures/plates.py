@@ -10,6 +10,7 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
+from mirror.synth.portable import arrays
 from mirror.synth.textures.catalogue import PLATES
 from mirror.synth.textures.images.drawing import disc, new_image, rounded_rectangle
 from mirror.synth.textures.images.lettering import letter
@@ -96,7 +97,7 @@ def _blank(country: str) -> UInt8:
     rounded_rectangle(image, (3 * _SCALE, 3 * _SCALE, 517 * _SCALE, 107 * _SCALE), 7 * _SCALE, _WHITE)
     rounded_rectangle(image, (4 * _SCALE, 4 * _SCALE, 43 * _SCALE, 106 * _SCALE), 6 * _SCALE, _BLUE)
     for angle in np.arange(12) * (np.pi / 6):
-        x, y = (23.5 + 12 * np.sin(angle)) * _SCALE, (32 + 12 * np.cos(angle)) * _SCALE
+        x, y = (23.5 + 12 * arrays.sin(angle)) * _SCALE, (32 + 12 * arrays.cos(angle)) * _SCALE
         disc(image, x, y, 2.2 * _SCALE, _YELLOW)
     letter(image, country, (15 * _SCALE, 62 * _SCALE, 33 * _SCALE, 92 * _SCALE), _WHITE, 5.0 * _SCALE)
     return image

@@ -34,7 +34,7 @@ Rgb = tuple[float, float, float]
 _Tap = tuple[np.float32, np.float32, np.float32]
 
 
-@per_pixel(contract=True)
+@per_pixel()
 def grain_at(
     grains: Float32, index: Float64, grain: int, u: float, v: float, u1: float, v1: float, u2: float, v2: float
 ) -> float:
@@ -102,7 +102,7 @@ def _spread(x1: float, y1: float, x2: float, y2: float) -> tuple[float, float, f
     return along * x1, along * y1, across * x2, across * y2, 1.0 + _BELL * short, taps, rows
 
 
-@per_pixel(inline="always", contract=True)
+@per_pixel(inline="always")
 def _grain_tap(grains: Float32, first: int, log: int, x: int, y: int) -> float:
     mask, i, j = (1 << log) - 1, x >> 16, y >> 16
     a, b = np.float32(x & 65535) * np.float32(1.0 / _WHOLE), np.float32(y & 65535) * np.float32(1.0 / _WHOLE)
@@ -113,7 +113,7 @@ def _grain_tap(grains: Float32, first: int, log: int, x: int, y: int) -> float:
     return under + (over - under) * b
 
 
-@per_pixel(contract=True)
+@per_pixel()
 def image_at(
     images: UInt8, index: Int64, image: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> Rgb:
@@ -155,7 +155,7 @@ def image_at(
     return red * scale, green * scale, blue * scale
 
 
-@per_pixel(inline="always", contract=True)
+@per_pixel(inline="always")
 def _image_tap(images: UInt8, first: int, wide: int, high: int, x: int, y: int) -> _Tap:
     """One bilinear tap of an image: linear reflectance times 255 squared."""
     x, y = min(max(x, 0), (wide - 1) << 16), min(max(y, 0), (high - 1) << 16)

@@ -12,6 +12,7 @@ from mirror.arrays import Float64, Int32, Int64
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Model
+from mirror.synth.portable import arrays
 from mirror.synth.truth.casting import NOTHING, cast_rays
 
 _MOST_RAYS: Final = 6000
@@ -83,7 +84,7 @@ def measure_visibility(
     for row in np.flatnonzero(boxes.visible):
         columns, rows = _grid(boxes.bounds_px[row])
         u, v = np.meshgrid(columns, rows)
-        rays = camera.unproject(np.stack([u, v], axis=-1) + 0.5).direction.reshape(-1, 3) @ turn.T
+        rays = arrays.matmul(camera.unproject(np.stack([u, v], axis=-1) + 0.5).direction.reshape(-1, 3), turn.T)
         there = cast_rays(posed_list[row].model, origin, rays)[1] != NOTHING
         if there.any():
             shares[row] = (objects[v, u].ravel()[there] == numbers[row]).mean()

@@ -12,6 +12,7 @@ from mirror.arrays import Bool, Float64, Int64, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Model
+from mirror.synth.portable import arrays
 
 NOTHING: Final = -1
 
@@ -79,7 +80,7 @@ def ego_mask(ego_model: Model, camera: Camera, ego_SE3_camera: Poses) -> UInt8:
     u, v = np.meshgrid(0.5 * np.arange(2 * left, 2 * right + 1), 0.5 * np.arange(2 * top, 2 * bottom + 1))
     rays = camera.unproject(np.stack([u, v], axis=-1))
     is_hit = np.zeros(u.shape, np.bool_)
-    is_hit[rays.valid] = cast_rays(ego_model, origin, rays.direction[rays.valid] @ turn.T)[1] != NOTHING
+    is_hit[rays.valid] = cast_rays(ego_model, origin, arrays.matmul(rays.direction[rays.valid], turn.T))[1] != NOTHING
     mask[top:bottom, left:right] = np.where(_any_of_nine(is_hit), 255, 0)
     return mask
 

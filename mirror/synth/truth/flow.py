@@ -9,6 +9,7 @@ from mirror.arrays import Float32
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
+from mirror.synth.portable import arrays
 
 
 def static_flow(
@@ -40,7 +41,7 @@ def static_flow(
         )
     later_SE3_camera = world_SE3_later.inverse() @ world_SE3_camera
     turn, shift = matrix_from_quaternion(later_SE3_camera.rotation)[0], later_SE3_camera.translation[0]
-    rays = camera.rays().direction @ turn.T
+    rays = arrays.matmul(camera.rays().direction, turn.T)
     # In units of the distance: finite in the sky as well.
     projected = later.project(rays + shift / distance[..., None])
     u, v = np.meshgrid(np.arange(camera.width_px) + 0.5, np.arange(camera.height_px) + 0.5)

@@ -14,6 +14,7 @@ from mirror.recordings.time import GPS_EPOCH_NS
 from mirror.schema.files import write_bytes
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.portable import arrays
 
 _LEAP_NS: Final = 18 * 1_000_000_000
 
@@ -31,7 +32,7 @@ def write_poses(folder: Path, drive: SynthDrive, errors: Errors) -> None:
     measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
     longitude, latitude, height = drive.frame.to_geodetic(measured.translation)
     enu_R_world = np.swapaxes(drive.frame.world_R_enu(longitude, latitude), 1, 2)
-    rotation = quaternion_from_matrix(enu_R_world @ matrix_from_quaternion(measured.rotation))
+    rotation = quaternion_from_matrix(arrays.matmul(enu_R_world, matrix_from_quaternion(measured.rotation)))
     style = drive.recipe.poses
     columns: dict[str, AnyArray] = {"timestamp_ns": stamps}
     if style == "gps":

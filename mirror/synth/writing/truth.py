@@ -16,6 +16,7 @@ from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.schema.files import write_bytes, write_table
 from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.portable import arrays
 from mirror.synth.truth.files import FOLDER, TruthObject, write_document
 from mirror.synth.truth.flow import static_flow
 from mirror.synth.truth.images import KINDS, Kind, truth_file
@@ -85,21 +86,21 @@ def write_image_truth(
     """
     view, camera = image.view, drive.vehicle.cameras[request.camera]
     pose = drive.world_SE3_camera(request.camera, np.array([request.true_ns]))
-    arrays: dict[Kind, AnyArray] = {}
+    maps: dict[Kind, AnyArray] = {}
     if "depth" in kinds:
-        arrays["depth"] = view.distance_m
+        maps["depth"] = view.distance_m
     if "normals" in kinds:
-        normals = (view.normal @ view.rotation).astype(np.float32)
+        normals = (arrays.matmul(view.normal, view.rotation)).astype(np.float32)
         normals[np.isinf(view.distance_m)] = np.nan
-        arrays["normals"] = normals
+        maps["normals"] = normals
     if "semantic" in kinds:
-        arrays["semantic"] = view.label
+        maps["semantic"] = view.label
     if "instance" in kinds:
-        arrays["instance"] = view.object + 1
+        maps["instance"] = view.object + 1
     if "flow" in kinds and request.next_ns is not None:
         later = drive.world_SE3_camera(request.camera, np.array([request.next_ns]))
-        arrays["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
-    for kind, values in arrays.items():
+        maps["flow"] = static_flow(view.distance_m, camera, pose, camera, later)
+    for kind, values in maps.items():
         file = truth_file(recording / FOLDER, kind, request.camera, request.recorded_ns)
         write_bytes(file, KINDS[kind].encode(values))
     return _box_rows(drive, request, instant, image, pose) if "boxes" in kinds else []

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
+from mirror.synth.portable import arrays
 
 BRIGHTEST: Final = 16.0
 """Exposed light above this is white."""
@@ -26,10 +27,12 @@ def film(exposed: Float64) -> Float64:
         exposed: (...,) exposed light; negative values count as 0.
     """
     light = np.maximum(exposed, 0.0)
-    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-12) ** (1.0 / 2.4) - 0.055)
+    coded = np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * arrays.power(np.maximum(light, 1e-12), 1.0 / 2.4) - 0.055
+    )
     toed = coded * coded * (1.0 + _TOE) / (coded + _TOE)
     rest = 1.0 - _SHOULDER
-    compressed = _SHOULDER + rest * (1.0 - np.exp(-(toed - _SHOULDER) / rest))
+    compressed = _SHOULDER + rest * (1.0 - arrays.exp(-(toed - _SHOULDER) / rest))
     return np.where(toed < _SHOULDER, toed, compressed)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Records
+from mirror.synth.portable import arrays
 from mirror.synth.render.develop.glare import QUARTER, quarter_excess
 
 DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "half_y", "reach", "depth")])
@@ -32,7 +33,7 @@ def draw_lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
     drops = np.zeros(count, DROP)
     drops["x"], drops["y"] = rng.uniform(0.0, 1.0, count), rng.uniform(0.0, aspect, count)
     # Most drops are small, few are large.
-    size = 0.007 + 0.034 * rng.random(count) ** 3
+    size = 0.007 + 0.034 * arrays.power(rng.random(count), 3.0)
     drops["half_x"], drops["half_y"] = size, size * rng.uniform(0.95, 1.5, count)
     drops["reach"], drops["depth"] = size * rng.uniform(2.5, 5.0, count), rng.uniform(0.6, 0.95, count)
     return drops

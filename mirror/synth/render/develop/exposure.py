@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 
 from mirror.arrays import Float32, Records
 from mirror.synth.light.condition import Effects
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.render.develop.camera_response import CameraResponse
 
 _EVERY_PX: Final = 4
@@ -35,12 +37,12 @@ def compute_exposure(radiance: Float32, record: Records, response: CameraRespons
     usual = float(record["exposure"])
     if not effects.exposure:
         return usual
-    luminance = radiance[::_EVERY_PX, ::_EVERY_PX].reshape(-1, 3) @ _LUMINANCE
-    mean = float(np.exp(np.log(np.maximum(luminance, _DARKEST)).mean(dtype=np.float64)))
-    gain = (float(record["middle"]) / mean) ** _ADAPTS
+    luminance = arrays.matmul(radiance[::_EVERY_PX, ::_EVERY_PX].reshape(-1, 3), _LUMINANCE)
+    mean = float(arrays.exp(arrays.log(np.maximum(luminance, _DARKEST)).mean(dtype=np.float64)))
+    gain = scalars.power(float(record["middle"]) / mean, _ADAPTS)
     last = int(_HIGHLIGHTS * (len(luminance) - 1))
     bright = float(np.partition(luminance, last)[last])
     if bright * usual * gain > _HIGHLIGHT_AT:
-        gain *= (_HIGHLIGHT_AT / (bright * usual * gain)) ** 0.5
+        gain *= math.sqrt(_HIGHLIGHT_AT / (bright * usual * gain))
     most = _AT_MOST + (_AT_NIGHT - _AT_MOST) * float(record["dark"])
-    return usual * float(np.clip(gain, 1.0 / _AT_MOST, most) * 2.0**response.exposure_ev)
+    return usual * float(np.clip(gain, 1.0 / _AT_MOST, most) * scalars.power(2.0, response.exposure_ev))

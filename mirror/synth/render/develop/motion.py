@@ -10,6 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 
 BLOCK_PX: Final = 4
 _LEAST_PX: Final = 1.0
@@ -43,7 +44,8 @@ def compute_image_jacobian(rays: Float64) -> ImageJacobian:
     columns = np.minimum(np.arange(BLOCK_PX // 2, rays.shape[1] + BLOCK_PX // 2, BLOCK_PX), rays.shape[1] - 1)
     slopes = np.stack([right[np.ix_(rows, columns)], down[np.ix_(rows, columns)]], axis=-2)
     return ImageJacobian(
-        np.ascontiguousarray(rays[np.ix_(rows, columns)]), np.linalg.solve(slopes @ slopes.swapaxes(-1, -2), slopes)
+        np.ascontiguousarray(rays[np.ix_(rows, columns)]),
+        arrays.solve(arrays.matmul(slopes, slopes.swapaxes(-1, -2)), slopes),
     )
 
 
@@ -70,7 +72,7 @@ def compute_image_motion(
     """
     velocity = exposure_s * np.asarray(velocity_mps, np.float64)
     turn = exposure_s * np.asarray(turn_radps, np.float64)
-    near = -jacobian.pixels @ velocity
+    near = arrays.matmul(-jacobian.pixels, velocity)
     far = -np.einsum("hwij,hwj->hwi", jacobian.pixels, np.cross(turn, jacobian.rays))
     return _flow(near, far, distance_m)
 

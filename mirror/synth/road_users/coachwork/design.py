@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mirror.synth.model import Label, Side
+from mirror.synth.portable import scalars
 from mirror.synth.road_users.coachwork.fittings import (
     BLACK,
     HEADLIGHT,
@@ -151,7 +152,7 @@ def design_car(
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     foot, crown = axles[0] + cowl, height - 0.035
-    top = foot - (crown - waist) / math.tan(math.radians(screen_deg))
+    top = foot - (crown - waist) / scalars.tan(math.radians(screen_deg))
     back = roof_end[0] - end
     roof = (
         (foot, waist),

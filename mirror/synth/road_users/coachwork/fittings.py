@@ -11,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Side, ellipsoid
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.coachwork.sheets import Finish, Sheets
 from mirror.synth.road_users.coachwork.shell import End, Shape
 from mirror.synth.textures.catalogue import PLATES
@@ -73,14 +74,16 @@ def add_wheels(
         treads: number of sheets of the tread towards the front, and the same number towards the back.
     """
     # The lowest corners of the tyre's outline lie on the ground.
-    reach = radius_m / math.cos(math.pi / _TYRE_CORNERS)
+    reach = radius_m / scalars.cos(math.pi / _TYRE_CORNERS)
     turn = 2.0 * math.pi * (np.arange(_TYRE_CORNERS) + 0.5) / _TYRE_CORNERS
-    disc = np.c_[x + reach * np.sin(turn), np.full(_TYRE_CORNERS, outer_m), radius_m - reach * np.cos(turn)]
+    disc = np.c_[x + reach * arrays.sin(turn), np.full(_TYRE_CORNERS, outer_m), radius_m - reach * arrays.cos(turn)]
     sheets.sheet(disc, Side.LEFT, rim, both=True)
     angles = np.radians(np.linspace(180.0 / _TYRE_CORNERS, open_deg, treads + 1))
     for sign, side in ((1.0, Side.FRONT), (-1.0, Side.BACK)):
         for low, high in pairwise(angles):
-            ends = [(x + sign * reach * math.sin(angle), radius_m - reach * math.cos(angle)) for angle in (low, high)]
+            ends = [
+                (x + sign * reach * scalars.sin(angle), radius_m - reach * scalars.cos(angle)) for angle in (low, high)
+            ]
             corners = [
                 (ex, y, ez) for (ex, ez), ys in zip(ends, ((0, 1), (1, 0))) for y in _tread_sides(outer_m, width_m, ys)
             ]

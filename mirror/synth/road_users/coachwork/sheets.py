@@ -14,6 +14,7 @@ from mirror.arrays import Float64
 from mirror.synth.model import Label, Material, Model, Side, merge_models
 from mirror.synth.model.shapes import polygons
 from mirror.synth.model.surfaces import NO_IMAGE
+from mirror.synth.portable import arrays, scalars
 
 Colour = Sequence[float] | Float64
 Texture = Callable[[Float64], Float64]
@@ -107,7 +108,7 @@ class Sheets:
         """
         points = np.asarray(corners, np.float64)
         normal = _unit_normal(points)
-        if normal @ _TOWARDS[side] < 0.0:
+        if arrays.matmul(normal, _TOWARDS[side]) < 0.0:
             points, normal = points[::-1], -normal
         coordinates = _plain_texture(points, normal) if texture is None else texture(points)
         points = points + lift_m * normal
@@ -178,7 +179,7 @@ def _unit_normal(points: Float64) -> Float64:
 
 def _plain_texture(points: Float64, normal: Float64) -> Float64:
     nx, ny, nz = normal.tolist()
-    level = math.hypot(nx, ny)
+    level = scalars.hypot(nx, ny)
     ux, uy = (1.0, 0.0) if abs(nz) > 0.999 else (-ny / level, nx / level)
-    coordinates = points @ np.array([(ux, -nz * uy), (uy, nz * ux), (0.0, nx * uy - ny * ux)])
+    coordinates = arrays.matmul(points, np.array([(ux, -nz * uy), (uy, nz * ux), (0.0, nx * uy - ny * ux)]))
     return np.asarray(coordinates - 0.5 * (coordinates.min(axis=0) + coordinates.max(axis=0)))

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 from mirror.synth.street.furniture.signs import add_sign
 from mirror.synth.textures.catalogue import BILLBOARDS, POSTERS, Sign
@@ -63,7 +64,7 @@ def advertising_column(rng: np.random.Generator) -> Model:
     pieces = Pieces()
     count, radius = 10, 0.68
     angle = 2.0 * np.pi * np.arange(count) / count
-    ring = np.c_[np.cos(angle), np.sin(angle)]
+    ring = np.c_[arrays.cos(angle), arrays.sin(angle)]
     stone = Finish((0.34, 0.33, 0.31), Material.CONCRETE, Label.BILLBOARD)
     pieces.prism((radius + 0.06) * ring, FOOT_M, 0.5, stone)
     pieces.prism((radius - 0.003) * ring, 0.5, 3.0, stone._replace(colour=(0.42, 0.43, 0.40)))

@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import arrays
 
 LampKind = Literal["arm", "double", "column", "lantern"]
 """High lamp with an arm over the road; lamp with two arms, between carriageways; low modern lamp; historic lantern."""
@@ -53,8 +54,8 @@ def lamp_post(kind: LampKind, *, height_m: float, reach_m: float = 1.8) -> LampP
         low, high = height_m - 0.05, height_m + 0.03
         pieces.tube((0, 0, height_m - 0.3), (0, 0, low), 0.16, _GLOW, corners=8)
         angle = 2.0 * np.pi * (np.arange(10) + 0.5) / 10
-        pieces.prism(np.c_[0.36 * np.cos(angle), 0.36 * np.sin(angle)], low, high, _STEEL)
-        pieces.face(np.c_[0.36 * np.cos(-angle), 0.36 * np.sin(-angle), np.full(10, low)], _STEEL)
+        pieces.prism(np.c_[0.36 * arrays.cos(angle), 0.36 * arrays.sin(angle)], low, high, _STEEL)
+        pieces.face(np.c_[0.36 * arrays.cos(-angle), 0.36 * arrays.sin(-angle), np.full(10, low)], _STEEL)
         return LampPost(pieces.model(), np.array([[0.0, 0.0, height_m - 0.15]]))
     pieces.tube((0, 0, FOOT_M), (0, 0, 0.7), 0.13, _IRON, corners=8, end_radius_m=0.10)
     pieces.tube((0, 0, 0.7), (0, 0, height_m - 0.35), 0.06, _IRON, end_radius_m=0.045)

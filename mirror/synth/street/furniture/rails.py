@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import arrays
 from mirror.synth.street.houses.styles import Colour
 
 _UP: Final = np.array([0.0, 0.0, 1.0])
@@ -30,7 +31,7 @@ def _space_evenly(line: Float64, step_m: float) -> Float64:
 def _left_normal(start: Float64, end: Float64) -> Float64:
     """Horizontal unit vector to the left of a segment."""
     step = (end - start)[:2]
-    return np.array([-step[1], step[0], 0.0]) / np.linalg.norm(step)
+    return np.array([-step[1], step[0], 0.0]) / arrays.norm(step)
 
 
 def _add_sheet(pieces: Pieces, start: Float64, end: Float64, low_m: float, high_m: float, finish: Finish) -> None:

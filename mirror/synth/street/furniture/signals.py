@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import Int64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 
 _POLE: Final = Finish((0.26, 0.27, 0.27), Material.METAL, Label.POLE)
@@ -58,7 +59,7 @@ def _add_head(pieces: Pieces, lamps: list[list[int]], y: float, foot_m: float) -
     """Add a case with three hooded lamps in front of the pole or arm."""
     pieces.block((0.07, y - 0.16, foot_m), (0.26, y + 0.16, foot_m + 0.96), _CASE, without=())
     angle = 2.0 * np.pi * (np.arange(10) + 0.5) / 10 - 0.5 * np.pi
-    ring = np.c_[np.full(10, 0.265), y + _LENS_M * np.cos(angle), _LENS_M * np.sin(angle)]
+    ring = np.c_[np.full(10, 0.265), y + _LENS_M * arrays.cos(angle), _LENS_M * arrays.sin(angle)]
     hood = _CASE._replace(two_sided=True)
     for number, colour in enumerate(_LAMPS):
         middle = foot_m + 0.80 - 0.32 * number

@@ -8,6 +8,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces, polygon
+from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 from mirror.synth.textures.catalogue import DIRECTION_SIGNS, Sign
 
@@ -25,7 +26,7 @@ def _sign_outline(sign: Sign) -> Float64:
     if sign in _ROUND or sign == Sign.STOP:
         count = 8 if sign == Sign.STOP else 16
         angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-        return np.c_[np.cos(angle), np.sin(angle)] / np.cos(np.pi / count)
+        return np.c_[arrays.cos(angle), arrays.sin(angle)] / arrays.cos(np.pi / count)
     if sign in _WARNING:
         return np.array([(-1.0, -1.0), (1.0, -1.0), (0.0, 1.0)])
     if sign == Sign.YIELD:

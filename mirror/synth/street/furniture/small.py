@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Model, Pieces, ellipsoid
+from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 from mirror.synth.textures.catalogue import POSTERS
 
@@ -23,7 +24,7 @@ _RED: Final = Finish((0.48, 0.04, 0.03), Material.PLAIN, Label.FURNITURE)
 
 def _ring(count: int, radius_m: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-    return np.c_[radius_m * np.cos(angle), radius_m * np.sin(angle)]
+    return np.c_[radius_m * arrays.cos(angle), radius_m * arrays.sin(angle)]
 
 
 def bench(rng: np.random.Generator) -> Model:

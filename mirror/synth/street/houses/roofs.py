@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Pieces
+from mirror.synth.portable import scalars
 from mirror.synth.street.houses.body import Body
 from mirror.synth.street.houses.styles import TILES, Colour, RoofKind
 from mirror.synth.street.houses.windows import Windows
@@ -25,9 +26,9 @@ def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generato
     if kind == "flat":
         _add_flat_roof(pieces, body, rng)
     elif kind == "hip":
-        _add_hip_roof(pieces, body, tiles, math.tan(math.radians(rng.uniform(28.0, 36.0))))
+        _add_hip_roof(pieces, body, tiles, scalars.tan(math.radians(rng.uniform(28.0, 36.0))))
     elif kind == "gable":
-        slope = math.tan(math.radians(rng.uniform(36.0, 46.0)))
+        slope = scalars.tan(math.radians(rng.uniform(36.0, 46.0)))
         ridge = 0.5 * depth * slope
         _add_profile(pieces, body, tiles, [(0.0, 0.0), (0.5 * depth, ridge), (depth, 0.0)])
         if depth > 7.5 and rng.random() < 0.75:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import arrays
 from mirror.synth.street.houses.body import FOOT_M, STONE
 from mirror.synth.street.houses.styles import TILES, Colour
 from mirror.synth.street.houses.windows import Windows
@@ -92,7 +93,7 @@ def build_farm(rng: np.random.Generator, length_m: float, depth_m: float) -> Mod
         radius = 1.9
         x, y = max(middle - 3.0, radius - half), min(back + 4.0, depth_m - 2.2)
         angle = 2.0 * np.pi * np.arange(12) / 12
-        outline = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], axis=1)
+        outline = np.stack([x + radius * arrays.cos(angle), y + radius * arrays.sin(angle)], axis=1)
         pieces.prism(outline, FOOT_M, 8.5, Finish((0.42, 0.43, 0.42), Material.METAL, Label.BUILDING, seed))
     return pieces.model()
 

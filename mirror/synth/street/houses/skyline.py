@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
+from mirror.synth.portable import scalars
 from mirror.synth.street.houses.windows import Windows
 
 Height = Callable[[float, float], Float64]
@@ -57,7 +58,7 @@ def build_far_houses(
                 for y in (-half, half):
                     gable = [(0.0, y, tall), (deep, y, tall), (ridge, y, tall + rise)]
                     block.face(gable if y < 0 else gable[::-1], wall._replace(material=Material.PLASTER))
-            x, y = at * math.cos(bearing), at * math.sin(bearing)
+            x, y = at * scalars.cos(bearing), at * scalars.sin(bearing)
             pieces.add(block.model().place(x, y, float(height_m(x, y)), bearing))
             bearing += (wide + rng.uniform(0.0, 6.0)) / at
     return pieces.model()
@@ -85,7 +86,7 @@ def build_far_woods(
         count = int(2.0 * math.pi * distance / (7.0 + 3.0 * ring))
         for number in range(count):
             bearing = 2.0 * math.pi * (number + rng.uniform(-0.3, 0.3)) / count
-            swell = sum(math.sin(k * bearing + phase[k - 1]) / k for k in (1, 2, 3))
+            swell = sum(scalars.sin(k * bearing + phase[k - 1]) / k for k in (1, 2, 3))
             foot = max(hill * (0.6 + 0.4 * swell), 0.0)
             tall, half = foot + rng.uniform(*tall_m), rng.uniform(0.62, 0.85) * 2.0 * math.pi * distance / count
             at = distance + rng.uniform(-3.0, 3.0)
@@ -97,7 +98,7 @@ def build_far_woods(
                 (1.0, -12.0), (1.0, foot + 0.45 * high), (0.72, foot + 0.8 * high), (0.25, tall),
                 (-0.25, tall - 0.02 * high), (-0.75, foot + 0.76 * high), (-1.0, foot + 0.4 * high), (-1.0, -12.0),
             )  # fmt: skip
-            cos, sin = math.cos(bearing), math.sin(bearing)
+            cos, sin = scalars.cos(bearing), scalars.sin(bearing)
             ground = float(height_m(at * cos, at * sin))
             corners = [(at * cos + y * half * sin, at * sin - y * half * cos, ground + z) for y, z in outline]
             pieces.face(corners[-1:] + corners[:-1], finish)

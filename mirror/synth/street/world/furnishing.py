@@ -11,6 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Model
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.street import furniture
 from mirror.synth.street.furniture import LampKind, LampPost, SignalHead
 from mirror.synth.street.furniture.small import Maker
@@ -139,9 +140,9 @@ def _build_lamp(plan: Plan, spot: Spot) -> LampPost:
         post = _cached_lamp_post("arm", 8.0, round(min(0.7 * spot.reach_m, 2.4), 1))
     else:
         post = _cached_lamp_post("lantern", 4.4, 0.0)
-    cos, sin = math.cos(spot.yaw_rad), math.sin(spot.yaw_rad)
+    cos, sin = scalars.cos(spot.yaw_rad), scalars.sin(spot.yaw_rad)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return LampPost(_place_at(spot, post.model, spot.yaw_rad), post.lights @ turn.T + spot.place)
+    return LampPost(_place_at(spot, post.model, spot.yaw_rad), arrays.matmul(post.lights, turn.T) + spot.place)
 
 
 @cache
@@ -160,10 +161,10 @@ def _is_main(spot: Spot) -> bool:
 
 def _road_side(spot: Spot) -> float:
     """The side, 1 or -1 along y, on which an object that faces the traffic has the road."""
-    return math.copysign(1.0, math.sin(spot.yaw_rad - spot.facing_rad))
+    return math.copysign(1.0, scalars.sin(spot.yaw_rad - spot.facing_rad))
 
 
 def _place_at(spot: Spot, model: Model, yaw_rad: float, *, away_m: float = 0.0) -> Model:
     """A model moved to a spot, or ``away_m`` farther from the road."""
-    place: Float64 = spot.place - away_m * np.array([math.cos(spot.yaw_rad), math.sin(spot.yaw_rad), 0.0])
+    place: Float64 = spot.place - away_m * np.array([scalars.cos(spot.yaw_rad), scalars.sin(spot.yaw_rad), 0.0])
     return model.place(float(place[0]), float(place[1]), float(place[2]), yaw_rad)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
 from mirror.synth.model import Model
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.street.furniture import fence, garden_wall
 from mirror.synth.street.houses import HouseStyle, build_house
 from mirror.synth.street.lots import Lot
@@ -46,7 +46,7 @@ def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
         rng = np.random.default_rng([seed, 21, number])
         shares = _STYLES[plan.kind][lot.kind]
         style: HouseStyle = rng.choice(list(shares), p=list(shares.values())).item()
-        near = float(np.hypot(*lot.origin[:2])) < plan.roi.radius_m + _DETAIL_RANGE_M and lot.kind != "yard"
+        near = float(arrays.hypot(*lot.origin[:2])) < plan.roi.radius_m + _DETAIL_RANGE_M and lot.kind != "yard"
         model = build_house(
             rng, style, lot.length_m, lot.depth_m, corner=lot.kind != "front", detailed=near or plan.kind != "urban"
         )
@@ -57,7 +57,7 @@ def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
 
 def _place_house(plan: Plan, lot: Lot, model: Model) -> Model:
     """A house in the world frame, at the highest ground along its front."""
-    along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
+    along = np.array([scalars.cos(lot.yaw_rad), scalars.sin(lot.yaw_rad)])
     places = lot.origin[:2] + 0.5 * lot.length_m * np.array([[-1.0], [-0.5], [0.0], [0.5], [1.0]]) * along
     height = float(plan.height_m(places[:, 0], places[:, 1]).max())
     return model.place(lot.origin[0], lot.origin[1], height, lot.yaw_rad)
@@ -65,7 +65,7 @@ def _place_house(plan: Plan, lot: Lot, model: Model) -> Model:
 
 def _front_fence(plan: Plan, lot: Lot, rng: np.random.Generator) -> Model:
     """A fence or wall along the front of a garden, with an opening on one side."""
-    along = np.array([math.cos(lot.yaw_rad), math.sin(lot.yaw_rad)])
+    along = np.array([scalars.cos(lot.yaw_rad), scalars.sin(lot.yaw_rad)])
     ends = (-0.5, 0.28) if rng.random() < 0.5 else (-0.28, 0.5)
     places = lot.origin[:2] + lot.length_m * np.linspace(*ends, 6)[:, None] * along
     line = np.c_[places, plan.height_m(places[:, 0], places[:, 1])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
@@ -10,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Label, Material
+from mirror.synth.portable import scalars
 from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
 from mirror.synth.road_users.cars import build_car
 from mirror.synth.road_users.vans import build_van
@@ -52,14 +52,16 @@ def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placemen
         at = (bay + 0.5) * _BAY_M + jitter[0]
         ends = np.array([at - 1.3, at + 1.3])
         x, y = (np.interp(ends, lane.along_m, lane.line[:, axis]) for axis in (0, 1))
-        yaw = math.atan2(y[1] - y[0], x[1] - x[0])
-        aside = 0.25 * jitter[1] * np.array([-math.sin(yaw), math.cos(yaw)])
+        yaw = scalars.atan2(y[1] - y[0], x[1] - x[0])
+        aside = 0.25 * jitter[1] * np.array([-scalars.sin(yaw), scalars.cos(yaw)])
         middle = 0.5 * np.array([x.sum(), y.sum()]) + aside
         heights = plan.height_m(x + aside[0], y + aside[1])
-        across = middle + 0.75 * np.array([[-math.sin(yaw), math.cos(yaw)], [math.sin(yaw), -math.cos(yaw)]])
+        across = middle + 0.75 * np.array(
+            [[-scalars.sin(yaw), scalars.cos(yaw)], [scalars.sin(yaw), -scalars.cos(yaw)]]
+        )
         left, right = plan.height_m(across[:, 0], across[:, 1]).tolist()
-        pitch = math.atan2(float(heights[1] - heights[0]), 2.6)
-        roll = math.atan2(left - right, 1.5)
+        pitch = scalars.atan2(float(heights[1] - heights[0]), 2.6)
+        roll = scalars.atan2(left - right, 1.5)
         yield Placement(float(middle[0]), float(middle[1]), float(heights.mean()), yaw, pitch, roll)
 
 

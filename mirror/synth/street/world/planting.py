@@ -12,6 +12,7 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Model
+from mirror.synth.portable import arrays, scalars
 from mirror.synth.street.plan import Plan
 from mirror.synth.street.plants import STREET_TREES, Kind, build_bush, build_hedge, build_tree
 
@@ -63,7 +64,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
 
 def _is_near(plan: Plan, place: Float64) -> bool:
     """Whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
-    within = float(np.hypot(place[0], place[1])) < plan.roi.radius_m + _DETAIL_RANGE_M
+    within = float(arrays.hypot(place[0], place[1])) < plan.roi.radius_m + _DETAIL_RANGE_M
     return within and plan.roads.distance(shapely.Point(place[:2])) < _DETAIL_RANGE_M
 
 
@@ -90,7 +91,7 @@ def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
     reach = plan.roi.radius_m + 60.0
     middles = rng.uniform(-reach, reach, (number, 2))
     near = middles[rng.integers(number, size=6 * number)] + rng.normal(0.0, 7.0, (6 * number, 2))
-    near = near[np.hypot(near[:, 0], near[:, 1]) < reach]
+    near = near[arrays.hypot(near[:, 0], near[:, 1]) < reach]
     near = near[plan.is_free(near[:, 0], near[:, 1], _CLEAR_M[plan.kind])][:number]
     return np.c_[near, plan.height_m(near[:, 0], near[:, 1])]
 
@@ -99,7 +100,7 @@ def _hedge_row(line: Float64, rng: np.random.Generator) -> Iterator[Model]:
     """Yield hedges along the segments of a line."""
     for start, end in pairwise(line):
         step = end - start
-        length = float(np.hypot(step[0], step[1]))
+        length = float(arrays.hypot(step[0], step[1]))
         if length > 0.5:
             x, y, z = (0.5 * (start + end)).tolist()
-            yield build_hedge(rng, length).place(x, y, z, math.atan2(step[1], step[0]))
+            yield build_hedge(rng, length).place(x, y, z, scalars.atan2(step[1], step[0]))

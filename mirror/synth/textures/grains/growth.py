@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 from mirror.synth.textures.grains.noise import waves, wrap_patch
 
 _SHIFT = 4
@@ -22,7 +23,7 @@ def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     lush = tufts[places[:, 1].astype(int), places[:, 0].astype(int)]
     shades = (np.linspace(70, 142, count) + rng.normal(0, 20, count) + 12 * lush).clip(40, 235)
     shades[rng.random(count) < 0.03] = 215
-    offsets = np.c_[np.cos(turns), np.sin(turns)] * lengths[:, None]
+    offsets = np.c_[arrays.cos(turns), arrays.sin(turns)] * lengths[:, None]
     for (x, y), offset, shade, length in zip(places, offsets, shades, lengths):
         for left, top in wrap_patch(x, y, length, size):
             near = (round(left * 2**_SHIFT), round(top * 2**_SHIFT))
@@ -35,7 +36,7 @@ def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Ridges along v, separated by dark fissures."""
     ridges = np.abs(waves(rng, size, 0.30, 0.06, 0.4, 6.0))
     plates = waves(rng, size, 0.08, 0.012, 0.4, 2.0)
-    fissures = np.exp(-((ridges / 0.22) ** 2))
+    fissures = arrays.exp(-((ridges / 0.22) ** 2))
     return 1.05 + 0.16 * plates + 0.10 * ridges - 0.55 * fissures + 0.06 * waves(rng, size, 0.02, 0.004, 0.0)
 
 
@@ -53,8 +54,8 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     depth = np.linspace(0.0, 1.0, count)
     shades = (48 + 78 * depth + rng.normal(0, 20, count) * (0.4 + depth)).clip(28, 225)
     for (x, y), turn, length, shade in zip(places, turns, lengths, shades):
-        cos, sin = np.cos(turn) * length, np.sin(turn) * length
-        shape: Float64 = outline @ np.array([[cos, sin], [-sin, cos]])
+        cos, sin = arrays.cos(turn) * length, arrays.sin(turn) * length
+        shape: Float64 = arrays.matmul(outline, np.array([[cos, sin], [-sin, cos]]))
         for left, top in wrap_patch(x, y, length, size):
             points = ((shape + np.array([left, top])) * 2**_SHIFT).round().astype(np.int32)
             half = len(points) // 2
@@ -68,7 +69,7 @@ def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 def _leaf() -> Float64:
     """Closed outline of a leaf of unit length, from its stalk at (-0.5, 0)."""
     along = np.linspace(0.0, 1.0, 7)
-    half = 0.30 * np.sin(np.pi * along**0.8)
+    half = 0.30 * arrays.sin(np.pi * arrays.power(along, 0.8))
     return np.r_[np.c_[along - 0.5, half], np.c_[along[-2:0:-1] - 0.5, -half[-2:0:-1]]]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 from mirror.synth.textures.grains.noise import joints, waves
 
 
@@ -35,7 +36,7 @@ def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     pitch, texel = 0.4, period_m / size
     tone, along, up = _lay_units(rng, size, 6, 6, 0.5, 0.055)
     joint = np.maximum(joints(along * pitch, pitch, 0.010, texel), joints(up * pitch, pitch, 0.010, texel))
-    edge = np.exp(-np.minimum(np.minimum(along, 1 - along), np.minimum(up, 1 - up)) * pitch / 0.018)
+    edge = arrays.exp(-np.minimum(np.minimum(along, 1 - along), np.minimum(up, 1 - up)) * pitch / 0.018)
     fine = waves(rng, size, 0.02, 0.0035, 0.0)
     gum = np.clip(3.0 * (waves(rng, size, 0.03, 0.012, 0.0) - 2.45), 0.0, 1.0)
     body = (1.0 + tone + 0.055 * fine + 0.03 * waves(rng, size, 0.3, 0.04, 0.8)) * (1.0 - 0.10 * edge)
@@ -60,7 +61,7 @@ def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     """Pantiles of 0.2 m by 0.3 m with a round profile; each row overlaps the one below."""
     texel = period_m / size
     tone, along, up = _lay_units(rng, size, 8, 12, 0.0, 0.09)
-    rolled = np.sin(2.0 * np.pi * along) * 0.16 + 0.06 * np.cos(4.0 * np.pi * along)
+    rolled = arrays.sin(2.0 * np.pi * along) * 0.16 + 0.06 * arrays.cos(4.0 * np.pi * along)
     shade = np.clip((up * 0.3 - 0.262) / 0.02, 0.0, 1.0)
     lip = np.clip(1.0 - up * 0.3 / 0.016, 0.0, 1.0)
     groove = joints(along * 0.2, 0.2, 0.012, texel)
@@ -76,7 +77,7 @@ def wood(rng: np.random.Generator, size: int, period_m: float) -> Float32:
     tone, _, up = _lay_units(rng, size, 10, 1, 0.0, 0.09)
     gap = joints(up * 0.15, 0.15, 0.008, texel)
     warp = waves(rng, size, 0.5, 0.12, 0.6, 0.12)
-    rings = np.sin(2.0 * np.pi * (5.0 * up + 0.8 * warp + 3.0 * tone))
+    rings = arrays.sin(2.0 * np.pi * (5.0 * up + 0.8 * warp + 3.0 * tone))
     fibre = waves(rng, size, 0.05, 0.003, 0.2, 0.02)
     knots = np.clip(2.0 * (waves(rng, size, 0.10, 0.045, 0.0, 0.5) - 2.35), 0.0, 1.0)
     body = 1.0 + tone + 0.055 * rings + 0.055 * fibre - 0.40 * knots

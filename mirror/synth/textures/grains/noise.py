@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from mirror.arrays import Float32, Float64
+from mirror.synth.portable import arrays
 
 
 def waves(
@@ -29,9 +30,10 @@ def waves(
     frequency = _frequencies(size, stretch)
     low, high = np.float32(1.0 / longest), np.float32(1.0 / shortest)
     # Soft ends of the band prevent ringing.
-    gain = np.exp(-((frequency / high) ** 2)) * (1.0 - np.exp(-((frequency / low) ** 4)))
+    above, below = (frequency / high) ** 2, ((frequency / low) ** 2) ** 2
+    gain = (arrays.exp(-above) * (1.0 - arrays.exp(-below))).astype(np.float32)
     if power != 0.0:
-        gain *= np.maximum(frequency, 1.0) ** np.float32(-power)
+        gain *= arrays.power(np.maximum(frequency, 1.0), -power).astype(np.float32)
     white = rng.standard_normal((*gain.shape, 2), np.float32).view(np.complex64)[..., 0]
     noise = np.fft.irfft2(white * gain, (size, size)).astype(np.float32)
     noise -= noise.mean()
@@ -44,7 +46,7 @@ def _frequencies(size: int, stretch: float) -> Float32:
     """(N, N / 2 + 1) frequencies in waves per period, with the stretch of `waves`."""
     across = np.fft.rfftfreq(size, 1.0 / size) / np.sqrt(stretch)
     down = np.fft.fftfreq(size, 1.0 / size)[:, None] * np.sqrt(stretch)
-    return np.hypot(across, down).astype(np.float32)
+    return arrays.hypot(across, down).astype(np.float32)
 
 
 def wrap_patch(x: float, y: float, reach: float, size: int) -> Iterator[tuple[float, float]]:

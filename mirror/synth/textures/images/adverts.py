@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import (
     Box,
     Colour,
@@ -159,7 +160,7 @@ def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
             fill(image, [(a, high), (a + 0.08 * wide, high), (a + 0.30 * wide, 0), (a + 0.22 * wide, 0)], tone)
     elif layout == 1:
         x = np.linspace(0, wide, 30)
-        y = (0.72 + 0.08 * np.sin(2.2 * np.pi * x / wide + turn)) * high
+        y = (0.72 + 0.08 * arrays.sin(2.2 * np.pi * x / wide + turn)) * high
         fill(image, [*zip(x, y), (wide, high), (0, high)], accent)
     elif layout == 2:
         MOTIFS[(turn + 3) % len(MOTIFS)](part(image, (0.62 * wide, 0, wide, high)), rng)

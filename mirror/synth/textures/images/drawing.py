@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float32, UInt8
+from mirror.synth.portable import arrays
 
 Colour = tuple[int, int, int]
 Box = tuple[float, float, float, float]
@@ -59,14 +60,14 @@ def rounded_rectangle(image: UInt8, box: Box, radius: float, colour: Colour) -> 
     left, top, right, bottom = box
     radius = min(radius, 0.5 * (right - left), 0.5 * (bottom - top))
     turn = np.linspace(0.0, 0.5 * np.pi, 7)
-    corner = radius * np.c_[np.cos(turn), -np.sin(turn)]
+    corner = radius * np.c_[arrays.cos(turn), -arrays.sin(turn)]
     spots = [(right - radius, top + radius), (left + radius, top + radius)]
     spots += [(left + radius, bottom - radius), (right - radius, bottom - radius)]
     quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
     outline = []
     for spot in spots:
         outline.append(corner + spot)
-        corner = corner @ quarter
+        corner = arrays.matmul(corner, quarter)
     fill(image, np.concatenate(outline), colour)
 
 
@@ -81,7 +82,7 @@ def star(x: float, y: float, radius: float, points: int, inner: float, turn: flo
     """Return the corners of a star."""
     angle = np.arange(2 * points) * np.pi / points + turn
     reach = np.where(np.arange(2 * points) % 2 == 0, radius, radius * inner)
-    return np.c_[x + reach * np.sin(angle), y - reach * np.cos(angle)]
+    return np.c_[x + reach * arrays.sin(angle), y - reach * arrays.cos(angle)]
 
 
 def gradient(image: UInt8, top: Colour, bottom: Colour) -> None:
@@ -99,8 +100,8 @@ def glow(image: UInt8, x: float, y: float, radius: float, strength: float, colou
     if high == 0 or wide == 0:
         return
     left, top = max(round(x - 1.7 * radius), 0), max(round(y - 1.7 * radius), 0)
-    across = np.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
-    down = np.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))
+    across = arrays.exp(-2.0 * np.square((np.arange(wide) + left - x) / radius))
+    down = arrays.exp(-2.0 * np.square((np.arange(high) + top - y) / radius))
     share = (strength * down[:, None] * across).astype(np.float32)
     near[:] = cv2.blendLinear(np.ascontiguousarray(near), new_image(wide, high, colour), 1.0 - share, share)
 

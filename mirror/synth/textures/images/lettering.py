@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import Box, Colour, to_fixed_point
 
 Style = Literal["sans", "italic", "uni"]
@@ -111,7 +112,7 @@ def _rounded(corners: Float64, radius: float) -> Float64:
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:]):
         back, ahead = before - corner, after - corner
-        far, near = float(np.linalg.norm(back)), float(np.linalg.norm(ahead))
+        far, near = float(arrays.norm(back)), float(arrays.norm(ahead))
         reach = min(radius, 0.5 * far, 0.5 * near) if len(corners) > 3 else min(radius, far, near)
         start, end = corner + back * (reach / far), corner + ahead * (reach / near)
         share = np.linspace(0.0, 1.0, 9)[:, None]
@@ -119,10 +120,10 @@ def _rounded(corners: Float64, radius: float) -> Float64:
         pull = 0.55
         a, b = start + pull * (corner - start), end + pull * (corner - end)
         points.append(
-            (1 - share) ** 3 * start
+            (1 - share) ** 2 * (1 - share) * start
             + 3 * share * (1 - share) ** 2 * a
             + 3 * share**2 * (1 - share) * b
-            + share**3 * end
+            + share**2 * share * end
         )
     return np.concatenate([*points, corners[-1:]])
 

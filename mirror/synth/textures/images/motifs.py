@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import (
     Colour,
     choose_colour,
@@ -50,7 +51,7 @@ def hills(image: UInt8, rng: np.random.Generator) -> None:
     x = np.linspace(0, wide, 40)
     for step in range(4):
         share = step / 3
-        rough = sum(rng.normal(0, 1 / k) * np.sin(k * x / wide * 2.6 + rng.uniform(0, 6)) for k in (1, 2, 4, 9))
+        rough = sum(rng.normal(0, 1 / k) * arrays.sin(k * x / wide * 2.6 + rng.uniform(0, 6)) for k in (1, 2, 4, 9))
         y = high * (0.46 + 0.15 * step - 0.05 * (1.4 - share) * rough)
         fill(image, [*zip(x, y), (wide, high), (0, high)], mix(far, near, share))
 
@@ -171,7 +172,7 @@ def cup(image: UInt8, rng: np.random.Generator) -> None:
         wave = np.linspace(0, 1, 14)
         stroke(
             image,
-            np.c_[x + (shift + 0.12 * np.sin(7 * wave + shift)) * r, y - 0.4 * r - 1.1 * r * wave],
+            np.c_[x + (shift + 0.12 * arrays.sin(7 * wave + shift)) * r, y - 0.4 * r - 1.1 * r * wave],
             (170, 140, 118),
             0.07 * r,
         )
@@ -201,7 +202,8 @@ def figure(image: UInt8, rng: np.random.Generator) -> None:
     for number in range(rays):
         a, b = 2 * np.pi * number / rays, 2 * np.pi * (number + 0.5) / rays
         ends = [
-            (np.clip(x + 2 * wide * np.cos(t), 0, wide), np.clip(y + 2 * wide * np.sin(t), 0, high)) for t in (a, b)
+            (np.clip(x + 2 * wide * arrays.cos(t), 0, wide), np.clip(y + 2 * wide * arrays.sin(t), 0, high))
+            for t in (a, b)
         ]
         fill(image, [(x, y), *ends], one)
     ink, unit = choose_colour(rng, DEEP), 0.09 * high

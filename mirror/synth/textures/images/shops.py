@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import (
     Colour,
     choose_colour,
@@ -101,7 +102,7 @@ def _logo(
         fill(image, star(x, y, r, int(rng.integers(5, 9)), rng.uniform(0.4, 0.8)), ink)
     elif kind == 2:
         bend = np.linspace(0, 1, 12)
-        leaf = np.c_[2 * bend - 1, 0.6 * np.sin(np.pi * bend**0.8)]
+        leaf = np.c_[2 * bend - 1, 0.6 * arrays.sin(np.pi * arrays.power(bend, 0.8))]
         fill(image, np.r_[leaf, leaf[::-1] * (1, -1)] * r + (x, y), ink)
         stroke(image, [(x - r, y), (x + 0.8 * r, y)], ground, 0.08 * r)
     elif kind == 3:
@@ -112,5 +113,8 @@ def _logo(
         for share in (1.0, 0.66, 0.33):
             turn = np.linspace(np.pi, 2 * np.pi, 16)
             stroke(
-                image, np.c_[x + share * r * np.cos(turn), y + 0.5 * r + 1.3 * share * r * np.sin(turn)], ink, 0.14 * r
+                image,
+                np.c_[x + share * r * arrays.cos(turn), y + 0.5 * r + 1.3 * share * r * arrays.sin(turn)],
+                ink,
+                0.14 * r,
             )

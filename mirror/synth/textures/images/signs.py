@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.catalogue import Sign
 from mirror.synth.textures.images.drawing import (
     Colour,
@@ -114,7 +115,7 @@ def _arrow(
     image: UInt8, size: int, tail: tuple[float, float], tip: tuple[float, float], colour: Colour, width: float
 ) -> None:
     a, b = np.array(tail), np.array(tip)
-    ahead = (b - a) / np.linalg.norm(b - a)
+    ahead = (b - a) / arrays.norm(b - a)
     aside = np.array([-ahead[1], ahead[0]])
     neck = b - 1.7 * width * ahead
     stroke(image, [a * size, neck * size], colour, width * size)
@@ -136,16 +137,18 @@ def _disc(image: UInt8, size: int, sign: Sign) -> None:
     elif sign == Sign.ROUNDABOUT:
         for start in (0.3, 2.394, 4.488):
             turn = start + np.linspace(0.0, 1.35, 9)
-            arc = np.c_[0.5 + 0.27 * np.cos(turn), 0.5 - 0.27 * np.sin(turn)]
+            arc = np.c_[0.5 + 0.27 * arrays.cos(turn), 0.5 - 0.27 * arrays.sin(turn)]
             stroke(image, arc * size, _WHITE, 0.08 * size)
-            tangent = np.array([-np.sin(turn[-1]), -np.cos(turn[-1])])
-            normal = np.array([np.cos(turn[-1]), -np.sin(turn[-1])])
+            tangent = np.array([-arrays.sin(turn[-1]), -arrays.cos(turn[-1])])
+            normal = np.array([arrays.cos(turn[-1]), -arrays.sin(turn[-1])])
             head = [arc[-1] + 0.15 * tangent, arc[-1] + 0.10 * normal, arc[-1] - 0.10 * normal]
             fill(image, np.array(head) * size, _WHITE)
     else:
         for x in (0.29, 0.71):
             turn = np.linspace(0, 2 * np.pi, 24)
-            stroke(image, np.c_[x + 0.14 * np.cos(turn), 0.60 + 0.14 * np.sin(turn)] * size, _WHITE, 0.03 * size)
+            stroke(
+                image, np.c_[x + 0.14 * arrays.cos(turn), 0.60 + 0.14 * arrays.sin(turn)] * size, _WHITE, 0.03 * size
+            )
         for bar in (
             ((0.29, 0.60), (0.40, 0.40), (0.64, 0.40), (0.71, 0.60)),
             ((0.40, 0.40), (0.50, 0.60), (0.64, 0.40)),
@@ -159,7 +162,7 @@ def _disc(image: UInt8, size: int, sign: Sign) -> None:
 def _plate(image: UInt8, size: int, sign: Sign) -> None:
     if sign == Sign.STOP:
         turn = 2 * np.pi * (np.arange(8) + 0.5) / 8
-        edge = np.c_[np.cos(turn), np.sin(turn)] / np.cos(np.pi / 8)
+        edge = np.c_[arrays.cos(turn), arrays.sin(turn)] / arrays.cos(np.pi / 8)
         fill(image, (0.5 + 0.5 * edge) * size, _WHITE)
         fill(image, (0.5 + 0.465 * edge) * size, _RED)
         number(image, "STOP", (0.10 * size, 0.34 * size, 0.90 * size, 0.66 * size), _WHITE, slim=0.5, bold=0.15)

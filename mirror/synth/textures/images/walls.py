@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import (
     Box,
     Colour,
@@ -82,7 +83,7 @@ def graffiti(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8
     for place, sign in enumerate(word):
         lean, drop = rng.normal(0.0, 0.12), rng.normal(0.0, 0.05) * high
         for line in glyph(sign, 0.72):
-            turned = line @ np.array([[1.0, lean], [lean, 1.0]])
+            turned = arrays.matmul(line, np.array([[1.0, lean], [lean, 1.0]]))
             lines.append(turned * size + (0.09 * wide + place * step, 0.24 * high + drop))
     for colour, width, shift in ((shade(edge, 0.35), 0.34, 0.05), ((20, 20, 24), 0.31, 0.0), (body, 0.23, 0.0)):
         for line in lines:
@@ -103,5 +104,7 @@ def _tag(image: UInt8, rng: np.random.Generator, x: float, y: float, size: float
     """A signature in one stroke."""
     t = np.linspace(0.0, 1.0, 40)
     a, b = rng.uniform(2, 6, 2), rng.uniform(0, 6, 2)
-    path = np.c_[x + size * (3.0 * t + 0.5 * np.sin(a[0] * 6 * t + b[0])), y + size * 0.6 * np.sin(a[1] * 6 * t + b[1])]
+    path = np.c_[
+        x + size * (3.0 * t + 0.5 * arrays.sin(a[0] * 6 * t + b[0])), y + size * 0.6 * arrays.sin(a[1] * 6 * t + b[1])
+    ]
     stroke(image, path, choose_colour(rng, ((24, 24, 28), (34, 40, 110), (130, 26, 34))), 2)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
+from mirror.synth.portable import arrays
 from mirror.synth.textures.images.drawing import (
     Colour,
     choose_colour,
@@ -239,7 +240,7 @@ def _plants(image: UInt8, rng: np.random.Generator) -> None:
             green = shade((66, 120, 54), rng.uniform(0.6, 1.15))
             for _ in range(9):
                 turn = rng.uniform(-1.3, 1.3)
-                tip = (x + 2.0 * size * np.sin(turn), y - size - 2.0 * size * np.cos(turn))
+                tip = (x + 2.0 * size * arrays.sin(turn), y - size - 2.0 * size * arrays.cos(turn))
                 stroke(image, [(x, y - size), tip], shade(green, rng.uniform(0.7, 1.2)), 4)
                 if rng.random() < 0.5:
                     fill(image, star(*tip, 6.0, 6, 0.5), choose_colour(rng, BRIGHT))

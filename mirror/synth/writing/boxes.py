@@ -19,6 +19,7 @@ from mirror.version import __version__
 SOURCE: Final = "synth"
 LEAST_SHARE: Final = 8e-5
 """A road user has a box if some image shows it with at least this share of the image's pixels."""
+_DECIMALS: Final = 9
 _FARTHEST_M: Final = 60.0
 _APART_NS: Final = 500_000_000
 
@@ -106,13 +107,17 @@ def _make_table(
         return BOXES.schema.empty_table()
     ahead = matrix_from_quaternion(world_SE3_box.rotation)[:, :, 0] * speed_mps[:, None]
     velocity = np.einsum("nij,ni->nj", matrix_from_quaternion(world_SE3_ego.rotation), ahead)
+    # Rounded, because processors differ in the last bit (see `mirror.synth.portable`).
     columns: Mapping[str, Any] = {
         "timestamp_ns": timestamp_ns,
         "track_id": [user.track_id for user in road_users],
         "category": [user.body.category for user in road_users],
-        **(world_SE3_ego.inverse() @ world_SE3_box).to_columns(),
+        **{
+            name: values.round(_DECIMALS)
+            for name, values in (world_SE3_ego.inverse() @ world_SE3_box).to_columns().items()
+        },
         **dict(zip(("length_m", "width_m", "height_m"), np.array([user.body.size_m for user in road_users]).T)),
-        **dict(zip(("vx_mps", "vy_mps", "vz_mps"), velocity.T)),
+        **dict(zip(("vx_mps", "vy_mps", "vz_mps"), velocity.round(_DECIMALS).T)),
         "score": pa.nulls(count, pa.float64()),
         "source": [SOURCE] * count,
         "source_version": [__version__] * count,

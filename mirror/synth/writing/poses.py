@@ -17,6 +17,10 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.portable import arrays
 
 _LEAP_NS: Final = 18 * 1_000_000_000
+# Coarser than the last bit, in which processors differ (see `mirror.synth.portable`), and finer than 0.02 mm.
+_DECIMALS_DEG: Final = 10
+_DECIMALS_M: Final = 6
+_DECIMALS_QUATERNION: Final = 9
 
 
 def pose_stamps(drive: SynthDrive) -> Int64:
@@ -37,11 +41,12 @@ def write_poses(folder: Path, drive: SynthDrive, errors: Errors) -> None:
     columns: dict[str, AnyArray] = {"timestamp_ns": stamps}
     if style == "gps":
         columns = {"timestamp": (stamps - GPS_EPOCH_NS + _LEAP_NS) // 1000}
-    columns |= {"longitude_deg": longitude, "latitude_deg": latitude}
+    columns |= {"longitude_deg": longitude.round(_DECIMALS_DEG), "latitude_deg": latitude.round(_DECIMALS_DEG)}
     if style == "heading":
-        columns["heading_deg"] = heading_deg(rotation)
+        columns["heading_deg"] = heading_deg(rotation).round(_DECIMALS_QUATERNION)
     else:
-        columns["height_m"] = height
+        columns["height_m"] = height.round(_DECIMALS_M)
+        rotation = rotation.round(_DECIMALS_QUATERNION)
         columns |= {name: rotation[:, axis] for axis, name in enumerate(("qw", "qx", "qy", "qz"))}
     if errors.sigma_m > 0.0:
         columns["sigma_m"] = np.full(len(stamps), errors.sigma_m)

@@ -6,76 +6,64 @@ The functions have numpy's names and rules of broadcasting; their results are fl
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numba import vectorize
 from numpy.typing import ArrayLike
 
 from mirror.arrays import Float64
+from mirror.synth.kernels import per_pixel
 from mirror.synth.portable import scalars
 
-_ufunc: Final[Callable[[Any], Any]] = vectorize(cache=True)
 
-
-@_ufunc
-def sin(x: float) -> float:
+def sin(x: ArrayLike) -> Any:
     """The sine; see `scalars.sin`."""
-    return scalars.sin(x)
+    return _fill(_sin, x)
 
 
-@_ufunc
-def cos(x: float) -> float:
+def cos(x: ArrayLike) -> Any:
     """The cosine; see `scalars.cos`."""
-    return scalars.cos(x)
+    return _fill(_cos, x)
 
 
-@_ufunc
-def tan(x: float) -> float:
+def tan(x: ArrayLike) -> Any:
     """The tangent; see `scalars.tan`."""
-    return scalars.tan(x)
+    return _fill(_tan, x)
 
 
-@_ufunc
-def arcsin(x: float) -> float:
+def arcsin(x: ArrayLike) -> Any:
     """The arc sine; see `scalars.asin`."""
-    return scalars.asin(x)
+    return _fill(_arcsin, x)
 
 
-@_ufunc
-def arccos(x: float) -> float:
+def arccos(x: ArrayLike) -> Any:
     """The arc cosine; see `scalars.acos`."""
-    return scalars.acos(x)
+    return _fill(_arccos, x)
 
 
-@_ufunc
-def exp(x: float) -> float:
+def exp(x: ArrayLike) -> Any:
     """The exponential function; see `scalars.exp`."""
-    return scalars.exp(x)
+    return _fill(_exp, x)
 
 
-@_ufunc
-def log(x: float) -> float:
+def log(x: ArrayLike) -> Any:
     """The natural logarithm; see `scalars.log`."""
-    return scalars.log(x)
+    return _fill(_log, x)
 
 
-@_ufunc
-def arctan2(y: float, x: float) -> float:
-    """The angle of a point (x, y); see `scalars.atan2`."""
-    return scalars.atan2(y, x)
+def arctan2(y: ArrayLike, x: ArrayLike) -> Any:
+    """The angle of points (x, y); see `scalars.atan2`."""
+    return _fill(_arctan2, y, x)
 
 
-@_ufunc
-def power(x: float, y: float) -> float:
-    """A power of numbers of at least 0; see `scalars.power`."""
-    return scalars.power(x, y)
+def power(x: ArrayLike, y: ArrayLike) -> Any:
+    """Powers of numbers of at least 0; see `scalars.power`."""
+    return _fill(_power, x, y)
 
 
-@_ufunc
-def hypot(x: float, y: float) -> float:
+def hypot(x: ArrayLike, y: ArrayLike) -> Any:
     """The length of vectors (x, y); see `scalars.hypot`."""
-    return scalars.hypot(x, y)
+    return _fill(_hypot, x, y)
 
 
 def norm(vector: ArrayLike) -> float:
@@ -139,3 +127,70 @@ def solve(matrix: ArrayLike, known: ArrayLike) -> Float64:
                 rows[:, other] -= rows[:, other, column, None] * rows[:, column]
     found = rows[:, :, size:].reshape(*shape, size, b.shape[-1])
     return np.ascontiguousarray(found[..., 0] if is_vector else found)
+
+
+def _fill(kernel: Callable[..., None], *arguments: ArrayLike) -> Any:
+    given = np.broadcast_arrays(*(np.asarray(argument, np.float64) for argument in arguments))
+    out = np.empty(given[0].shape)
+    kernel(out.reshape(-1), *(values.reshape(-1) for values in given))
+    return out if out.ndim else out[()]
+
+
+@per_pixel()
+def _sin(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.sin(x[i])
+
+
+@per_pixel()
+def _cos(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.cos(x[i])
+
+
+@per_pixel()
+def _tan(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.tan(x[i])
+
+
+@per_pixel()
+def _arcsin(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.asin(x[i])
+
+
+@per_pixel()
+def _arccos(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.acos(x[i])
+
+
+@per_pixel()
+def _exp(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.exp(x[i])
+
+
+@per_pixel()
+def _log(out: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.log(x[i])
+
+
+@per_pixel()
+def _arctan2(out: Float64, y: Float64, x: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.atan2(y[i], x[i])
+
+
+@per_pixel()
+def _power(out: Float64, x: Float64, y: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.power(x[i], y[i])
+
+
+@per_pixel()
+def _hypot(out: Float64, x: Float64, y: Float64) -> None:
+    for i in range(len(out)):
+        out[i] = scalars.hypot(x[i], y[i])

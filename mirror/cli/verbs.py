@@ -22,6 +22,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "split": ("data", "freeze a train / held-out split, checked for leaks"),
     "stats": ("data", "print the dataset-table row and distributions, draw plots"),
     "check": ("data", "check a dataset against the integrity rules"),
+    "dataset": ("data", "publish a dataset without held-out images, or fetch a published one"),
     "report": ("data", "write an HTML report of a dataset"),
     "deidentify": ("data", "remove faces, number plates and metadata from the images of a dataset"),
     "release": ("data", "check, review, build or withdraw a public release of a de-identified dataset"),

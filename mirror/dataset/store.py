@@ -112,6 +112,17 @@ class Store:
             return self.read_stable(path, Path.read_bytes)
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
+    def read_or_error(self, path: str) -> bytes | Exception:
+        """Read the bytes of one file; returns the error of the file system, whatever its type, if that fails."""
+        if self.folder is not None:
+            try:
+                return self.read(path)
+            except OSError as error:
+                return error
+        full = self._remote_path(path)
+        result = self._remote[0].cat([full], on_error="return")[full]
+        return result if isinstance(result, Exception) else bytes(result)
+
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
         """Read the bytes of the existing files among some, by path. Remote files are fetched in parallel."""
         if self.folder is None:

@@ -49,7 +49,7 @@ def list_training_images(dataset: Dataset, plan: Plan) -> TrainingImagesByCamera
         DatasetError: a requested camera has no training image in its scene; poses or calibrations are missing.
     """
     requested = dict.fromkeys((view.scene_id, view.camera) for view in plan.views)
-    scored = _list_scored_images(plan)
+    scored = list_scored_images(plan)
     images: dict[tuple[str, str], list[Image]] = {key: [] for key in requested}
     for scene in dict.fromkeys(scene for scene, _ in requested):
         for frame in dataset.where(split=plan.split, role="train", scene=scene).frames():
@@ -91,10 +91,10 @@ def list_scored_training_images(dataset: Dataset, protocol: Protocol, split: str
             remedy="choose another protocol; held-out traversals are never trained on",
         )  # fmt: skip
     training_only = protocol.model_copy(update={"groups": (Group(name=recorded[0].name, roles=("train",)),)})
-    return _list_scored_images(plan_views(dataset.where(scene=scene), training_only, split))
+    return list_scored_images(plan_views(dataset.where(scene=scene), training_only, split))
 
 
-def _list_scored_images(plan: Plan) -> frozenset[ImageKey]:
+def list_scored_images(plan: Plan) -> frozenset[ImageKey]:
     """The recorded images that are the truth of a view; moved views have no recorded truth."""
     moved = {group.name for group in plan.protocol.groups if group.ego_shift_m != 0.0}
     return frozenset(

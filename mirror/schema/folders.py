@@ -34,6 +34,7 @@ class FolderKind(Enum):
     """Kinds of folders; the values are words for messages."""
 
     DATASET = "a dataset"
+    BUNDLE = "a published dataset"
     RECORDING = "a recording"
     RECORDINGS = "a folder of recordings"
     SUBMISSION = "a submission"
@@ -64,6 +65,7 @@ class _Signs:
 
 
 _KINDS: Final[Mapping[FolderKind, _Signs]] = {
+    FolderKind.BUNDLE: _Signs({"bundle.json": "mirror-bundle"}, sealed=True),
     FolderKind.DATASET: _Signs({"dataset.json": "mirror"}, sealed=True),
     FolderKind.RECORDING: _Signs({"recording.json": "mirror-folder"}, sealed=True),
     FolderKind.RECORDINGS: _Signs({"synth.json": "mirror-synth"}),

@@ -130,9 +130,10 @@ def solve(matrix: ArrayLike, known: ArrayLike) -> Float64:
 
 
 def _fill(kernel: Callable[..., None], *arguments: ArrayLike) -> Any:
-    given = np.broadcast_arrays(*(np.asarray(argument, np.float64) for argument in arguments))
-    out = np.empty(given[0].shape)
-    kernel(out.reshape(-1), *(values.reshape(-1) for values in given))
+    given = [np.asarray(argument, np.float64) for argument in arguments]
+    shape = np.broadcast_shapes(*(values.shape for values in given))
+    out = np.empty(shape)
+    kernel(out.reshape(-1), *(np.array(np.broadcast_to(values, shape)).reshape(-1) for values in given))
     return out if out.ndim else out[()]
 
 

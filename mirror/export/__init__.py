@@ -1,0 +1,1 @@
+"""Datasets for others: published bundles (docs/benchmark.md)."""

@@ -1,0 +1,181 @@
+"""Published datasets: without held-out images, fetched over HTTP, and good for submissions to the complete dataset."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+import mirror
+from mirror.cli.main import main
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, SchemaError, UsageError
+from mirror.export.bundle import Bundle
+from mirror.export.fetch import fetch
+from mirror.export.publish import PublishOptions, publish
+from mirror.protocols.views import plan_views
+from tests.evaluation.submissions import SPLIT, small
+
+BROKEN: set[str] = set()
+REQUESTED: list[str] = []
+
+
+class _Handler(SimpleHTTPRequestHandler):
+    def do_GET(self) -> None:
+        REQUESTED.append(self.path.lstrip("/"))
+        if self.path.lstrip("/") in BROKEN:
+            self.send_error(503)
+        else:
+            super().do_GET()
+
+    def log_message(self, *arguments: object) -> None:
+        pass
+
+
+def options(**changes: object) -> PublishOptions:
+    return PublishOptions(
+        **{"split": SPLIT, "protocols": (small(),), "name": "Street", "licence": "CC0-1.0", **changes}
+    )
+
+
+@pytest.fixture(scope="module")
+def bundle(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("published") / "bundle"
+    publish(root, str(out), options())
+    return out
+
+
+@pytest.fixture
+def url(bundle: Path) -> Iterator[str]:
+    pytest.importorskip("aiohttp", reason="the extra http is not installed")
+    BROKEN.clear(), REQUESTED.clear()
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, directory=str(bundle)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+def test_published_bundle_has_everything_but_held_out_images(dataset: Dataset, root: Path, bundle: Path) -> None:
+    document = Bundle.model_validate_json((bundle / "bundle.json").read_bytes())
+    held_out = {
+        row["traversal_id"] for row in dataset.where(split=SPLIT, role="held_out").table("traversals").to_pylist()
+    }
+    images = dataset.table("images", ["traversal_id", "camera", "timestamp_ns", "uri"]).to_pylist()
+    scored = {(view.traversal_id, view.camera, view.timestamp_ns) for view in plan_views(dataset, small(), SPLIT).views}
+    assert held_out and scored
+    withheld = {row["uri"] for row in images if row["traversal_id"] in held_out}
+    assert {
+        row["uri"] for row in images if (row["traversal_id"], row["camera"], row["timestamp_ns"]) in scored
+    } <= withheld
+    assert set(document.withheld) == withheld
+    for row in images:
+        published = bundle / row["uri"]
+        assert published.exists() == (row["uri"] not in withheld)
+        if published.exists():
+            assert published.read_bytes() == (root / row["uri"]).read_bytes()
+    for name, entry in document.files.items():
+        data = (bundle / name).read_bytes()
+        assert (len(data), hashlib.sha256(data).hexdigest()) == (entry.bytes, entry.sha256), name
+    assert {str(path.relative_to(bundle)) for path in bundle.rglob("*") if path.is_file()} - {".lock"} == {
+        *document.files, "bundle.json"
+    }  # fmt: skip
+    sheet = (bundle / "README.md").read_text()
+    assert (
+        sheet.startswith("---\npretty_name: Street\nlicense: cc0-1.0\n")
+        and f"{len(withheld):,} images are withheld" in sheet
+    )
+    assert "CC0-1.0" in (bundle / "LICENSE").read_text()
+
+
+def test_images_that_a_protocol_scores_in_training_traversals_are_withheld(
+    root: Path, dataset: Dataset, tmp_path: Path
+) -> None:
+    training = small(groups='[[groups]]\nname = "training"\nroles = ["train"]\n')
+    scored = {view.timestamp_ns for view in plan_views(dataset, training, SPLIT).views}
+    document = publish(root, str(tmp_path / "b"), options(protocols=(small(), training)))
+    names = {path.rpartition("/")[2].partition(".")[0] for path in document.withheld}
+    assert scored and {str(stamp) for stamp in scored} <= names
+    assert "protocols `small`, `small`" in (tmp_path / "b" / "README.md").read_text()
+
+
+def test_fetched_dataset_asks_for_the_same_views(dataset: Dataset, url: str, tmp_path: Path) -> None:
+    assert main(["dataset", "fetch", url, "--out", str(tmp_path / "d"), "--json"]) == 0
+    fetched = mirror.open(tmp_path / "d")
+    assert plan_views(fetched, small(), SPLIT).hash == plan_views(dataset, small(), SPLIT).hash
+    training = fetched.where(split=SPLIT, role="train")
+    assert next(iter(training.frames())).images["front_wide"].decode().shape[2] == 3
+    held_out = next(iter(fetched.where(split=SPLIT, role="held_out").frames()))
+    with pytest.raises(DatasetError):
+        held_out.images["front_wide"].decode()
+
+
+def test_fetch_continues_after_failures_and_verifies_bytes(
+    bundle: Path, url: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "d"
+    document = Bundle.model_validate_json((bundle / "bundle.json").read_bytes())
+    broken = next(name for name in document.files if name.endswith(".jpg"))
+    BROKEN.add(broken)
+    assert main(["dataset", "fetch", url, "--out", str(out), "--json"]) == 3
+    said = capsys.readouterr()
+    assert json.loads(said.out)["failed"] == [broken] and broken in said.err
+    assert not (out / "dataset.json").exists() and not list(out.rglob("*.tmp"))
+    # A file that was damaged on disk since, and the one that failed, are fetched; all others are kept.
+    damaged = next(name for name in document.files if name.endswith(".parquet"))
+    (out / damaged).write_bytes(b"x" * document.files[damaged].bytes)
+    BROKEN.clear(), REQUESTED.clear()
+    report = fetch(url, out)
+    assert not report.failed and report.fetched == 3
+    assert sorted(REQUESTED) == sorted(["bundle.json", broken, damaged, "dataset.json"])
+    assert fetch(url, out).kept == len(document.files)
+
+
+def test_bytes_that_differ_from_the_hash_are_refused(bundle: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    for path in bundle.rglob("*"):
+        if path.is_file():
+            target = source / path.relative_to(bundle)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(path.read_bytes())
+    (source / "rois.geojson").write_text("{}")
+    report = fetch(str(source), tmp_path / "d")
+    assert [name for name, _ in report.failed] == ["rois.geojson"] and "differ from the hash" in report.failed[0][1]
+    assert not (tmp_path / "d" / "rois.geojson").exists()
+    for path in ("../escape", "/etc/passwd", "a/../../b"):
+        document = json.loads((bundle / "bundle.json").read_bytes())
+        document["files"][path] = {"bytes": 1, "sha256": "0" * 64}
+        (source / "bundle.json").write_text(json.dumps(document))
+        with pytest.raises(SchemaError, match="leads out of the bundle"):
+            fetch(str(source), tmp_path / "e")
+
+
+def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="states no licence"):
+        publish(root, str(tmp_path / "b"), options(licence=None))
+    with pytest.raises(UsageError, match="it is a dataset"):
+        publish(root, str(root), options())
+    with pytest.raises(DatasetError, match="missing"):
+        publish(root, str(tmp_path / "b"), options(split="none"))
+    with pytest.raises(DatasetError, match="missing"):
+        fetch(str(root), tmp_path / "d")
+    with pytest.raises(UsageError, match="it is a dataset"):
+        fetch(str(bundle), root)
+    fetch(str(bundle), tmp_path / "d")
+    other = json.loads((bundle / "bundle.json").read_bytes()) | {"licence": "another"}
+    (tmp_path / "d" / "bundle.json").write_text(json.dumps(other))
+    with pytest.raises(DatasetError, match="another bundle"):
+        fetch(str(bundle), tmp_path / "d")
+    assert main(["ingest", str(tmp_path), "--roi", "1,2", "--out", str(bundle)]) == 2
+
+
+def test_a_bundle_is_published_to_a_url(root: Path, tmp_path: Path) -> None:
+    document = publish(root, "memory://published/street", options())
+    report = fetch("memory://published/street", tmp_path / "d")
+    assert report.fetched == len(document.files) and not report.failed

@@ -78,6 +78,7 @@ def main(argv: Sequence[str]) -> int:
 def _publish(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Publish, argv, "mirror dataset publish", examples=_PUBLISH_EXAMPLES)
 
+    import mirror
     from mirror.export.publish import PublishOptions, publish
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
@@ -99,6 +100,9 @@ def _publish(argv: Sequence[str]) -> int:
         counts = f"{len(bundle.files):,} files, {size / 1e6:,.1f} MB; {len(bundle.withheld):,} images withheld"
         print(f"{arguments.out}: {counts}")
         print("README.md is the datasheet: read it, and add what only you know, before you publish the folder")
+        raw = mirror.open(arguments.dataset).table("images", ["privacy"]).column("privacy").to_pylist().count("raw")
+        if raw:
+            print(f"{raw:,} images of the dataset show faces and plates as recorded: publish them only if you may")
     return ExitCode.DONE
 
 

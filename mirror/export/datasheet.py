@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
-from mirror.export.bundle import Bundle
+from mirror.schema.bundle import Bundle
 
 
 def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str | None) -> str:

@@ -9,9 +9,9 @@ from typing import Final
 
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError
-from mirror.export.bundle import BUNDLE, Bundle
 from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import parse_json, sha256_bytes, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder

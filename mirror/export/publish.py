@@ -16,13 +16,13 @@ from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, UsageError
-from mirror.export.bundle import BUNDLE, Bundle
 from mirror.export.datasheet import write_datasheet
 from mirror.methods.training_images import list_scored_images
 from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
+from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import FileEntry, SplitDocument
 from mirror.schema.files import read_json, sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder

@@ -19,6 +19,7 @@ from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.geometry.cameras import Camera
 from mirror.integrity.rows import Part, Rows
 from mirror.pools import thread_pool
+from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
 from mirror.schema.tables import PASSES, ROW_GROUPS, Table
@@ -120,6 +121,13 @@ class DatasetView:
             for folder, manifest in self.folder_manifests.items()
             if folder.name == "recorded"
         }
+
+    @cached_property
+    def withheld(self) -> frozenset[str]:
+        """Paths of the images that a published dataset leaves out; empty for other datasets."""
+        file = self.layout.root / BUNDLE
+        bundle = self._read(file, Bundle) if file.is_file() else None
+        return frozenset() if bundle is None else frozenset(bundle.withheld)
 
     @cached_property
     def index_manifest(self) -> Manifest | None:

@@ -20,6 +20,7 @@ DATASET_FIRST = (
     "baseline",
     "calibrate check",
     "check",
+    "dataset publish",
     "deidentify",
     "depth",
     "evaluate",

@@ -16,10 +16,10 @@ import mirror
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
-from mirror.export.bundle import Bundle
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, publish
 from mirror.protocols.views import plan_views
+from mirror.schema.bundle import Bundle
 from tests.evaluation.submissions import SPLIT, small
 
 BROKEN: set[str] = set()
@@ -92,6 +92,17 @@ def test_published_bundle_has_everything_but_held_out_images(dataset: Dataset, r
         and f"{len(withheld):,} images are withheld" in sheet
     )
     assert "CC0-1.0" in (bundle / "LICENSE").read_text()
+
+
+def test_check_does_not_miss_withheld_images(bundle: Path, root: Path, tmp_path: Path) -> None:
+    def missing(folder: Path) -> int:
+        return sum(rule.id == "IMG001" for rule, _ in mirror.check(folder).findings)
+
+    assert missing(bundle) == missing(root) == 0
+    fetch(str(bundle), tmp_path / "d")
+    published = next((tmp_path / "d" / "traversals").rglob("*.jpg"))
+    published.unlink()
+    assert missing(tmp_path / "d") == 1
 
 
 def test_images_that_a_protocol_scores_in_training_traversals_are_withheld(

@@ -20,15 +20,16 @@ from mirror.integrity.scene_view import SceneView
 @scene_rule(
     "IMG001",
     Severity.ERROR,
-    title="An image's file is missing.",
+    title="An image's file is missing, and no published bundle withholds it.",
     cost=Cost.FILES,
     remedy="restore the file from the recording, or `mirror ingest RECORDING... --replace`",
 )
 def _missing(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
-    yield from images.findings(
-        view.image_files.size == MISSING, lambda row: f"{images.word('uri', row)} is missing or cannot be opened"
-    )
+    missing = view.image_files.size == MISSING
+    if view.dataset.withheld:
+        missing &= ~np.asarray(pc.is_in(images.data.column("uri"), value_set=pa.array(sorted(view.dataset.withheld))))
+    yield from images.findings(missing, lambda row: f"{images.word('uri', row)} is missing or cannot be opened")
 
 
 @scene_rule(

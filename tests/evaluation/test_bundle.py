@@ -96,7 +96,7 @@ def test_published_bundle_has_everything_but_held_out_images(dataset: Dataset, r
 
 def test_check_does_not_miss_withheld_images(bundle: Path, root: Path, tmp_path: Path) -> None:
     def missing(folder: Path) -> int:
-        return sum(rule.id == "IMG001" for rule, _ in mirror.check(folder).findings)
+        return sum(rule.rule_id == "IMG001" for rule, _ in mirror.check(folder).findings)
 
     assert missing(bundle) == missing(root) == 0
     fetch(str(bundle), tmp_path / "d")

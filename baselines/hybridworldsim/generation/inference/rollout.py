@@ -31,6 +31,8 @@ class Rollout:
 
     Attributes:
         frame: number of the next frame.
+        generated_views: number of views generated so far.
+        kept_views: number of views that were given instead.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Rollout:
             conditions.require_finite()
         self._network, self._settings, self._seed = network, settings, seed
         self.frame = first
+        self.generated_views = self.kept_views = 0
         count = len(seed_conditions)
         self._latents: deque[Tensor] = deque(seeds.split(1, dim=1), maxlen=count)
         self._conditions: deque[Conditions] = deque(seed_conditions, maxlen=count)
@@ -61,44 +64,79 @@ class Rollout:
         self._features: deque[list[Tensor]] = deque(features, maxlen=count)
 
     @torch.no_grad()
-    def step(self, conditions: Conditions, unconditional: Conditions | None = None) -> Tensor:
+    def step(
+        self,
+        conditions: Conditions,
+        unconditional: Conditions | None = None,
+        *,
+        active: Sequence[int] | None = None,
+        kept: Tensor | None = None,
+    ) -> Tensor:
         """Generate the next frame.
 
         Args:
             conditions: of the frame, as those of the seeds.
             unconditional: the same without layout and text, for guidance.
+            active: views that are generated; None: all. The others cost nothing.
+            kept: (B, 1, V, C, H, W) latents of the other views, such as those of the empty street.
 
         Returns:
             (B, 1, V, C, H, W) latents.
 
         Raises:
-            UsageError: conditions are not finite or do not fit the seeds.
+            UsageError: conditions are not finite or do not fit the seeds, or latents of other views are missing.
         """
         conditions.require_finite()
         references = torch.cat(list(self._latents), dim=1)
         batch, views = references.shape[0], references.shape[2]
+        shape = (batch, 1, *references.shape[2:])
         if conditions.shape != (batch, 1, views):
             raise UsageError(f"conditions of {conditions.shape}", expected=f"{(batch, 1, views)}, as the seeds")
-        window = join_conditions(self._network.config, [*self._conditions, conditions])
-        features: list[Tensor] | None = None
-        if self._keeps_features:
-            own = self._network.encode_images(conditions)
-            features = join_features([*self._features, own], (batch, views))
-        shape = (batch, 1, *references.shape[2:])
-        noise = draw_noise(shape, (self._seed, self.frame), device=references.device).to(references.dtype)
-        context_noise = None
-        if self._settings.context_noise > 0.0:
-            context_noise = draw_noise(references.shape, (self._seed, self.frame, _CONTEXT), device=references.device)
-        without = None
-        if unconditional is not None:
-            without = join_conditions(self._network.config, [*self._conditions, unconditional])
-        latents = sample_frame(
-            self._network, references, window, noise, self._settings,
-            features=features, context_noise=context_noise, unconditional=without,
-        )  # fmt: skip
+        chosen = list(range(views)) if active is None else list(active)
+        if len(chosen) < views and (kept is None or kept.shape != shape):
+            raise UsageError("no latents of the views that are not generated", expected=f"latents of shape {shape}")
+        own = self._network.encode_images(conditions) if self._keeps_features else []
+        if chosen:
+            noise = draw_noise(shape, (self._seed, self.frame), device=references.device).to(references.dtype)
+            latents = self._sample(references, conditions, unconditional, own, noise, chosen)
+        if kept is not None and len(chosen) < views:
+            whole = kept.clone()
+            if chosen:
+                whole[:, :, chosen] = latents
+            latents = whole
         self._latents.append(latents)
         self._conditions.append(conditions)
         if self._keeps_features:
             self._features.append(own)
         self.frame += 1
+        self.generated_views += batch * len(chosen)
+        self.kept_views += batch * (views - len(chosen))
         return latents
+
+    def _sample(
+        self,
+        references: Tensor,
+        conditions: Conditions,
+        unconditional: Conditions | None,
+        own: list[Tensor],
+        noise: Tensor,
+        chosen: list[int],
+    ) -> Tensor:
+        """The latents of the chosen views of the next frame."""
+        config, views = self._network.config, references.shape[2]
+        window, features = join_conditions(config, [*self._conditions, conditions]).views(chosen), None
+        if self._keeps_features:
+            shape = (len(references), references.shape[1] + 1, views)
+            joined = join_features([*self._features, own], (shape[0], views))
+            features = [one.unflatten(0, shape)[:, :, chosen].flatten(0, 2) for one in joined]
+        context_noise = None
+        if self._settings.context_noise > 0.0:
+            seeds = self._seed, self.frame, _CONTEXT
+            context_noise = draw_noise(references.shape, seeds, device=references.device)[:, :, chosen]
+        without = None
+        if unconditional is not None:
+            without = join_conditions(config, [*self._conditions, unconditional]).views(chosen)
+        return sample_frame(
+            self._network, references[:, :, chosen], window, noise[:, :, chosen], self._settings,
+            features=features, context_noise=context_noise, unconditional=without,
+        )  # fmt: skip

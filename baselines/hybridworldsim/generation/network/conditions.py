@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -50,6 +51,19 @@ class Conditions:
         """B, T and V."""
         batch, frames, views = self.intrinsics.shape[:3]
         return batch, frames, views
+
+    def views(self, views: Sequence[int]) -> Conditions:
+        """Those of some of the views, which keep their numbers in the rig."""
+        chosen = list(views)
+        names = ("intrinsics", "camera_to_ego", "text", "pooled", "layout", "background", "present")
+        tensors = {name: getattr(self, name) for name in names}
+        chosen_tensors: dict[str, Any] = {
+            name: None if tensor is None else tensor[:, :, chosen] for name, tensor in tensors.items()
+        }
+        if self.adjacent is not None:
+            chosen_tensors["adjacent"] = self.adjacent[:, chosen][:, :, chosen]
+        index = torch.arange(self.shape[2], device=self.pooled.device) if self.view_index is None else self.view_index
+        return replace(self, **chosen_tensors, view_index=index[chosen])
 
     def to(self, *args: Any) -> Conditions:
         """Move or convert all floating point tensors, and move the others, as `torch.Tensor.to` does."""

@@ -1,0 +1,149 @@
+"""Rollouts over a clip: images of the empty street and boxes become images with traffic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import torch
+
+from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_bytes, to_tensor
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.clips.conditions import frame_conditions
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.windows import seed_frames
+from hybridworldsim.generation.layout.boxes import BoxStyle, draw_inverse_depth
+from hybridworldsim.generation.layout.images import draw_layout
+from hybridworldsim.generation.network.conditions import Conditions
+from hybridworldsim.generation.network.transformer import Transformer
+from mirror.arrays import Bool, Float32, UInt8
+
+
+@dataclass(frozen=True)
+class ClipRolloutOptions:
+    """What is generated of a clip.
+
+    Attributes:
+        sampler: how a frame is sampled.
+        keep_empty_views: whether a view without a box keeps its background, and a frame without boxes costs nothing.
+        blend_px: a generated image is used only within the hulls of boxes, grown by this many pixels, and fades over as
+            many behind them; None: it is used everywhere.
+        seed: seed of the noise.
+    """
+
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    keep_empty_views: bool = True
+    blend_px: int | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class GeneratedFrame:
+    """One generated frame.
+
+    Attributes:
+        frame: number of the frame in the clip.
+        images: (V, H, W, 3).
+        generated: (V,) which views the network generated; the others are their background.
+    """
+
+    frame: int
+    images: UInt8
+    generated: Bool
+
+
+def roll_out_clip(
+    network: Transformer,
+    codec: LatentCodec,
+    clip: Clip,
+    style: BoxStyle,
+    first: int,
+    references: int,
+    options: ClipRolloutOptions,
+    *,
+    edited: Clip | None = None,
+) -> Iterator[GeneratedFrame]:
+    """Generate the frames of a clip from a first one on, frame by frame.
+
+    Args:
+        network: the network.
+        codec: the autoencoder.
+        clip: recorded images seed the rollout; later ones are not read. Backgrounds and boxes of all frames are read.
+        style: how boxes are drawn.
+        first: first generated frame; the `references` frames before it seed the rollout.
+        references: T, number of reference frames.
+        options: see `ClipRolloutOptions`.
+        edited: the same clip with other boxes, which hold from the first generated frame on; None: those of the clip.
+
+    Raises:
+        UsageError: fewer than T frames stand before the first one, or a part does not fit the network.
+    """
+    seeds = seed_frames(first, references)
+    layouts = {frame: _layout(clip, frame, style) for frame in seeds}
+    conditions = [_conditions(clip, frame, network, layouts[frame]) for frame in seeds]
+    latents = torch.stack([_encode(codec, clip.images[frame]) for frame in seeds])[None]
+    rollout = Rollout(network, latents, conditions, options.sampler, seed=options.seed, first=first)
+    source = clip if edited is None else edited
+    for frame in range(first, len(clip)):
+        generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
+        generated &= clip.present[frame]
+        background = _encode(codec, clip.background[frame])[None, None]
+        of_frame = _conditions(source, frame, network, _layout(source, frame, style))
+        result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=background)
+        images = clip.background[frame].copy()
+        if generated.any():
+            with torch.no_grad():
+                images[generated] = to_bytes(codec.decode(result[0, 0, torch.from_numpy(generated)]))
+        if options.blend_px is not None:
+            images = blend(images, clip.background[frame], hull_shares(source, frame, options.blend_px))
+        yield GeneratedFrame(frame, images, generated)
+
+
+def views_with_boxes(clip: Clip, frame: int) -> Bool:
+    """Which views (V,) of a frame show some box."""
+    return np.asarray(_hulls(clip, frame).any(axis=(1, 2)))
+
+
+def hull_shares(clip: Clip, frame: int, grow_px: int) -> Float32:
+    """Share (V, H, W) of a generated image in each pixel: 1 in hulls grown by some pixels, falling to 0 behind them."""
+    side = 2 * grow_px + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    shares = []
+    for hull in _hulls(clip, frame):
+        grown = cv2.dilate(hull.astype(np.float32), kernel)
+        shares.append(np.maximum(grown, cv2.blur(cv2.dilate(grown, kernel), (side, side))))
+    return np.stack(shares)
+
+
+def blend(images: UInt8, background: UInt8, shares: Float32) -> UInt8:
+    """Images (V, H, W, 3) where shares (V, H, W) are 1, the background where they are 0."""
+    share = shares[..., None]
+    mixed: UInt8 = np.round(share * images + (1.0 - share) * background).astype(np.uint8)
+    return mixed
+
+
+def _hulls(clip: Clip, frame: int) -> Bool:
+    """Pixels (V, H, W) that show the inside of some box."""
+    boxes = clip.boxes.at(frame)
+    return np.stack(
+        [
+            draw_inverse_depth(np.linalg.inv(mount) @ boxes.ego_SE3_box, boxes.lwh_m, lens, clip.size_px, 1.0) > 0.0
+            for mount, lens in zip(clip.ego_SE3_camera, clip.intrinsics)
+        ]
+    )
+
+
+def _layout(clip: Clip, frame: int, style: BoxStyle) -> Float32:
+    return draw_layout(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style)
+
+
+def _conditions(clip: Clip, frame: int, network: Transformer, layout: Float32) -> Conditions:
+    return frame_conditions(clip, frame, network.config, layout)
+
+
+@torch.no_grad()
+def _encode(codec: LatentCodec, images: UInt8) -> torch.Tensor:
+    return codec.encode(to_tensor(images))

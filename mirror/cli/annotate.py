@@ -23,6 +23,7 @@ _EXAMPLES = (
     "mirror annotate demo/dataset --annotator subprocess --set command='python detect.py' --set limit_s=20",
 )
 _TRACK_EXAMPLES = ("mirror annotate track demo/dataset --boxes synth@0.1.0",)
+_MASK_EXAMPLES = ("mirror annotate masks demo/dataset --boxes synth@0.1.0",)
 _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --out review.json",)
 
 
@@ -30,9 +31,9 @@ _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --o
 class Arguments:
     """Find the road users in all frames of a dataset, and write a layer of boxes for each traversal.
 
-    `mirror annotate track` makes tracks of a layer of boxes, and `mirror annotate export` writes a layer as a file for
-    other tools. Layers lie side by side and are never replaced. Finished frames are kept when the run is interrupted or
-    a frame fails: the same command continues there.
+    `mirror annotate track` makes tracks of a layer of boxes, `mirror annotate masks` writes masks of its road users,
+    and `mirror annotate export` writes it as a file for other tools. Layers lie side by side and are never replaced.
+    Finished frames are kept when the run is interrupted or a frame fails: the same command continues there.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -71,6 +72,28 @@ class TrackArguments:
     version: Annotated[str | None, help_text(default="that of the boxes", metavar="NAME")] = None
     """Version of the layer of tracks."""
     options: tyro.conf.OmitArgPrefixes[TrackingOptions] = field(default_factory=TrackingOptions)
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class MaskArguments:
+    """Write masks of road users: the projected hulls of a layer of boxes, for reconstruction and scoring.
+
+    The masks of SOURCE@VERSION become the layer SOURCE-hulls@VERSION, of kind dynamic, which the static reconstruction
+    and the protocols leave out. Parked vehicles are masked too; barriers and cones are not.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes."""
+    version: Annotated[str | None, help_text(default="that of the boxes", metavar="NAME")] = None
+    """Version of the layer of masks."""
+    margin: float = 0.1
+    """Growth of each box's length, width and height, as a share."""
+    min_score: float = 0.3
+    """Boxes with a lower score are left out; labels without a score count."""
     json: bool = False
     """Print JSON."""
 
@@ -169,6 +192,27 @@ def _track(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
+def _masks(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(MaskArguments, argv, "mirror annotate masks", examples=_MASK_EXAMPLES)
+
+    import mirror
+    from mirror.annotation.masks import MaskOptions, mask_layer
+    from mirror.progress import progress_bar
+
+    options = MaskOptions(arguments.margin, arguments.min_score)
+    with progress_bar(quiet=arguments.json) as bar:
+        report = mask_layer(
+            mirror.open(arguments.dataset), arguments.boxes, options, version=arguments.version, progress=bar
+        )
+    if arguments.json:
+        print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
+        return ExitCode.DONE
+    print(f"layer masks/{report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept")
+    if report.written:
+        print(f"{report.images} masks; road users cover {report.share:.1%} of the pixels")
+    return ExitCode.DONE
+
+
 def _export(argv: Sequence[str]) -> int:
     arguments = parse_arguments(ExportArguments, argv, "mirror annotate export", examples=_EXPORT_EXAMPLES)
 
@@ -192,5 +236,6 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 _SUBCOMMANDS: Final = {
     "track": Subcommand("make tracks of a layer of boxes", _track),
+    "masks": Subcommand("write masks of road users from a layer of boxes", _masks),
     "export": Subcommand("write a layer of boxes as nuScenes results, for review", _export),
 }

@@ -103,6 +103,22 @@ def _print(totals: Statistics) -> None:
         ("light", "weather", "traversals", "min"),
         [(row.light, row.weather, row.traversals, f"{60 * row.hours:.1f}") for row in totals.conditions],
     )
+    if totals.categories:
+        _table(
+            console,
+            "boxes",
+            ("layer", "category", "boxes", "objects", "mean score"),
+            [
+                (
+                    item.layer,
+                    item.category,
+                    f"{item.boxes:,}",
+                    f"{item.objects:,}",
+                    "--" if item.mean_score is None else f"{item.mean_score:.2f}",
+                )
+                for item in totals.categories
+            ],
+        )
     if totals.speed is not None:
         percents = totals.speed.quantiles_mps.items()
         _table(

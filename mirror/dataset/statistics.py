@@ -94,6 +94,25 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class CategoryRow:
+    """Number of boxes of one category in one layer.
+
+    Attributes:
+        layer: ``source@version``.
+        category: class name in the source's words.
+        boxes: number of boxes.
+        objects: number of different track ids, counted in each traversal.
+        mean_score: mean score of the boxes that have one; None: none has.
+    """
+
+    layer: str
+    category: str
+    boxes: int
+    objects: int
+    mean_score: float | None
+
+
+@dataclass(frozen=True)
 class Speed:
     """Distribution of the horizontal speed over half seconds, weighted by time.
 
@@ -130,6 +149,7 @@ class Statistics:
         frames: number of frames.
         images: number of images.
         image_bytes: their total size.
+        categories: boxes by layer and category, most frequent first.
     """
 
     row: TableRow
@@ -145,6 +165,7 @@ class Statistics:
     frames: int
     images: int
     image_bytes: int
+    categories: Sequence[CategoryRow] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as JSON values, for ``--json``."""
@@ -174,6 +195,7 @@ def compute_statistics(dataset: Dataset) -> Statistics:
         frames=dataset.count("frames"),
         images=dataset.count("images"),
         image_bytes=sum(_bytes(dataset.where(scene=scene_id)) for scene_id, items in own.items() if items),
+        categories=_categories(dataset, [scene_id for scene_id, items in own.items() if items]),
     )
 
 
@@ -236,6 +258,32 @@ def _row(
         light=tuple(_counted((item["light"] for item in traversals), _LIGHT)),
         weather=tuple(_counted((item["weather"] for item in traversals), _WEATHER)),
     )
+
+
+def _categories(dataset: Dataset, scenes: Iterable[str]) -> list[CategoryRow]:
+    """Boxes by layer and category; the tables are read one scene at a time."""
+    keys = ["source", "source_version", "category"]
+    boxes: Counter[tuple[str, str]] = Counter()
+    objects: Counter[tuple[str, str]] = Counter()
+    scored: Counter[tuple[str, str]] = Counter()
+    sums: dict[tuple[str, str], float] = {}
+    for scene_id in scenes:
+        table = dataset.where(scene=scene_id).table("boxes", [*keys, "traversal_id", "track_id", "score"])
+        text = [table.column(name).cast(pa.string()) for name in (*keys, "traversal_id", "track_id")]
+        table = pa.table(dict(zip((*keys, "traversal", "track"), text))).append_column("score", table.column("score"))
+        counts = table.group_by([*keys, "traversal", "track"]).aggregate(
+            [("score", "count"), ("score", "sum"), ([], "count_all")]
+        )
+        for row in counts.to_pylist():
+            key = f"{row['source']}@{row['source_version']}", row["category"]
+            boxes[key] += row["count_all"]
+            objects[key] += 1
+            scored[key] += row["score_count"]
+            sums[key] = sums.get(key, 0.0) + (row["score_sum"] or 0.0)
+    return [
+        CategoryRow(*key, count, objects[key], sums[key] / scored[key] if scored[key] else None)
+        for key, count in sorted(boxes.items(), key=lambda item: (item[0][0], -item[1], item[0][1]))
+    ]
 
 
 def _drive_city(dataset: Dataset, drive_id: str) -> str | None:

@@ -197,12 +197,13 @@ def _traversal(
     detected = {task.key: log.done[task.key].regions for task in done}
     regions = propagate(dataset, traversal_id, detected, options.propagation)
     failures = _repeat(traversal_id, done, regions, options, configuration, pool, folder)
-    if failures:
-        report.failures += _named(traversal_id, failures)
+    report.failures += _named(traversal_id, failures)
+    if failures and not options.withhold_failed:
         report.unfinished.append(traversal_id)
         return
+    regions = {key: found for key, found in regions.items() if key not in failures}
     skipped = {key: log.done[key].skipped for key in regions}
-    rows = {task.key: dict(task.row) for task in done}
+    rows = {task.key: dict(task.row) for task in done if task.key in regions}
     bar.status(f"writing {traversal_id}")
     write_layers(layout, traversal_id, rows, regions, skipped, configuration, workers=options.workers)
     report.written.append(traversal_id)
@@ -229,6 +230,7 @@ def _repeat(
     Returns:
         The images that failed.
     """
+    failures: dict[ImageKey, Failure] = {}
     changed = {task.key for task in tasks if regions[task.key] and not task.is_skipped}
     for number in range(options.propagation.repeats):
         again = [
@@ -237,11 +239,12 @@ def _repeat(
             if task.key in changed
         ]
         log = DetectionLog(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
-        failures = detect_images(again, pool, log, lambda steps: None)
-        if failures:
-            return failures
+        failed = detect_images(again, pool, log, lambda steps: None)
+        failures |= failed
+        if failed and not options.withhold_failed:
+            break
         changed = set()
-        for task in again:
+        for task in (task for task in again if task.key not in failed):
             size = task.row["width_px"], task.row["height_px"]
             boxes = [grown_box(one, options.redaction.grow, *size) for one in regions[task.key]]
             covering = [box for box in boxes if box is not None]
@@ -251,7 +254,7 @@ def _repeat(
                 changed.add(task.key)
         if not changed:
             break
-    return {}
+    return failures
 
 
 def _named(traversal_id: str, failures: Mapping[ImageKey, Failure]) -> list[ImageFailure]:

@@ -171,3 +171,13 @@ def test_yunet_finds_the_faces_of_a_real_crossing(real_data: Path) -> None:
     assert detector.skipped_tiles > 0
     with pytest.raises(WeightsUnavailableError, match="published file has"):
         YuNet(DetectorOptions(real_data / "faces" / "city.jpg"))
+
+
+def test_likely_plates_need_boxes_that_agree() -> None:
+    from mirror.privacy.detectors.plates import _agreed
+
+    near = np.array([[0.0, 0.0, 40.0, 12.0]]) + np.arange(4)[:, None]
+    far = np.array([[100.0, 0.0, 140.0, 12.0], [200.0, 0.0, 240.0, 12.0]])
+    boxes, scores = np.concatenate([near, far]), np.array([0.2, 0.15, 0.06, 0.12, 0.2, 0.4])
+    assert _agreed(boxes, scores).tolist() == [True, True, False, True, False, True]
+    assert _agreed(np.zeros((0, 4)), np.zeros(0)).tolist() == []

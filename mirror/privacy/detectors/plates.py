@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 import cv2
@@ -20,6 +19,9 @@ _SCALES: Final = (2.0, 3.0)
 _THRESHOLD: Final = 0.05
 _LEAST_ASPECT: Final = 1.2
 _SURE: Final = 0.3
+_LIKELY: Final = 0.1
+_AGREEING: Final = 4
+"""Number of boxes of all scales and anchors, itself included, that make a likely box one that is kept."""
 _AGREEMENT: Final = 0.4
 _WIDEST: Final = 0.15
 """Share of the image's width: wider boxes were windscreens and shop signs."""
@@ -55,14 +57,15 @@ class ChinesePlates:
     def __call__(self, image: UInt8) -> list[Region]:
         """Find number plates in an image (H, W, 3), RGB."""
         bgr = np.ascontiguousarray(image[..., ::-1])
-        found = [self._find(bgr)]
+        boxes, scores = self._find(bgr)
         for scale in _SCALES:
             more, more_scores, left_out = detect_in_tiles(
                 self._find, bgr, scale=scale, tile_px=_TILE_PX, overlap_px=_OVERLAP_PX, skipped=self.skipped
             )
             self.skipped_tiles += left_out
-            found.append((more, more_scores))
-        boxes, scores = _agreed(found)
+            boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
+        agreed = _agreed(boxes, scores)
+        boxes, scores = boxes[agreed], scores[agreed]
         width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
         likely = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * image.shape[1])
         boxes, scores = boxes[likely], scores[likely]
@@ -85,16 +88,13 @@ class ChinesePlates:
         return np.concatenate([low, high], axis=1), conf[likely, 1]
 
 
-def _agreed(found: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
-    """Join the boxes of several scales: those with a score above `_SURE`, and those that two scales agree on."""
-    kept = []
-    for number, (boxes, scores) in enumerate(found):
-        is_agreed = scores > _SURE
-        for other, _ in (*found[:number], *found[number + 1 :]):
-            if len(boxes) and len(other):
-                is_agreed |= (overlaps(boxes, other) > _AGREEMENT).any(axis=1)
-        kept.append((boxes[is_agreed], scores[is_agreed]))
-    return np.concatenate([boxes for boxes, _ in kept]), np.concatenate([scores for _, scores in kept])
+def _agreed(boxes: Float64, scores: Float64) -> Bool:
+    """Which of N boxes are kept: those with a score above `_SURE`, and likely ones that several boxes agree with."""
+    if not len(boxes):
+        return np.zeros(0, np.bool_)
+    count = (overlaps(boxes, boxes) > _AGREEMENT).sum(axis=1)
+    kept: Bool = (scores > _SURE) | ((count >= _AGREEING) & (scores > _LIKELY))
+    return kept
 
 
 def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:

@@ -27,7 +27,7 @@ _LEAST_COSINE: Final = 0.17
 _PLATE_M: Final = 0.52
 _LEAST_PX: Final = 20.0
 """Width of a plate as it appears: below it, a character has less than three pixels."""
-_SURE: Final = 0.3
+_SURE: Final = 0.5
 
 
 def plate_strips(
@@ -44,7 +44,7 @@ def plate_strips(
         camera_SE3_box: N poses of boxes in the camera frame; their x axis points ahead, their z axis up.
         size_m: (N, 3) length, width and height.
         category: N categories; only `VEHICLES` have plates.
-        detected: regions of the image. A strip with a detected plate of a score of at least 0.3 in it is left out.
+        detected: regions of the image. A strip with a detected plate of a score of at least 0.5 in it is left out.
 
     Returns:
         Regions of kind `plate` and origin `vehicle`.

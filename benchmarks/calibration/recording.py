@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from benchmarks.synth_matching.posed_images import urban_drive
-from mirror.arrays import Bool, Int64, UInt8
+from mirror.arrays import Bool, Float64, Int64, UInt8
 from mirror.calibration.frame_choice import FrameChoice, choose_stretch
-from mirror.calibration.tracking import PairTracks
+from mirror.calibration.rig import TrackedRig
+from mirror.calibration.tracking import PairTracks, TrackedImage, track_rig
+from mirror.geometry import Poses, interpolate, matrix_from_quaternion
+from mirror.geometry.cameras import Camera
 from mirror.synth.driving.trace import TraceMotion
+from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.model import Label
+from mirror.synth.writing.poses import pose_stamps
 
 _STEP_S: Final = 0.05
 _JPEG_QUALITY: Final = 90
@@ -64,3 +70,69 @@ def render_rig(drive: SynthDrive, instants_ns: Int64) -> dict[tuple[int, str], t
 def make_drive(route: str, light: str, vehicle: str) -> SynthDrive:
     """A drive through the urban scene, 960 px wide."""
     return urban_drive(route, light, vehicle=vehicle)  # type: ignore[arg-type]
+
+
+def track_drive(drive: SynthDrive, instants_ns: Int64) -> DriveTracks:
+    """Render the images of a drive, store them as JPEG, and track points between them."""
+    import cv2
+
+    images = render_rig(drive, instants_ns)
+
+    def load(frame: int, camera: str) -> TrackedImage:
+        encoded, still = images[frame, camera]
+        return TrackedImage.from_grey(np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE), np.uint8), still)
+
+    poses = {
+        name: drive.world_SE3_ego(instants_ns) @ mounting for name, mounting in drive.vehicle.ego_SE3_camera.items()
+    }
+    start = time.process_time()
+    pairs, _ = track_rig(load, drive.vehicle.cameras, poses, len(instants_ns))
+    return DriveTracks(drive, instants_ns, pairs, time.process_time() - start)
+
+
+def recorded_rig(
+    tracks: DriveTracks, draw: int, angle_deg: tuple[float, float], *, exact: bool
+) -> tuple[TrackedRig, Float64]:
+    """A rig as recorded: measured poses, lenses and mounting positions, and rotation errors that are injected.
+
+    Args:
+        tracks: the drive with its tracks.
+        draw: seed of the errors.
+        angle_deg: smallest and largest angle of the injected rotation errors, about random axes.
+        exact: poses, lenses and positions are the true ones; only the rotations are wrong.
+
+    Returns:
+        The rig, and the injected errors (C, 3) about the vehicle's axes, degrees.
+    """
+    drive = tracks.drive
+    rng = np.random.default_rng([draw, 5])
+    errors = Errors.none() if exact else drive.preset.errors
+    stamps = pose_stamps(drive)
+    measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
+    poses = drive.world_SE3_ego(tracks.instants_ns) if exact else interpolate(stamps, measured, tracks.instants_ns)
+    cameras: dict[str, Camera] = {}
+    mountings: dict[str, Poses] = {}
+    injected = np.empty((len(drive.vehicle.cameras), 3))
+    for number, (name, camera) in enumerate(drive.vehicle.cameras.items()):
+        cameras[name] = errors.perturb_camera(camera, rng)
+        axis = rng.normal(size=3)
+        injected[number] = rng.uniform(*angle_deg) * axis / np.linalg.norm(axis)
+        true = drive.vehicle.ego_SE3_camera[name]
+        turn = Poses.exp(np.concatenate([np.radians(injected[number]), np.zeros(3)])[None])
+        shift = rng.normal(0.0, errors.online.distance_m, (1, 3))
+        mountings[name] = Poses((turn @ Poses(true.rotation, np.zeros((1, 3)))).rotation, true.translation + shift)
+    rig = TrackedRig(cameras, mountings, drive.seconds(tracks.instants_ns), dict.fromkeys(cameras, poses), tracks.pairs)
+    return rig, injected
+
+
+def straightest_instants(drive: SynthDrive, choice: FrameChoice) -> Int64:
+    """Times (F,) of frames on the straightest stretch of a drive."""
+    seconds = np.arange(0.0, drive.truth.duration_s, _STEP_S)
+    driven = drive.truth.driven_m(seconds)
+    turns = matrix_from_quaternion(drive.truth.poses(seconds).rotation)
+    course = np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0]))
+    length = choice.step_m * (choice.frames - 1)
+    starts = np.arange(0.0, driven[-1] - length, 2.0)
+    spans = [np.ptp(course[slice(*np.searchsorted(driven, [start, start + length]))]) for start in starts]
+    at = np.interp(starts[int(np.argmin(spans))] + choice.step_m * np.arange(choice.frames), driven, seconds)
+    return drive.condition.start_ns + np.round(at * 1e6).astype(np.int64) * 1000

@@ -17,6 +17,7 @@ from benchmarks.synth_matching.features import (
     verify_matches,
 )
 from benchmarks.synth_matching.posed_images import PosedImage, render_frames, urban_drive
+from mirror.calibration.tracking import TrackedImage, TrackingOptions, find_corners, track_pair
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -37,7 +38,7 @@ def small_drive() -> SynthDrive:
     return make_drives("tiny", 3)[1][0]
 
 
-def image_pair(width_px: int = 640) -> tuple[PosedImage, PosedImage]:
+def image_pairs(cameras: list[str], width_px: int = 640) -> list[tuple[PosedImage, PosedImage]]:
     drive = small_drive()
     drive = replace(
         drive, preset=replace(drive.preset, width_px=width_px), vehicle=replace(drive.vehicle, width_px=width_px)
@@ -46,13 +47,18 @@ def image_pair(width_px: int = 640) -> tuple[PosedImage, PosedImage]:
     driven = drive.truth.driven_m(seconds)
     at = np.interp(0.4 * driven[-1] + np.array([0.0, 1.0]), driven, seconds)
     instants = drive.condition.start_ns + np.round(at * 1e9).astype(np.int64)
-    first, second = render_frames(drive, instants, ["front_wide"])
-    return first["front_wide"], second["front_wide"]
+    first, second = render_frames(drive, instants, cameras)
+    return [(first[name], second[name]) for name in cameras]
 
 
 @pytest.fixture(scope="module")
-def shots() -> tuple[PosedImage, PosedImage]:
-    return image_pair()
+def pairs() -> list[tuple[PosedImage, PosedImage]]:
+    return image_pairs(["front_wide", "front_left"])
+
+
+@pytest.fixture(scope="module")
+def shots(pairs: list[tuple[PosedImage, PosedImage]]) -> tuple[PosedImage, PosedImage]:
+    return pairs[0]
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.model)
@@ -140,3 +146,19 @@ def test_benchmark_drives_use_one_vehicle_in_every_light() -> None:
     assert day.vehicle == night.vehicle
     assert day.recipe.light == "day"
     assert (night.condition.light, night.condition.visit) == ("night", 2)
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["front_wide", "front_left"])
+def test_images_agree_with_the_true_depth(pairs: list[tuple[PosedImage, PosedImage]], number: int) -> None:
+    """Tracked points lie where the depth of the first image puts them, half a pixel of convention included."""
+    first, second = pairs[number]
+    images = [
+        TrackedImage.from_grey(np.round(one.bgr @ [0.114, 0.587, 0.299]).astype(np.uint8), one.is_static)
+        for one in (first, second)
+    ]
+    moved = second.world_SE3_camera.inverse() @ first.world_SE3_camera
+    options = TrackingOptions()
+    uv, there = track_pair(*images, find_corners(images[0], options), first.camera, moved, options)
+    assert len(uv) > 100
+    error = there - second.image_of(first.points(uv))
+    assert np.abs(np.nanmedian(error, axis=0)).max() < 0.1

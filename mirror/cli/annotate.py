@@ -24,6 +24,7 @@ _EXAMPLES = (
 )
 _TRACK_EXAMPLES = ("mirror annotate track demo/dataset --boxes synth@0.1.0",)
 _MASK_EXAMPLES = ("mirror annotate masks demo/dataset --boxes synth@0.1.0",)
+_REPORT_EXAMPLES = ("mirror annotate report demo/dataset --boxes synth@0.1.0 --out review.html",)
 _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --out review.json",)
 
 
@@ -94,6 +95,28 @@ class MaskArguments:
     """Growth of each box's length, width and height, as a share."""
     min_score: float = 0.3
     """Boxes with a lower score are left out; labels without a score count."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class ReportArguments:
+    """Write a page for review: images with their boxes, the worst frames first.
+
+    Frames come first where the boxes of two layers disagree and where tracks break within 25 m, then where scores are
+    low.
+    """
+
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset."""
+    out: Annotated[Path, help_text(metavar="FILE")]
+    """The page (HTML), which holds its images itself; it is replaced if it exists."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes that is drawn."""
+    against: Annotated[str | None, help_text(default="none", metavar="SOURCE@VERSION")] = None
+    """Another layer of boxes, to compare with."""
+    frames: int = 20
+    """Number of frames on the page."""
     json: bool = False
     """Print JSON."""
 
@@ -213,6 +236,38 @@ def _masks(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
+def _report(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(ReportArguments, argv, "mirror annotate report", examples=_REPORT_EXAMPLES)
+    if arguments.frames < 1:
+        raise UsageError(f"{arguments.frames}", place="--frames", expected="1 or more")
+
+    import mirror
+    from mirror.annotation.box_layer import choose_box_layer
+    from mirror.annotation.ranking import rank_frames
+    from mirror.view.annotation_page import write_annotation_page
+
+    dataset = mirror.open(arguments.dataset)
+    layer = choose_box_layer(dataset, arguments.boxes)
+    ranks = rank_frames(dataset, layer, arguments.against)
+    rows = [
+        (
+            rank.traversal_id,
+            rank.timestamp_ns,
+            f"{rank.boxes} boxes; {rank.unmatched} boxes without a partner; {rank.breaks} breaks of tracks;"
+            f" doubt {rank.unsure:.1f}",
+        )
+        for rank in ranks[: arguments.frames]
+    ]
+    title = f"Boxes of {layer}" + (f" against {arguments.against}" if arguments.against else "")
+    count = write_annotation_page(dataset.with_layers(boxes=layer), rows, arguments.out, title=title)
+    if arguments.json:
+        worst = asdict(ranks[0]) if ranks else None
+        print(json.dumps({"path": str(arguments.out), "layer": layer, "frames": count, "worst": worst}))
+    else:
+        print(f"{arguments.out}: the worst {count} of {len(ranks)} frames with boxes of {layer}")
+    return ExitCode.DONE
+
+
 def _export(argv: Sequence[str]) -> int:
     arguments = parse_arguments(ExportArguments, argv, "mirror annotate export", examples=_EXPORT_EXAMPLES)
 
@@ -237,5 +292,6 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 _SUBCOMMANDS: Final = {
     "track": Subcommand("make tracks of a layer of boxes", _track),
     "masks": Subcommand("write masks of road users from a layer of boxes", _masks),
+    "report": Subcommand("write a page of the frames to review, the worst first", _report),
     "export": Subcommand("write a layer of boxes as nuScenes results, for review", _export),
 }

@@ -31,7 +31,9 @@ def write_samples(
     count: int = 6,
     device: str = "cpu",
 ) -> None:
-    """Write an image: a row for each of some windows, evenly chosen; all views of truth, background and sample.
+    """Write an image with a row for each of some windows, evenly chosen.
+
+    A row shows all views of the decoded truth, then those of the background, then those of the sample.
 
     Args:
         folder: folder of the samples.

@@ -19,7 +19,7 @@ from mirror.cli.main import main
 from mirror.dataset.layout import Layout, complete_manifest
 from mirror.dataset.splits import make_split
 from mirror.integrity import check
-from mirror.privacy.log import encode_log, read_log
+from mirror.privacy.log import Review, encode_log, read_log
 from mirror.privacy.release.check import check_release
 from mirror.privacy.release.document import Release
 from mirror.privacy.release.review import ReviewSession, review_server
@@ -160,7 +160,7 @@ def plant_withdrawn(root: Path) -> None:
 
 def plant_miss(root: Path) -> None:
     records = read_log(root / "redaction_log.jsonl")
-    changed = [records[0].model_copy(update={"review": {"verdict": "miss", "reviewer": "b"}}), *records[1:]]
+    changed = [records[0].model_copy(update={"review": Review(verdict="miss", reviewer="b")}), *records[1:]]
     (root / "redaction_log.jsonl").write_bytes(encode_log(changed))
 
 

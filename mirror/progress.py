@@ -1,4 +1,4 @@
-"""Progress of long work: what is told of it, and to whom: a bar on a terminal, lines in a log, or nobody."""
+"""Progress of long work: its reports, and where they go: a bar on a terminal, lines in a log, or nowhere."""
 
 from __future__ import annotations
 

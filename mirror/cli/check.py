@@ -86,7 +86,7 @@ def _plain(report: CheckReport, arguments: Arguments) -> dict[str, object]:
             }
             for rule, finding in report.findings
         ],
-        "unread": [error.to_dict() for error in report.unread],
+        "unread": [error.to_dict() for error in report.unreadable],
         "exit_code": int(report.exit_code(strict=arguments.strict)),
     }
 
@@ -111,7 +111,7 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
         if len(findings) > _LISTED_FILES:
             console.print(f"  ... and in {len(findings) - _LISTED_FILES} more files; --json lists all")
         console.print(f"  remedy: {rule.remedy}")
-    for error in report.unread:
+    for error in report.unreadable:
         console.print(Text("could not read", style="red"), str(error))
     counts = report.counts()
     parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning", "info")]

@@ -136,7 +136,7 @@ def seal_drive(
 
 
 def are_traversals_intact(layout: Layout, drive_id: str) -> bool:
-    """Whether every traversal of a complete drive is as it was sealed, pictures aside."""
+    """Whether every traversal of a complete drive is as it was sealed, images aside."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:
         return False
@@ -150,10 +150,10 @@ def are_traversals_intact(layout: Layout, drive_id: str) -> bool:
 
 
 def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
-    """Hash the pictures of a drive's traversals again, at their source.
+    """Hash the images of a drive's traversals again, at their source.
 
     Raises:
-        RecordingError: a picture's bytes differ from those ingested though its size and time do not, or the recording
+        RecordingError: an image's bytes differ from those ingested though its size and time do not, or the recording
             has it no more.
     """
     sources = {
@@ -174,14 +174,14 @@ def verify_source(layout: Layout, recording: Recording, drive_id: str) -> None:
                 data = Path(source).read_bytes()
             except OSError as error:
                 raise RecordingError(
-                    "the picture has no counterpart in the recording any more",
+                    "the image has no counterpart in the recording any more",
                     file=layout.root / row["uri"],
-                    remedy="restore the recording, or ingest it anew with --replace",
+                    remedy="restore the recording, or ingest it again with --replace",
                 ) from error
             if hashlib.sha256(data).digest() != row["sha256"]:
                 raise RecordingError(
-                    "the picture's bytes have changed since it was ingested",
+                    "the image's bytes have changed since it was ingested",
                     file=source,
                     expected="the SHA-256 of its row in the images table",
-                    remedy="restore the recording, or ingest it anew with --replace",
+                    remedy="restore the recording, or ingest it again with --replace",
                 )

@@ -1,4 +1,4 @@
-"""Pictures of a traversal: linked or copied byte for byte, never re-encoded, hashed on the way; or referred to."""
+"""Images of a traversal: linked or copied byte for byte, never re-encoded, hashed on the way; or referred to."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _NOT_LINKABLE = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.ENOTSUP)
 
 @dataclass(frozen=True)
 class PlacedImages:
-    """The N pictures of one camera of a traversal.
+    """The N images of one camera of a traversal.
 
     Attributes:
         names: file names in the camera's folder, or absolute uris.
         sizes: bytes of each.
-        sha256: digest of each, or None where hashing is off or the pictures lie elsewhere.
+        sha256: digest of each, or None where hashing is off or the images lie elsewhere.
         codec: ``jpeg`` or ``png``.
         width_px: (N,) of each, as its header says.
         height_px: (N,) of each.
@@ -51,12 +51,12 @@ class PlacedImages:
 
 
 def refer_to_images(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> PlacedImages:
-    """Leave a camera's selected pictures where they are; none is opened.
+    """Leave a camera's selected images where they are; none is opened.
 
     Args:
         stream: the camera.
         selected: (N,) ascending indices into the stream.
-        advance: called with the number of pictures.
+        advance: called with the number of images.
     """
     uris, sizes = [stream.uris[index] for index in selected.tolist()], stream.byte_length[selected]
     advance(len(uris))
@@ -76,7 +76,7 @@ def place_images(
     decoding: bool = False,
     advance: Callable[[int], None],
 ) -> PlacedImages:
-    """Put a camera's selected pictures into a folder.
+    """Put a camera's selected images into a folder.
 
     Args:
         stream: the camera.
@@ -86,7 +86,7 @@ def place_images(
         transfer: hard links where the file systems allow it and copies elsewhere, or always copies.
         hashing: read every byte: hash it, and refuse images whose structure is broken; else only headers are read.
         decoding: decode every image, and refuse those that no decoder reads.
-        advance: called with the number of pictures done since the last call.
+        advance: called with the number of images done since the last call.
 
     Returns:
         What lies in the folder now.
@@ -172,7 +172,7 @@ def _place(
         for index, name in zip(indices, names):
             source = stream.path(index)
             if source is None:
-                raise RecordingError("the picture has no file, though others of its camera do", place=f"image {index}")
+                raise RecordingError("the image has no file, though others of its camera do", place=f"image {index}")
             given[index], was_linked = _transfer(source, target, name, transfer, inspection)
             linked += was_linked
             if len(given) % _TOLD_EVERY == 0:
@@ -181,14 +181,14 @@ def _place(
         name_of = dict(zip(indices, names))
         for index, data in stream.read(indices):
             if index not in name_of or index in given:
-                raise RecordingError(f"gave picture {index} unasked or twice", place=f"camera {stream.camera}")
+                raise RecordingError(f"gave image {index} unasked or twice", place=f"camera {stream.camera}")
             given[index] = inspection.bytes_of(data, f"{stream.camera} at {name_of[index]}")
             _write(target, name_of[index], data)
             if len(given) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
     advance(len(given) % _TOLD_EVERY)
     if len(given) != len(indices):
-        raise RecordingError(f"gave {len(given)} of {len(indices)} pictures", place=f"camera {stream.camera}")
+        raise RecordingError(f"gave {len(given)} of {len(indices)} images", place=f"camera {stream.camera}")
     images = [given[index] for index in indices]
     return PlacedImages(
         names,

@@ -1,4 +1,4 @@
-"""One drive judged: its track cleaned and held against the ROIs. Poses are read, no picture is opened."""
+"""One drive judged: its track cleaned and held against the ROIs. Poses are read, no image is opened."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class DrivePasses:
 
     @cached_property
     def content(self) -> DriveContent:
-        """Pictures, calibrations and boxes, lazily."""
+        """Images, calibrations and boxes, lazily."""
         return DriveContent(self.recording, self.path)
 
 

@@ -1,4 +1,4 @@
-"""The first half of a drive's way: opened, identified, held against the dataset, judged. No picture is opened."""
+"""The first half of a drive's way: opened, identified, held against the dataset, judged. No image is opened."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PreparedDrive:
         drive_id: its id.
         drive: judged; None: the dataset has it, unchanged.
         replace: the dataset has another state of it.
-        images: how many pictures its traversals will have.
+        images: how many images its traversals will have.
     """
 
     drive_id: str
@@ -94,7 +94,7 @@ def _is_unchanged(
             f"drive {document.drive_id!r} is in the dataset already, and {changed}",
             file=path,
             expected=f"the recording {document.source.name!r} as it was",
-            remedy="give the recording another drive id, or add --replace to ingest it anew",
+            remedy="give the recording another drive id, or add --replace to ingest it again",
         )
     if options.verify:
         with reader_errors(path):

@@ -109,12 +109,12 @@ def propose_rois(
     before traversals.
 
     Args:
-        recordings: one path a drive; poses are read, pictures are not.
+        recordings: one path a drive; poses are read, images are not.
         count: how many ROIs at most.
         radius_m: their radius.
         prefix: of their ids: ``prefix_1`` is the best.
         options: reader, thresholds and workers as for ingest.
-        progress: told of every recording.
+        progress: receives each finished recording.
 
     Returns:
         ROIs whose circles do not overlap, by drives, then accepted passes, then driven length.

@@ -50,7 +50,7 @@ class IngestOptions:
         write: how traversals are written.
         workers: threads.
         dry_run: judge only, write nothing.
-        verify: hash the source pictures of drives that look unchanged.
+        verify: hash the source images of drives that look unchanged.
         replace: drop a drive of the same id whose recording has changed.
         fail_fast: stop at the first drive that cannot be ingested.
         wait: wait for another writer of the dataset.
@@ -74,7 +74,7 @@ class IngestOptions:
 
 @dataclass(frozen=True)
 class DriveReport:
-    """What became of one drive; nothing in it grows with the drive's poses or pictures.
+    """What became of one drive; nothing in it grows with the drive's poses or images.
 
     Attributes:
         path: where the recording lies.
@@ -98,8 +98,8 @@ class IngestReport:
         unchanged: ids of drives that were there already, unchanged.
         traversals: written or found complete.
         failures: recordings that could not be ingested, each with its error.
-        images: pictures written.
-        bytes: of those pictures.
+        images: images written.
+        bytes: of those images.
         linked: those of them that are hard links.
     """
 
@@ -110,7 +110,7 @@ class IngestReport:
 
     @property
     def images(self) -> int:
-        """Pictures written by this run."""
+        """Images written by this run."""
         return sum(one.images for one in self.traversals if not one.reused)
 
     @property

@@ -103,9 +103,9 @@ def course(poses: PoseSlice, *, geodetic: bool) -> Float64:
 
 
 def assign_frames(mid_ns: Mapping[str, Int64], reference: str) -> dict[str, list[int | None]]:
-    """Which frame each picture belongs to.
+    """Which frame each image belongs to.
 
-    A frame is an exposure of the reference camera; of every other camera it takes the picture nearest in time, if that
+    A frame is an exposure of the reference camera; of every other camera it takes the image nearest in time, if that
     is within half a period and has no nearer frame.
 
     Args:
@@ -113,7 +113,7 @@ def assign_frames(mid_ns: Mapping[str, Int64], reference: str) -> dict[str, list
         reference: the reference camera.
 
     Returns:
-        Frame indices by camera; None where a picture belongs to no frame.
+        Frame indices by camera; None where an image belongs to no frame.
     """
     frames = mid_ns.get(reference, np.empty(0, np.int64))
     if not len(frames):
@@ -150,7 +150,7 @@ def build_pass_table(
     Args:
         drive: judged.
         traversal_ids: one for each pass, None for the refused.
-        weather: by number of pass, where a plug-in told it.
+        weather: by number of pass, if a plug-in stated it.
         weather_plugin: that plug-in.
     """
     light, light_source = [], []

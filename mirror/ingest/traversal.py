@@ -1,4 +1,4 @@
-"""One accepted pass written as a traversal: poses, pictures, calibrations, recorded boxes; its manifest last."""
+"""One accepted pass written as a traversal: poses, images, calibrations, recorded boxes; its manifest last."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class WriteOptions:
 
     Attributes:
         transfer: hard links where possible, or copies.
-        hashing: read and hash every picture.
+        hashing: read and hash every image.
         decoding: decode every image.
     """
 
@@ -51,9 +51,9 @@ class WriteReport:
 
     Attributes:
         traversal_id: the traversal.
-        images: pictures in it.
-        bytes: of the pictures.
-        linked: pictures that are hard links.
+        images: images in it.
+        bytes: of the images.
+        linked: images that are hard links.
         reused: it was complete already, and nothing was done.
         without_pose: images exposed within the pass that were left out, as they were taken in a gap of the poses.
         missing: images that the recording lacks within the pass, by the pauses of its cameras.
@@ -97,7 +97,7 @@ def write_traversal(
         configuration: hash of the options that decide what is written.
         options: how.
         threads: how many cameras are written at a time.
-        advance: called with the number of pictures done since the last call, from those threads.
+        advance: called with the number of images done since the last call, from those threads.
         replace: write it, also where the dataset has it.
 
     Raises:
@@ -115,9 +115,9 @@ def write_traversal(
         folder = layout.recorded(name)
         manifest = complete_manifest(folder)
         if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
-            pictures = manifest.pictures or ImageTotals(count=0, bytes=0)
-            advance(pictures.count)
-            written = WriteReport(name, pictures.count, pictures.bytes, 0, reused=True)
+            images = manifest.pictures or ImageTotals(count=0, bytes=0)
+            advance(images.count)
+            written = WriteReport(name, images.count, images.bytes, 0, reused=True)
             return _with_lost_images(written, drive, number)
     with staging.attempt() as attempt:
         with reader_errors(drive.path):
@@ -254,15 +254,15 @@ def _exposed_within(drive: DrivePasses, one: Pass) -> dict[str, tuple[ImageStrea
                 file=stream.path(row) or drive.path,
                 place=f"camera {camera}",
                 expected="strictly increasing exposure stamps",
-                remedy="correct the stamps, or take the repeated pictures out of the recording",
+                remedy="correct the stamps, or take the repeated images out of the recording",
             )
         if len(stamps) and (stamps[-1] < drive.start_ns or stamps[0] > drive.end_ns):
             raise RecordingError(
-                f"pictures run from {stamps[0]} to {stamps[-1]} ns, poses from {drive.start_ns} to {drive.end_ns} ns:"
-                " no pose covers any picture",
+                f"images run from {stamps[0]} to {stamps[-1]} ns, poses from {drive.start_ns} to {drive.end_ns} ns:"
+                " no pose covers any image",
                 file=drive.path,
                 place=f"camera {camera}",
-                expected="one clock for pictures and poses",
+                expected="one clock for images and poses",
                 remedy="correct the camera's stamps or its time offset in the calibration",
             )
         inside = np.flatnonzero((stamps >= one.entry_ns) & (stamps <= one.exit_ns))

@@ -1,4 +1,4 @@
-"""Weather of traversals whose source does not state it: asked of a plug-in, from a few pictures of each."""
+"""Weather of traversals whose source does not state it: asked of a plug-in, from a few images of each."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from mirror.recordings.weather import classify_weather
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
 
-_PICTURES = 3
+_IMAGES = 3
 
 
 def weather_from_traversals(
     staging: Staging, drive: DrivePasses, traversal_ids: Sequence[str | None], plugin: str
 ) -> dict[int, str]:
-    """Weather by number of pass, for accepted passes with pictures of a drive whose source does not state it.
+    """Weather by number of pass, for accepted passes with images of a drive whose source does not state it.
 
     Args:
         staging: the dataset, with the traversals written.
@@ -43,7 +43,7 @@ def weather_from_traversals(
         rows = read_table(folder / "images.parquet", IMAGES, ["camera", "uri", "byte_length"]).to_pylist()
         found = [(row["uri"], row["byte_length"]) for row in rows if row["camera"] == rig.reference_camera]
         if found:
-            chosen = sorted({round(index) for index in np.linspace(0, len(found) - 1, _PICTURES)})
+            chosen = sorted({round(index) for index in np.linspace(0, len(found) - 1, _IMAGES)})
             labels[number] = classify_weather(plugin, [_decode(store, *found[index]) for index in chosen])
     return labels
 
@@ -53,11 +53,11 @@ def _decode(store: Store, uri: str, byte_length: int) -> UInt8:
         data = store.read_range(uri, 0, byte_length)
     except OSError as error:
         raise _broken(store, uri, f"cannot be read: {error}") from error
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
-    if picture is None:
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
+    if image is None:
         raise _broken(store, uri, "cannot be decoded")
-    return np.asarray(picture, np.uint8)
+    return np.asarray(image, np.uint8)
 
 
 def _broken(store: Store, uri: str, problem: str) -> RecordingError:
-    return RecordingError(problem, file=store.full_path(uri), expected="a JPEG or PNG", remedy="restore the picture")
+    return RecordingError(problem, file=store.full_path(uri), expected="a JPEG or PNG", remedy="restore the image")

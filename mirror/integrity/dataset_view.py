@@ -17,7 +17,7 @@ from mirror.dataset.splits.leaks import Tie, find_ties
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.geometry.cameras import Camera
-from mirror.integrity.rows import Part, Rows
+from mirror.integrity.rows import TablePart, TableRows
 from mirror.pools import thread_pool
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
@@ -161,10 +161,10 @@ class DatasetView:
         }
 
     @cached_property
-    def passes(self) -> Rows:
+    def passes(self) -> TableRows:
         """The ledgers of all drives."""
         folders = [(number, self.layout.drive(name)) for number, name in enumerate(self.drive_manifests)]
-        return Rows(PASSES, self.parts(PASSES, folders))
+        return TableRows(PASSES, self.parts(PASSES, folders))
 
     @cached_property
     def traversals(self) -> Mapping[str, TraversalView]:
@@ -240,7 +240,7 @@ class DatasetView:
             for name, entry in manifest.files.items():
                 yield folder / name, entry
 
-    def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[Part]:
+    def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[TablePart]:
         """A table of many folders; those that have none, or a broken one, are left out.
 
         Args:

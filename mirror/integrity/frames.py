@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameAssignment:
     """Columns of the N recorded images and of the traversals.
 
     Attributes:
@@ -30,18 +30,22 @@ class Frames:
     period_s: Float64
 
 
-def assign_frames(images: Rows, reference_cameras: Sequence[str | None]) -> Frames:
+def assign_frames(images: TableRows, reference_cameras: Sequence[str | None]) -> FrameAssignment:
     """Assign recorded images to frames by the column ``frame_index``.
 
     Args:
         images: images of the scene, one file for each traversal.
         reference_cameras: reference camera of each traversal's rig; None: no rig.
     """
-    codes, words = images.words("camera")
+    codes, words = images.text_codes("camera")
     position = {word: code for code, word in enumerate(words)}
     reference = [-1 if name is None else position.get(name, -1) for name in reference_cameras]
     is_reference = (codes == np.array(reference, np.int64)[images.traversal]) & (codes >= 0)
-    known, index, stamps = images.known("frame_index"), images.integers("frame_index"), images.integers("timestamp_ns")
+    known, index, stamps = (
+        images.is_known("frame_index"),
+        images.integers("frame_index"),
+        images.integers("timestamp_ns"),
+    )
 
     lowest = index.min(initial=0)
     key = images.traversal * (index.max(initial=0) - lowest + 1) + index - lowest
@@ -62,4 +66,4 @@ def assign_frames(images: Rows, reference_cameras: Sequence[str | None]) -> Fram
         has_reference[number] = len(shots) > 0
         if len(shots) > 1:
             period_s[number] = np.median(np.diff(shots)) * 1e-9
-    return Frames(is_reference, found, reference_ns, has_reference, period_s)
+    return FrameAssignment(is_reference, found, reference_ns, has_reference, period_s)

@@ -16,7 +16,7 @@ from mirror.dataset.images.decoding import decode_rgb, usable_cores
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.store import Store
 from mirror.errors import MirrorError
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 from mirror.pools import thread_pool
 from mirror.recordings.raster import TAIL_BYTES, has_end_marker
 
@@ -68,12 +68,12 @@ class ImageFileReader:
         store: the dataset's files.
     """
 
-    def __init__(self, images: Rows, store: Store) -> None:
+    def __init__(self, images: TableRows, store: Store) -> None:
         self._store = store
         self._uri: list[str] = images.data.column("uri").to_pylist()
         self._offset = images.integers("byte_offset")
         self._length = images.integers("byte_length")
-        codes, words = images.words("codec")
+        codes, words = images.text_codes("codec")
         self._codec = [words[code] for code in codes.tolist()]
         self._sha256: list[bytes | None] = images.data.column("sha256").to_pylist()
         self._pts: list[int | None] = images.data.column("video_pts").to_pylist()

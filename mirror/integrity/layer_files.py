@@ -10,11 +10,11 @@ import numpy as np
 
 from mirror.integrity.finding import Finding
 from mirror.integrity.images import leaves_dataset
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 from mirror.integrity.scene_view import SceneView
 
 
-def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
+def missing_files(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     """Find rows with a missing file, or with a file of another size."""
     length = rows.integers("byte_length")
     places = [_place(view, uri) for uri in rows.data.column("uri").to_pylist()]
@@ -22,13 +22,13 @@ def missing_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
     yield from rows.findings(
         size != length,
         lambda row: (
-            f"{rows.word('uri', row)} "
+            f"{rows.text('uri', row)} "
             + ("is missing" if size[row] < 0 else f"has {size[row]} bytes; expected {length[row]}")
         ),
     )
 
 
-def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
+def changed_files(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     """Find rows with a file of the right size but another hash."""
     other = np.zeros(len(rows), np.bool_)
     length, sha256 = rows.integers("byte_length"), rows.data.column("sha256").to_pylist()
@@ -36,15 +36,15 @@ def changed_files(view: SceneView, rows: Rows) -> Iterator[Finding]:
         place = _place(view, uri)
         if place is not None and place.stat().st_size == length[row]:
             other[row] = hashlib.sha256(place.read_bytes()).digest() != sha256[row]
-    yield from rows.findings(other, lambda row: f"{rows.word('uri', row)} has another SHA-256 than its row says")
+    yield from rows.findings(other, lambda row: f"{rows.text('uri', row)} has another SHA-256 than its row says")
 
 
-def rows_without_image(view: SceneView, rows: Rows) -> Iterator[Finding]:
+def rows_without_image(view: SceneView, rows: TableRows) -> Iterator[Finding]:
     """Find rows for an image that was never recorded."""
     images = view.images
-    codes, names = images.words("camera")
+    codes, names = images.text_codes("camera")
     code_of = {name: code for code, name in enumerate(names)}
-    own_codes, own_names = rows.words("camera")
+    own_codes, own_names = rows.text_codes("camera")
     camera = np.array([code_of.get(name, -1) for name in own_names], np.int64)[own_codes]
     stamps, taken = rows.integers("timestamp_ns"), images.integers("timestamp_ns")
     rows_of_images = {number: part for _, number, part in images.slices()}

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from mirror.arrays import Bool, Float64
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 
 _POSITION = ("tx_m", "ty_m", "tz_m")
 _ROTATION = ("qw", "qx", "qy", "qz")
@@ -21,7 +21,7 @@ class Motion:
         poses: poses of any number of files.
     """
 
-    def __init__(self, poses: Rows) -> None:
+    def __init__(self, poses: TableRows) -> None:
         self.poses = poses
 
     @cached_property

@@ -8,7 +8,7 @@ from mirror.errors import MirrorError
 from mirror.integrity.finding import Finding
 
 
-def unread(problems: Mapping[str, MirrorError], belongs: Callable[[str], bool]) -> Iterator[Finding]:
+def report_unreadable(problems: Mapping[str, MirrorError], belongs: Callable[[str], bool]) -> Iterator[Finding]:
     """Yield a finding for each unreadable file of a kind.
 
     Args:

@@ -22,7 +22,7 @@ def rules() -> dict[str, Rule]:
     return declared()
 
 
-def selected(only: Iterable[str] = (), skip: Iterable[str] = (), cost: Cost = Cost.FILES) -> list[Rule]:
+def select_rules(only: Iterable[str] = (), skip: Iterable[str] = (), cost: Cost = Cost.FILES) -> list[Rule]:
     """Select the rules to run.
 
     Args:

@@ -13,11 +13,11 @@ from mirror.dataset.query.arrow import floats_or_nan, integers_or_zero, is_valid
 from mirror.integrity.finding import Finding
 from mirror.schema.tables import Table
 
-Part = tuple[str, int, pa.Table]
+TablePart = tuple[str, int, pa.Table]
 """A file, relative to the dataset's root; the number of its traversal; its rows."""
 
 
-class Rows:
+class TableRows:
     """The N rows of the files of one table, concatenated.
 
     Args:
@@ -32,7 +32,7 @@ class Rows:
         row: (N,) position in the file.
     """
 
-    def __init__(self, table: Table, parts: Sequence[Part]) -> None:
+    def __init__(self, table: Table, parts: Sequence[TablePart]) -> None:
         self.table = table
         self.parts = parts
         self.files = [file for file, _, _ in parts]
@@ -62,11 +62,11 @@ class Rows:
             self._integers[name] = integers_or_zero(self.data.column(name)).astype(np.int64, copy=False)
         return self._integers[name]
 
-    def known(self, name: str) -> Bool:
+    def is_known(self, name: str) -> Bool:
         """Mask (N,) of the rows in which a column is not null."""
         return is_valid(self.data.column(name))
 
-    def words(self, name: str) -> tuple[Int64, list[str]]:
+    def text_codes(self, name: str) -> tuple[Int64, list[str]]:
         """Codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes number."""
         if name not in self._words:
             column = self.data.column(name)
@@ -84,7 +84,7 @@ class Rows:
             self._words[name] = place[codes], [listed[index] for index in order]
         return self._words[name]
 
-    def word(self, name: str, row: int) -> str | None:
+    def text(self, name: str, row: int) -> str | None:
         """One value of a column of strings."""
         value: str | None = self.data.column(name)[row].as_py()
         return value
@@ -98,7 +98,7 @@ class Rows:
         """(N,) True where the previous row is in the same file and has the same strings in some columns."""
         same = self.same_file.copy()
         for name in names:
-            codes = self.words(name)[0]
+            codes = self.text_codes(name)[0]
             same[1:] &= codes[1:] == codes[:-1]
         return same
 
@@ -117,7 +117,7 @@ class Rows:
         columns = []
         for name in self.table.sorted_by:
             whole = pa.types.is_integer(self.table.schema.field(name).type)
-            columns.append((self.integers(name) if whole else self.words(name)[0], self.known(name)))
+            columns.append((self.integers(name) if whole else self.text_codes(name)[0], self.is_known(name)))
         return columns
 
     def place(self, row: int) -> str:

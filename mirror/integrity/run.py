@@ -14,7 +14,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.errors import ExitCode, MirrorError
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Cost, Finding, Severity
-from mirror.integrity.registry import selected
+from mirror.integrity.registry import select_rules
 from mirror.integrity.rule import Findings, Rule
 from mirror.integrity.scene_view import SceneView
 
@@ -28,12 +28,12 @@ class CheckReport:
     Attributes:
         rules: the rules that ran.
         findings: rules with their findings: errors first, then sorted by rule, file and place.
-        unread: errors of unreadable files that no finding names, because no rule for them ran.
+        unreadable: errors of unreadable files that no finding names, because no rule for them ran.
     """
 
     rules: Sequence[Rule]
     findings: Sequence[tuple[Rule, Finding]]
-    unread: Sequence[MirrorError]
+    unreadable: Sequence[MirrorError]
 
     def counts(self) -> dict[str, int]:
         """Number of findings by severity."""
@@ -49,7 +49,7 @@ class CheckReport:
         failing = {Severity.ERROR, Severity.WARNING} if strict else {Severity.ERROR}
         if any(rule.severity in failing for rule, _ in self.findings):
             return ExitCode.FINDINGS
-        return ExitCode.COULD_NOT_RUN if self.unread else ExitCode.DONE
+        return ExitCode.COULD_NOT_RUN if self.unreadable else ExitCode.DONE
 
 
 def check(
@@ -85,7 +85,7 @@ def check(
     """
     layout = Layout(Path(root))
     require_dataset(layout)
-    rules = selected(only, skip, cost)
+    rules = select_rules(only, skip, cost)
     view = DatasetView(layout)
     findings: list[tuple[Rule, Finding]] = []
 
@@ -114,5 +114,5 @@ def check(
         advance(1)
     findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
     named = {finding.file for _, finding in findings}
-    unread = [error for file, error in sorted(view.problems.items()) if file not in named]
-    return CheckReport(rules, findings, unread)
+    unreadable = [error for file, error in sorted(view.problems.items()) if file not in named]
+    return CheckReport(rules, findings, unreadable)

@@ -11,10 +11,10 @@ from mirror.arrays import Bool, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.integrity.dataset_view import DatasetView, TraversalView
-from mirror.integrity.frames import Frames, assign_frames
+from mirror.integrity.frames import FrameAssignment, assign_frames
 from mirror.integrity.images import ImageContents, ImageFileReader, ImageFiles
 from mirror.integrity.motion import Motion
-from mirror.integrity.rows import Part, Rows
+from mirror.integrity.rows import TablePart, TableRows
 from mirror.schema.documents import Roi
 from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, POINTS, Table
 
@@ -48,54 +48,54 @@ class SceneView:
         ]
 
     @cached_property
-    def poses(self) -> Rows:
+    def poses(self) -> TableRows:
         """Recorded poses."""
         return self._recorded(EGO_POSES)
 
     @cached_property
-    def images(self) -> Rows:
+    def images(self) -> TableRows:
         """Recorded images."""
         return self._recorded(IMAGES)
 
     @cached_property
-    def calibrations(self) -> Rows:
+    def calibrations(self) -> TableRows:
         """Recorded calibrations."""
         return self._recorded(CALIBRATIONS)
 
     @cached_property
-    def all_poses(self) -> Rows:
+    def all_poses(self) -> TableRows:
         """Recorded poses and those of layers."""
         return self._with_layers(self.poses, "poses")
 
     @cached_property
-    def all_images(self) -> Rows:
+    def all_images(self) -> TableRows:
         """Recorded images and redacted ones."""
         return self._with_layers(self.images, "redaction")
 
     @cached_property
-    def all_calibrations(self) -> Rows:
+    def all_calibrations(self) -> TableRows:
         """Recorded calibrations and those of layers."""
         return self._with_layers(self.calibrations, "calibrations")
 
     @cached_property
-    def boxes(self) -> Rows:
+    def boxes(self) -> TableRows:
         """Boxes of all layers."""
-        return Rows(BOXES, self._layers("boxes"))
+        return TableRows(BOXES, self._layers("boxes"))
 
     @cached_property
-    def masks(self) -> Rows:
+    def masks(self) -> TableRows:
         """Masks of all layers."""
-        return Rows(MASKS, self._layers("masks"))
+        return TableRows(MASKS, self._layers("masks"))
 
     @cached_property
-    def depth(self) -> Rows:
+    def depth(self) -> TableRows:
         """Depth maps of all layers."""
-        return Rows(DEPTH, self._layers("depth"))
+        return TableRows(DEPTH, self._layers("depth"))
 
     @cached_property
-    def points(self) -> Rows:
+    def points(self) -> TableRows:
         """Points of all layers."""
-        return Rows(POINTS, self._layers("points"))
+        return TableRows(POINTS, self._layers("points"))
 
     @cached_property
     def motion(self) -> Motion:
@@ -103,7 +103,7 @@ class SceneView:
         return Motion(self.all_poses)
 
     @cached_property
-    def frames(self) -> Frames:
+    def frames(self) -> FrameAssignment:
         """Which of `images` make up frames."""
         return assign_frames(
             self.images, [None if item.rig is None else item.rig.reference_camera for item in self.traversals]
@@ -144,9 +144,9 @@ class SceneView:
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
         """Each row of `calibrations`, the rows of `images` of its traversal, and which of these are its camera's."""
-        taken, names = self.images.words("camera")
+        taken, names = self.images.text_codes("camera")
         code_of = {name: code for code, name in enumerate(names)}
-        cameras, camera_names = self.calibrations.words("camera")
+        cameras, camera_names = self.calibrations.text_codes("camera")
         images = {number: rows for _, number, rows in self.images.slices()}
         for _, number, rows in self.calibrations.slices():
             own = images.get(number, slice(0, 0))
@@ -171,7 +171,7 @@ class SceneView:
             and bool(np.isfinite(motion.position[rows]).all())
         )
 
-    def tables(self) -> Sequence[Rows]:
+    def tables(self) -> Sequence[TableRows]:
         """Every table, layers included."""
         recorded = (self.all_poses, self.all_images, self.all_calibrations)
         return (*recorded, self.boxes, self.masks, self.depth, self.points)
@@ -190,11 +190,11 @@ class SceneView:
         values = [default if item.ledger_row is None else item.ledger_row[name] for item in self.traversals]
         return np.array(values, np.int64)
 
-    def _recorded(self, table: Table) -> Rows:
+    def _recorded(self, table: Table) -> TableRows:
         folders = [(n, self.dataset.layout.recorded(item.traversal_id)) for n, item in enumerate(self.traversals)]
-        return Rows(table, self.dataset.parts(table, folders))
+        return TableRows(table, self.dataset.parts(table, folders))
 
-    def _layers(self, kind: str) -> list[Part]:
+    def _layers(self, kind: str) -> list[TablePart]:
         folders = [
             (number, self.dataset.layout.layer(item.traversal_id, kind, source, version))
             for number, item in enumerate(self.traversals)
@@ -203,6 +203,6 @@ class SceneView:
         ]
         return self.dataset.parts(_LAYER_TABLES[kind], folders)
 
-    def _with_layers(self, recorded: Rows, kind: str) -> Rows:
+    def _with_layers(self, recorded: TableRows, kind: str) -> TableRows:
         layers = self._layers(kind)
-        return Rows(recorded.table, [*recorded.parts, *layers]) if layers else recorded
+        return TableRows(recorded.table, [*recorded.parts, *layers]) if layers else recorded

@@ -89,7 +89,7 @@ class InstalledMethod(Protocol):
     """The object that an entry point ``mirror.methods`` names."""
 
     def reconstruct(
-        self, dataset: Dataset, task: ReconstructionTask, out: Path, watch: ProgressReporter
+        self, dataset: Dataset, task: ReconstructionTask, out: Path, progress: ProgressReporter
     ) -> ReconstructionResult:
         """Train a model, or resume the training that an earlier call did not finish.
 
@@ -97,7 +97,7 @@ class InstalledMethod(Protocol):
             dataset: dataset with the training images.
             task: scene, split, protocol and budget.
             out: folder of the model; a folder of another task is refused.
-            watch: receives the progress.
+            progress: receives the progress.
         """
 
     def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[RenderView], UInt8]:

@@ -1,1 +1,1 @@
-"""Looking at a dataset: the HTML report, its map and charts, plots."""
+"""Views of a dataset: the HTML report with its map and charts, plots, and videos."""

@@ -1,4 +1,4 @@
-"""A dataset on one page: pictures of every camera, maps, charts, splits, and the ledger of refused passes.
+"""A dataset on one page: images of every camera, maps, charts, splits, and the ledger of refused passes.
 
 One HTML file with everything in it: no script, no network; readable on a phone and in dark mode.
 """
@@ -21,13 +21,13 @@ from mirror.html import style_sheet
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
-from mirror.view.pictures import (
+from mirror.view.images import (
     busiest_frame,
     condition_order,
     legend,
     middle_frame,
-    place_pictures,
-    rig_pictures,
+    place_images,
+    rig_images,
     same_place,
     utc,
 )
@@ -51,7 +51,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
         title: of the page.
 
     Raises:
-        DatasetError: a picture cannot be read, or the file cannot be written.
+        DatasetError: an image cannot be read, or the file cannot be written.
     """
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
@@ -100,7 +100,7 @@ def _tiles(
         "minutes": f"{sum(one['duration_s'] for one in traversals) / 60:.1f}",
         "km driven": f"{sum(one['path_m'] for one in traversals) / 1000:.2f}",
         "cameras": f"{len(cameras)}",
-        "pictures": f"{sum(one['images'] for one in traversals):,}",
+        "images": f"{sum(one['images'] for one in traversals):,}",
         "boxes": f"{boxes:,}",
     }
     cells = "".join(f'<div class="tile"><b>{value}</b><span>{name}</span></div>' for name, value in tiles.items())
@@ -113,11 +113,11 @@ def _box_layers(traversal: Mapping[str, Any]) -> int:
 
 def _instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """The best instant, large, with its boxes."""
-    pictured = [one for one in traversals if one["frames"]]
-    if not pictured:
-        yield '<p class="dim">No traversal has pictures.</p>'
+    with_frames = [one for one in traversals if one["frames"]]
+    if not with_frames:
+        yield '<p class="dim">No traversal has images.</p>'
         return
-    clear = [one for one in pictured if (one["light"], one["weather"]) == ("day", "clear")] or pictured
+    clear = [one for one in with_frames if (one["light"], one["weather"]) == ("day", "clear")] or with_frames
     frame = busiest_frame(dataset, [one["traversal_id"] for one in clear[:_LOOKED_THROUGH]])
     one = next(one for one in clear if one["traversal_id"] == frame.traversal_id)
     # With several layers of boxes there is no saying which to draw.
@@ -132,7 +132,7 @@ def _instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Itera
     if boxes:
         yield '<input type="checkbox" id="boxes" checked><label for="boxes">3D boxes</label>'
         yield legend(sorted(set(frame.boxes().category)))
-    yield rig_pictures(frame, boxes=boxes, width_px=_LARGE_PX)
+    yield rig_images(frame, boxes=boxes, width_px=_LARGE_PX)
 
 
 def _places(
@@ -144,9 +144,7 @@ def _places(
         own = [one for one in traversals if one["scene_id"] == scene["scene_id"]]
         passages = same_place(dataset, own)
         if len(passages) > 1:
-            shown.append(
-                f"<h3>{escape(_scene_name(scene))}</h3>{place_pictures(dataset, passages, width_px=_SMALL_PX)}"
-            )
+            shown.append(f"<h3>{escape(_scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
     if shown:
         yield "<h2>One place, every traversal</h2>"
         yield '<p class="dim">The same view in every traversal that passes a place; times are UTC.</p>'
@@ -200,9 +198,9 @@ def _charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterab
         steps = range(min(speeds), max(speeds) + 2, 2)
         yield bars("Traversals by mean speed", {f"{step} to {step + 2} m/s": speeds[step] for step in steps})
     yield bars("Traversals by vehicle type", dict(sorted(Counter(one["vehicle_type"] for one in traversals).items())))
-    pictures = _counted(dataset, "images", "camera")
-    if pictures:
-        yield bars("Pictures by camera", {camera: pictures[camera] for camera in dataset.cameras()})
+    images = _counted(dataset, "images", "camera")
+    if images:
+        yield bars("Images by camera", {camera: images[camera] for camera in dataset.cameras()})
 
 
 def _counted(dataset: Dataset, table: str, column: str) -> Counter[str]:
@@ -233,5 +231,5 @@ def _rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable
         yield (
             f'<details><summary><i class="dot {escape(light)}"></i>{escape(light)}, {escape(weather)} '
             f'<span class="dim">{escape(one["scene_id"])}, {utc(frame.timestamp_ns)} UTC</span></summary>'
-            f"{rig_pictures(frame, boxes=False, width_px=_SMALL_PX)}</details>"
+            f"{rig_images(frame, boxes=False, width_px=_SMALL_PX)}</details>"
         )

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from mirror.html import html_table
 from mirror.schema.documents import SplitDocument
-from mirror.view.pictures import utc
+from mirror.view.images import utc
 
 _ROWS: Final = 200
 _RULES: Final = {
@@ -20,7 +20,7 @@ _RULES: Final = {
 
 def traversal_table(traversals: Sequence[Mapping[str, Any]]) -> str:
     """One row a traversal."""
-    head = ["scene", "entry (UTC)", "light", "weather", "vehicle", "n:duration", "n:path", "n:mean speed", "n:pictures"]
+    head = ["scene", "entry (UTC)", "light", "weather", "vehicle", "n:duration", "n:path", "n:mean speed", "n:images"]
     rows = [
         (
             escape(one["scene_id"]),

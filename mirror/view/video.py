@@ -1,4 +1,4 @@
-"""Pictures, one after the other, as a video file."""
+"""Writes a sequence of images as a video file."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from mirror.errors import UsageError
 from mirror.installation import install_command
 
 
-def write_video(path: Path, pictures: Iterable[UInt8], hz: float, quality: int = 20) -> int:
-    """Write an H.264 video; pictures of an odd size lose their last row or column.
+def write_video(path: Path, images: Iterable[UInt8], hz: float, quality: int = 20) -> int:
+    """Write an H.264 video; images of an odd size lose their last row or column.
 
     Args:
-        path: of the file, ``.mp4`` or ``.mkv``; complete or absent.
-        pictures: (H, W, 3) RGB, all of one size.
-        hz: pictures a second.
-        quality: constant rate factor: less is better, 18 hardly to be told from the pictures.
+        path: the file, ``.mp4`` or ``.mkv``; after an error it does not exist.
+        images: (H, W, 3) RGB, all of one size.
+        hz: images per second.
+        quality: constant rate factor: lower is better; at 18 the loss is hardly visible.
 
     Returns:
-        How many pictures.
+        The number of images.
 
     Raises:
-        UsageError: PyAV is not installed, there is no picture, or one has another size.
+        UsageError: PyAV is not installed, there is no image, or the images have several sizes.
     """
     try:
         import av
@@ -38,20 +38,20 @@ def write_video(path: Path, pictures: Iterable[UInt8], hz: float, quality: int =
             stream = container.add_stream("libx264", rate=Fraction(hz).limit_denominator(1001))
             stream.pix_fmt = "yuv420p"
             stream.options = {"crf": str(quality)}
-            for picture in pictures:
-                height, width = (size // 2 * 2 for size in picture.shape[:2])
+            for image in images:
+                height, width = (size // 2 * 2 for size in image.shape[:2])
                 if not count:
                     stream.width, stream.height = width, height
                 if (stream.width, stream.height) != (width, height):
                     raise UsageError(
-                        f"a picture of {width} x {height} px", file=path, place=f"picture {count}",
+                        f"an image of {width} x {height} px", file=path, place=f"image {count}",
                         expected=f"{stream.width} x {stream.height} px, as the first",
                     )  # fmt: skip
-                frame = av.VideoFrame.from_ndarray(picture[:height, :width], format="rgb24")
+                frame = av.VideoFrame.from_ndarray(image[:height, :width], format="rgb24")
                 container.mux(stream.encode(frame))
                 count += 1
             if not count:
-                raise UsageError("no picture to make a video of", file=path)
+                raise UsageError("there are no images", file=path)
             container.mux(stream.encode())
         temporary.replace(path)
     finally:

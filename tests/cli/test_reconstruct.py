@@ -135,7 +135,7 @@ def test_from_a_dataset_to_a_submission_and_along_a_new_line(
     assert {path.name.rpartition("-")[0] for path in (block / "pictures").iterdir()} == {
         "training-0", "training-1", "held-out-0", "held-out-1",
     }  # fmt: skip
-    # A done run is told of again, not trained again.
+    # A finished run is reported again, not trained again.
     stamp = (block / "model.safetensors").stat().st_mtime_ns
     assert said(capsys, *reconstruct(dataset, model)) == done
     assert (block / "model.safetensors").stat().st_mtime_ns == stamp
@@ -382,17 +382,17 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
     assert trained == {key: "34" * 32 for key, role in document["assignments"].items() if role == "train"}
     first = min(trained)
     swapped = {**document, "name": "swapped", "assignments": {**document["assignments"], first: "held_out"}}
-    anew = {**document, "name": "anew", "manifests": {**document["manifests"], first: "56" * 32}}
+    changed = {**document, "name": "changed", "manifests": {**document["manifests"], first: "56" * 32}}
     none = {**document, "name": "none", "assignments": {}, "manifests": {}}
     words = ("render", dataset.root, model, "--protocol", narrow(tmp_path), "--out", tmp_path / "out")
     for split, message in (
         (swapped, f"the model was trained on {first}, which split swapped holds out"),
-        (anew, f"the recorded data of {first} changed after the training"),
+        (changed, f"the recorded data of {first} changed after the training"),
         (none, "split none has none of the 3 traversals that the model was trained on"),
     ):
         (splits / f"{split['name']}.json").write_text(json.dumps(split))
         assert message in said(capsys, *words, "--split", split["name"], code=ExitCode.COULD_NOT_RUN)["problem"]
-    (splits / "novel.json").write_text(json.dumps({**anew, "name": "novel"}))
+    (splits / "novel.json").write_text(json.dumps({**changed, "name": "novel"}))
     ply = ("export-ply", dataset.root, model, "--out", tmp_path / "street.ply")
     shifted = ("render", dataset.root, model, "--trajectory", "forward:1", "--out", tmp_path / "out")
     for verb in (ply, shifted):

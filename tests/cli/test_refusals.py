@@ -105,11 +105,11 @@ def test_long_work_in_a_log_says_how_far_it_is(
 ) -> None:
     monkeypatch.setattr(progress, "BETWEEN_LINES_S", 0.0)
     with progress.progress_bar(quiet=False) as bar:
-        bar.start("pictures", 2000)
+        bar.start("images", 2000)
         bar.advance(1500)
-    assert "pictures: 1,500 of 2,000" in capsys.readouterr().err
+    assert "images: 1,500 of 2,000" in capsys.readouterr().err
     with progress.progress_bar(quiet=True) as bar:
-        bar.start("pictures", 2)
+        bar.start("images", 2)
         bar.advance(1)
     assert capsys.readouterr().err == ""
     assert not sys.stderr.isatty()

@@ -38,7 +38,7 @@ def write_recording(
     parts: int = 1,
     seed: int = 0,
 ) -> Path:
-    """One drive along the street; pictures at 4 Hz, poses at 10 Hz, both with exposure in the middle of the stamp."""
+    """One drive along the street; images at 4 Hz, poses at 10 Hz, both with exposure in the middle of the stamp."""
     folder = root / drive_id
     (folder / "calibrations").mkdir(parents=True)
     seconds = np.arange(0.0, abs(to_m - from_m) / speed_mps + 1e-9, 0.1)
@@ -96,8 +96,8 @@ def write_recording(
         for stamp in stamps[::3] + number * 7_000_000:
             if stamp > stamps[-1]:
                 continue
-            picture = cv2.resize(generator.integers(0, 255, (6, 8, 3), dtype=np.uint8), (64, 48))
-            (folder / "images" / camera / f"{stamp}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
+            image = cv2.resize(generator.integers(0, 255, (6, 8, 3), dtype=np.uint8), (64, 48))
+            (folder / "images" / camera / f"{stamp}.jpg").write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
     return folder
 
 

@@ -24,7 +24,7 @@ class Fix:
 
 
 def statuses(track: Track, options: CleaningOptions, min_step_m: float = 0.5) -> tuple[list[Fate], list[int]]:
-    """The fate of every fix in time order, and the recorded row of each."""
+    """Return the status of every fix in time order, and the recorded row of each."""
     surface, recorded = surface_of(track)
     order = sorted(range(len(track)), key=lambda row: int(track.timestamp_ns[row]))
     stamps = [int(track.timestamp_ns[row]) for row in order]

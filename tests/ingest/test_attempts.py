@@ -45,7 +45,7 @@ def attempt(staging: Staging, drive: DrivePasses) -> WriteReport:
 def test_an_attempt_that_wakes_late_leaves_what_another_has_sealed(
     fails: bool, drive: DrivePasses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pauses in the middle of its pictures, B seals the traversal, A fails, or ends as well."""
+    """A pauses in the middle of its images, B seals the traversal, A fails, or ends as well."""
     paused, go_on = threading.Event(), threading.Event()
     late = threading.local()
 
@@ -137,7 +137,7 @@ def test_a_dead_process_leaves_its_folder_to_the_next(tmp_path: Path) -> None:
 def test_folders_of_other_machines_go_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "run.0123456789ab.feedbeef"
     folder.mkdir()
-    (folder / "picture.jpg").write_text("")
+    (folder / "image.jpg").write_text("")
     assert list(abandoned_folders(tmp_path, "run")) == []
     now = time.time()
     monkeypatch.setattr(owned_folder.time, "time", lambda: now + LEFT_OVER_AGE_S - 60)

@@ -1,4 +1,4 @@
-"""Cleaning: the fate of each fix in cases that can be told by hand, bad input, and the real dirty drives."""
+"""Cleaning: the status of each fix in cases solved by hand, bad input, and real drives with errors."""
 
 from __future__ import annotations
 

@@ -46,8 +46,8 @@ def test_frames_of_a_video_are_decoded_only_inside_passes(
         stream = container.add_stream("libx264", rate=10, options={"g": "10", "bf": "0"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for number in range(len(stamps)):
-            picture = np.full((48, 64, 3), 40 + number, np.uint8)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
+            image = np.full((48, 64, 3), 40 + number, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "rgb24")))
         container.mux(stream.encode())
     with av.open(str(drive / "videos" / "rear.mp4")) as container:
         pts = sorted(packet.pts for packet in container.demux(video=0) if packet.pts is not None)
@@ -103,7 +103,7 @@ def test_light_is_computed_from_the_sun_and_weather_is_as_stated(drive: Path, tm
     assert (row["light"], row["light_source"]) == ("dusk", "metadata")
 
 
-def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
+def test_weather_plugin_sees_images_of_drives_that_do_not_state_it(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = json.loads((drive / "recording.json").read_text())
@@ -116,7 +116,7 @@ def test_weather_plugin_sees_pictures_of_drives_that_do_not_state_it(
 
         @staticmethod
         def load() -> object:
-            return lambda pictures: seen.extend(picture.shape for picture in pictures) or "rain"
+            return lambda images: seen.extend(image.shape for image in images) or "rain"
 
     monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
     ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="rainy"))
@@ -147,11 +147,11 @@ def test_the_hash_of_a_dataset_is_of_what_was_recorded_and_not_of_when(tmp_path:
             os.utime(path, (10**9 + number, 10**9 + number))
 
     def change_a_byte(drive: Path) -> None:
-        picture = sorted((drive / "images" / "rear").glob("*.jpg"))[60]
-        data = bytearray(picture.read_bytes())
+        image = sorted((drive / "images" / "rear").glob("*.jpg"))[60]
+        data = bytearray(image.read_bytes())
         data[len(data) // 2] ^= 1
-        picture.unlink()
-        picture.write_bytes(data)
+        image.unlink()
+        image.write_bytes(data)
 
     (here, first), (there, same), (_, other) = (
         ingested("here", lambda drive: None),

@@ -1,4 +1,4 @@
-"""Pictures that lie elsewhere: ingested without opening one, loaded and checked where they are."""
+"""Images that lie elsewhere: ingested without opening one, loaded and checked where they are."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def bucket() -> Iterator[fsspec.AbstractFileSystem]:
 
 @pytest.fixture
 def drive(tmp_path: Path, bucket: fsspec.AbstractFileSystem) -> Path:
-    """A recording whose rear camera's pictures have been put into a bucket."""
+    """A recording whose rear camera's images have been put into a bucket."""
     path = write_recording(tmp_path / "fleet", "there")
     folder = path / "images" / "rear"
     lines = ["uri,exposure_start_ns,exposure_end_ns,byte_length,width_px,height_px"]
@@ -75,7 +75,7 @@ def test_they_are_referred_to_and_loaded_from_where_they_are(
 def test_none_is_opened_by_ingest_or_its_verification(
     drive: Path, tmp_path: Path, bucket: fsspec.AbstractFileSystem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(type(bucket), "cat_file", lambda *_, **__: pytest.fail("opened a picture"))
+    monkeypatch.setattr(type(bucket), "cat_file", lambda *_, **__: pytest.fail("opened an image"))
     report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert not report.failures and len(report.traversals) == 1
     again = ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(verify=True))
@@ -114,13 +114,13 @@ def test_a_uri_that_nothing_here_reads_is_named(drive: Path, tmp_path: Path) -> 
     assert "IMG001" in ids_of(tmp_path / "d")
 
 
-def test_weather_is_asked_of_pictures_elsewhere(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weather_is_asked_of_images_elsewhere(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Entry:
         name = value = "some"
 
         @staticmethod
         def load() -> Callable[[Sequence[np.ndarray]], str]:
-            return lambda pictures: "rain" if {picture.shape for picture in pictures} == {(48, 64, 3)} else "fog"
+            return lambda images: "rain" if {image.shape for image in images} == {(48, 64, 3)} else "fog"
 
     monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
     document = json.loads((drive / "recording.json").read_text())

@@ -44,7 +44,7 @@ def copied(drives: list[Path], tmp_path: Path) -> list[Path]:
     return [tmp_path / "fleet" / drive.name for drive in drives]
 
 
-def test_passes_become_traversals_with_their_pictures(drives: list[Path], tmp_path: Path) -> None:
+def test_passes_become_traversals_with_their_images(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "dataset"
     report = ingest_recordings(drives, [SCENE], out)
     assert not report.failures
@@ -95,7 +95,7 @@ def test_world_is_east_north_up_at_the_roi(drives: list[Path], tmp_path: Path) -
     assert np.allclose(forward, 1.0, atol=1e-9)
 
 
-def test_frames_take_the_nearest_picture(drives: list[Path], tmp_path: Path) -> None:
+def test_frames_take_the_nearest_image(drives: list[Path], tmp_path: Path) -> None:
     report = ingest_recordings(drives[:1], [SCENE], tmp_path / "d")
     table = read_table(Layout(tmp_path / "d").recorded(report.traversals[0].traversal_id) / "images.parquet", IMAGES)
     rows = table.to_pylist()
@@ -149,10 +149,10 @@ def test_dry_run_judges_and_writes_nothing(drives: list[Path], tmp_path: Path) -
     assert not (tmp_path / "d").exists()
 
 
-def test_no_picture_is_opened_for_a_refused_pass(copied: list[Path], tmp_path: Path) -> None:
+def test_no_image_is_opened_for_a_refused_pass(copied: list[Path], tmp_path: Path) -> None:
     edge = copied[2]
     for path in (edge / "images").rglob("*.jpg"):
-        path.write_bytes(b"no picture at all")
+        path.write_bytes(b"no image at all")
     there = copied[0]
     for path in (there / "images").rglob("*.jpg"):
         if not 7.4e9 <= int(path.stem) - START_NS <= 22.6e9:
@@ -162,7 +162,7 @@ def test_no_picture_is_opened_for_a_refused_pass(copied: list[Path], tmp_path: P
     assert report.images > 80
 
 
-def test_poses_only_drives_make_traversals_without_pictures(tmp_path: Path) -> None:
+def test_poses_only_drives_make_traversals_without_images(tmp_path: Path) -> None:
     drive = write_recording(tmp_path, "blind", cameras=())
     report = ingest_recordings([drive], [SCENE], tmp_path / "d")
     assert [one.images for one in report.traversals] == [0]
@@ -187,18 +187,18 @@ def test_changed_recording_needs_replace_and_a_failed_replacement_harms_nothing(
     there = copied[0]
     ingest_recordings(copied, [SCENE], out)
     before = tree(out)
-    pictures = sorted((there / "images" / "rear").glob("*.jpg"))
-    whole = pictures[30].read_bytes()
-    pictures[30].unlink()
-    pictures[30].write_bytes(whole[:-20])
+    images = sorted((there / "images" / "rear").glob("*.jpg"))
+    whole = images[30].read_bytes()
+    images[30].unlink()
+    images[30].write_bytes(whole[:-20])
     report = ingest_recordings(copied, [SCENE], out)
     assert "--replace" in str(report.failures[0][1])
     assert tree(out) == before
     report = ingest_recordings(copied, [SCENE], out, IngestOptions(replace=True))
     assert "truncated" in str(report.failures[0][1])
     assert tree(out) == before
-    pictures[30].unlink()
-    pictures[30].write_bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes())
+    images[30].unlink()
+    images[30].write_bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes())
     assert not ingest_recordings(copied, [SCENE], out, IngestOptions(replace=True)).failures
     ingest_recordings(copied, [SCENE], tmp_path / "fresh")
     assert tree(out) == tree(tmp_path / "fresh")
@@ -209,15 +209,15 @@ def test_verify_notices_bytes_that_changed_behind_an_unchanged_size_and_time(
 ) -> None:
     out = tmp_path / "d"
     ingest_recordings(copied[:1], [SCENE], out, IngestOptions(write=WriteOptions(transfer="copy")))
-    picture = sorted((copied[0] / "images" / "rear").glob("*.jpg"))[30]
-    status, data = picture.stat(), bytearray(picture.read_bytes())
+    image = sorted((copied[0] / "images" / "rear").glob("*.jpg"))[30]
+    status, data = image.stat(), bytearray(image.read_bytes())
     data[len(data) // 2] ^= 1
-    picture.write_bytes(data)
-    os.utime(picture, ns=(status.st_atime_ns, status.st_mtime_ns))
+    image.write_bytes(data)
+    os.utime(image, ns=(status.st_atime_ns, status.st_mtime_ns))
     options = IngestOptions(write=WriteOptions(transfer="copy"))
     assert ingest_recordings(copied[:1], [SCENE], out, options).unchanged == ["there"]
     options = IngestOptions(write=WriteOptions(transfer="copy"), verify=True)
-    assert picture.name in str(ingest_recordings(copied[:1], [SCENE], out, options).failures[0][1])
+    assert image.name in str(ingest_recordings(copied[:1], [SCENE], out, options).failures[0][1])
 
 
 def test_second_writer_is_refused_or_waits(drives: list[Path], tmp_path: Path) -> None:
@@ -250,12 +250,12 @@ def _edit_poses(drive: Path, row: int, text: str) -> None:
     (drive / "poses.csv").write_text("\n".join(lines) + "\n")
 
 
-def _truncate_picture(drive: Path) -> None:
-    picture = sorted((drive / "images" / "rear").glob("*.jpg"))[30]
-    picture.write_bytes(picture.read_bytes()[:200])
+def _truncate_image(drive: Path) -> None:
+    image = sorted((drive / "images" / "rear").glob("*.jpg"))[30]
+    image.write_bytes(image.read_bytes()[:200])
 
 
-def _shift_pictures(drive: Path) -> None:
+def _shift_images(drive: Path) -> None:
     for camera in ("front_wide", "rear"):
         for path in sorted((drive / "images" / camera).glob("*.jpg")):
             path.rename(path.with_name(f"{int(path.stem) + 10 * HOUR_NS}.jpg"))
@@ -268,12 +268,12 @@ DAMAGE = {
         lambda d: ((d / "poses.csv").unlink(), (d / "poses.parquet").write_bytes(b"PAR1" + bytes(50))),
         "poses.parquet",
     ),
-    "truncated JPEG": (_truncate_picture, "truncated"),
+    "truncated JPEG": (_truncate_image, "truncated"),
     "missing camera": (lambda d: shutil.rmtree(d / "images/rear"), "camera rear is missing"),
     "no poses": (lambda d: (d / "poses.csv").unlink(), "poses"),
     "empty poses": (lambda d: (d / "poses.csv").write_text("timestamp_ns,longitude_deg,latitude_deg\n"), "pose"),
     "empty folder": (lambda d: (shutil.rmtree(d), d.mkdir()), "no reader recognises"),
-    "pictures on another clock": (_shift_pictures, "no pose covers any picture"),
+    "images on another clock": (_shift_images, "no pose covers any image"),
     "all poses wild": (
         lambda d: (d / "poses.csv").write_text("timestamp_ns,longitude_deg,latitude_deg\n1,999,5\n2,nan,nan\n"),
         "none of 2 poses is usable",
@@ -320,7 +320,7 @@ def test_one_bad_drive_is_reported_and_stops_neither_the_others_nor_harms_the_da
 
 
 def test_nothing_is_left_where_every_drive_fails(copied: list[Path], tmp_path: Path) -> None:
-    _truncate_picture(copied[0])
+    _truncate_image(copied[0])
     assert ingest_recordings(copied[:1], [SCENE], tmp_path / "d").failures
     assert tree(tmp_path / "d") == {}
 

@@ -38,7 +38,7 @@ while not stop.exists():
     views = [*views[-2:], dataset]
     opened += 1
     for view in views:
-        # What the images table says of a picture, and what the picture shows, are of one state, in all drives.
+        # What the images table says of an image, and what the image shows, are of one state, in all drives.
         shades, sizes = set(), set()
         for drive in view.drives():
             frames = view.where(drive=drive).frames()
@@ -58,16 +58,16 @@ print(opened, sorted(states), flush=True)
 
 
 def shade(drive: Path, state: int) -> None:
-    """Put a drive into a state: grey of its pictures, and height of its poses."""
+    """Put a drive into a state: grey of its images, and height of its poses."""
     rows = (drive / "poses.csv").read_text().splitlines()
     height = f"{1000 * state + 500}.0"
     (drive / "poses.csv").write_text(
         "\n".join([rows[0], *(",".join([*row.split(",")[:3], height, row.split(",")[4]]) for row in rows[1:])]) + "\n"
     )
-    picture = cv2.imencode(".png", np.full((48, 64, 3), 50 * state + 25, np.uint8))[1].tobytes()
+    image = cv2.imencode(".png", np.full((48, 64, 3), 50 * state + 25, np.uint8))[1].tobytes()
     for path in (drive / "images").rglob("*.*g"):
         path.unlink()
-        path.with_suffix(".png").write_bytes(picture)
+        path.with_suffix(".png").write_bytes(image)
 
 
 @pytest.fixture
@@ -119,18 +119,18 @@ def test_an_open_view_reads_what_it_was_opened_on(fleet: list[Path], tmp_path: P
     ingest_recordings(fleet, [SCENE], out)
     view = mirror.open(out)
     poses = view.table("ego_poses")
-    pictures = [frame.images["front_wide"].decode().mean() for frame in view.frames()]
+    images = [frame.images["front_wide"].decode().mean() for frame in view.frames()]
     untouched = mirror.open(out)
     for state in (2, 3):
         for drive in fleet:
             shade(drive, state)
         assert not ingest_recordings(fleet, [SCENE], out, IngestOptions(replace=True)).failures
     assert view.where(drive="drive_1").table("ego_poses").num_rows * DRIVES == poses.num_rows
-    assert [frame.images["front_wide"].decode().mean() for frame in view.frames()] == pictures
+    assert [frame.images["front_wide"].decode().mean() for frame in view.frames()] == images
     # Also where nothing was read before the replacement, and in another process.
     assert untouched.table("ego_poses").equals(poses)
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(_pictures, (pickle.dumps(untouched),)) == pictures
+        assert pool.apply(_images, (pickle.dumps(untouched),)) == images
     assert {int(frame.images["front_wide"].decode().mean()) for frame in mirror.open(out).frames()} == {175}
     del view, untouched
     gc.collect()
@@ -138,7 +138,7 @@ def test_an_open_view_reads_what_it_was_opened_on(fleet: list[Path], tmp_path: P
     assert not (out / ".superseded").exists()
 
 
-def _pictures(pickled: bytes) -> list[float]:
+def _images(pickled: bytes) -> list[float]:
     return [frame.images["front_wide"].decode().mean() for frame in pickle.loads(pickled).frames()]
 
 

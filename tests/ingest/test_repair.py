@@ -55,7 +55,7 @@ def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path
     assert tree(out) == before
 
 
-def test_a_lost_picture_comes_back_with_replace(drives: list[Path], tmp_path: Path) -> None:
+def test_a_lost_image_comes_back_with_replace(drives: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "d"
     ingest_recordings(drives, [SCENE], out)
     before = tree(out)
@@ -64,7 +64,7 @@ def test_a_lost_picture_comes_back_with_replace(drives: list[Path], tmp_path: Pa
     assert tree(out) == before
 
 
-def test_a_full_disk_while_sealing_anew_loses_no_drive(
+def test_full_disk_during_replacement_loses_no_drive(
     drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "d"

@@ -28,7 +28,7 @@ SIZE = (48, 32)
 FRAMES = 11
 FRAME_NS = 1_000_000_000
 TABLES = {table.name: table for table in (EGO_POSES, IMAGES, CALIBRATIONS, BOXES, MASKS, DEPTH, POINTS, PASSES)}
-Rows = list[dict[str, Any]]
+TableRows = list[dict[str, Any]]
 
 
 def make_clean(root: Path) -> Path:
@@ -73,7 +73,7 @@ def jpeg(seed: int, size: tuple[int, int] = SIZE) -> bytes:
 def _images(broken: Broken, traversal_id: str) -> None:
     number = broken.traversals.index(traversal_id)
 
-    def change(rows: Rows) -> Rows:
+    def change(rows: TableRows) -> TableRows:
         for index, row in enumerate(rows):
             data = jpeg(1000 * number + index)
             write_bytes(broken.root / row["uri"], data)
@@ -126,13 +126,13 @@ def _layers(builder: Builder, broken: Broken, traversal_id: str) -> None:
     LayerWriter(broken.layout, traversal_id, "points", "sweep", "1").finish(POINTS, points, {})
 
 
-def _symmetric(rows: Rows) -> Rows:
+def _symmetric(rows: TableRows) -> TableRows:
     for row in rows:
         row["ty_m"] = {"front_wide": 0.0, "front_left": 0.5, "front_right": -0.5}[row["camera"]]
     return sorted(rows, key=lambda row: (row["camera"], row["stage"]))
 
 
-def _with_refused(rows: Rows) -> Rows:
+def _with_refused(rows: TableRows) -> TableRows:
     before = rows[0]["entry_ns"] - 100 * SECOND
     refused = {
         **rows[0], "traversal_id": None, "decision": "refused", "rule": "min_duration", "measured": 4.0,
@@ -161,11 +161,11 @@ class Broken:
             return self.layout.drive(name) / f"{table}.parquet"
         return self.root / name / f"{table}.parquet"
 
-    def read(self, name: str, table: str) -> Rows:
-        rows: Rows = pq.read_table(self.path(name, table)).to_pylist()
+    def read(self, name: str, table: str) -> TableRows:
+        rows: TableRows = pq.read_table(self.path(name, table)).to_pylist()
         return rows
 
-    def rows(self, name: str, table: str, change: Callable[[Rows], Rows]) -> None:
+    def rows(self, name: str, table: str, change: Callable[[TableRows], TableRows]) -> None:
         """Change the rows of a table; `seal` afterwards."""
         spec = TABLES[table]
         write_bytes(self.path(name, table), encode_rows(change(self.read(name, table)), spec))
@@ -174,7 +174,7 @@ class Broken:
         """Set values in some rows; a callable gets the row."""
         chosen = {where} if isinstance(where, int) else set(where)
 
-        def change(rows: Rows) -> Rows:
+        def change(rows: TableRows) -> TableRows:
             for index in chosen & set(range(len(rows))):
                 row = rows[index]
                 row |= {key: value(row) if callable(value) else value for key, value in values.items()}

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 
 from mirror.schema.files import write_bytes
 from tests.dataset.builders import SECOND
-from tests.integrity.clean import FRAMES, Broken, Rows
+from tests.integrity.clean import FRAMES, Broken, TableRows
 
 A0, A1, B2 = "a.d0.1700000000000", "a.d1.1700001000000", "b.d2.1700002000000"
 B2_AGAIN = "b.d2.1700002100000"
 BOXES, MASKS = f"traversals/{A0}/layers/boxes/petr@1", f"traversals/{A0}/layers/masks/sam@2.1"
 DEPTH, POINTS = f"traversals/{A0}/layers/depth/sweep@1", f"traversals/{A0}/layers/points/sweep@1"
 RECORDED = f"traversals/{A0}/recorded"
-# Rows of the cameras in a table of images.
+# TableRows of the cameras in a table of images.
 LEFT, RIGHT, WIDE = range(0, FRAMES), range(FRAMES, 2 * FRAMES), range(2 * FRAMES, 3 * FRAMES)
 HOUR = 3600 * SECOND
 
@@ -68,7 +68,7 @@ def cell(name: str, table: str, where: int | range, **values: object) -> Callabl
     return lambda broken: broken.set(name, table, where, **values)
 
 
-def rows(name: str, table: str, change: Callable[[Rows], Rows]) -> Callable[[Broken], object]:
+def rows(name: str, table: str, change: Callable[[TableRows], TableRows]) -> Callable[[Broken], object]:
     return lambda broken: broken.rows(name, table, change)
 
 

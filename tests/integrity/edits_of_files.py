@@ -118,9 +118,9 @@ def _forget_index_rows(broken: Broken) -> None:
 
 def _tables() -> Iterator[Edit]:
     poses = f"{RECORDED}/ego_poses.parquet"
-    unread = ("FIL002", "IDX003")
-    yield of("TAB001", cut(poses, 500), poses, *unread, seal=False)
-    yield of("TAB001", _without_column, poses, *unread, seal=False)
+    unreadable = ("FIL002", "IDX003")
+    yield of("TAB001", cut(poses, 500), poses, *unreadable, seal=False)
+    yield of("TAB001", _without_column, poses, *unreadable, seal=False)
     yield of("TAB002", cut("drives/d0/passes.parquet", 500), "drives/d0/passes.parquet", "FIL002", seal=False)
     yield of("TAB003", rows(BOXES, "boxes", lambda rows: rows[::-1]), f"{BOXES}/boxes.parquet")
     yield of("TAB004", rows(BOXES, "boxes", lambda rows: [rows[0], *rows]), f"{BOXES}/boxes.parquet")

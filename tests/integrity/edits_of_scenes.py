@@ -12,7 +12,7 @@ from mirror.dataset.redaction import current_redaction
 from mirror.schema.files import write_bytes
 from mirror.schema.tables import IMAGES
 from tests.dataset.builders import EPOCH, SECOND
-from tests.integrity.clean import FRAME_NS, FRAMES, SIZE, Broken, Rows, jpeg, png
+from tests.integrity.clean import FRAME_NS, FRAMES, SIZE, Broken, TableRows, jpeg, png
 from tests.integrity.edit import (
     A0,
     B2,
@@ -72,7 +72,7 @@ def _minus(name: str) -> Callable[[dict[str, float]], float]:
 
 
 def _freeze(broken: Broken) -> None:
-    def change(rows: Rows) -> Rows:
+    def change(rows: TableRows) -> TableRows:
         for row in rows[60:75]:
             row |= {name: rows[60][name] for name in ("tx_m", "ty_m")}
         return rows
@@ -83,7 +83,7 @@ def _freeze(broken: Broken) -> None:
 def _turn_on_the_spot(broken: Broken) -> None:
     """The vehicle never leaves its place, which a parked one may, but it turns by 20 degrees."""
 
-    def change(rows: Rows) -> Rows:
+    def change(rows: TableRows) -> TableRows:
         for number, row in enumerate(rows):
             half = np.radians(60.0 + 20.0 * number / len(rows)) / 2
             row |= {"tx_m": 0.0, "ty_m": 0.0, "qw": np.cos(half), "qx": 0.0, "qy": 0.0, "qz": np.sin(half)}
@@ -151,7 +151,7 @@ def _time() -> Iterator[Edit]:
 def _lost_frame(broken: Broken) -> None:
     """Frame 5 is missing in all cameras, and those behind it are counted on."""
 
-    def change(rows: Rows) -> Rows:
+    def change(rows: TableRows) -> TableRows:
         kept = [row for row in rows if row["frame_index"] != 5]
         for row in kept:
             row["frame_index"] -= row["frame_index"] > 5

@@ -11,7 +11,7 @@ from mirror.cli.main import main
 from mirror.errors import DatasetError, UsageError
 from mirror.integrity import Cost, Severity, check
 from mirror.integrity.finding import Finding
-from mirror.integrity.registry import rules, selected
+from mirror.integrity.registry import rules, select_rules
 from mirror.integrity.rule import GROUPS, dataset_rule
 from mirror.integrity.rules_page import rules_page
 from tests.conftest import ROOT
@@ -52,18 +52,18 @@ def test_an_id_is_given_once() -> None:
 
 
 def test_selection() -> None:
-    assert {rule.rule_id for rule in selected(["POS003", "IMG"], ["IMG009"])} == {
+    assert {rule.rule_id for rule in select_rules(["POS003", "IMG"], ["IMG009"])} == {
         "POS003",
         *(name for name in rules() if name.startswith("IMG") and name != "IMG009"),
     }
-    assert {rule.cost for rule in selected(cost=Cost.TABLES)} == {Cost.TABLES}
-    assert {rule.cost for rule in selected()} == {Cost.TABLES, Cost.FILES}
-    assert len(selected(cost=Cost.IMAGES)) == len(rules())
-    assert [rule.rule_id for rule in selected(["img005"], cost=Cost.TABLES)] == ["IMG005"]
+    assert {rule.cost for rule in select_rules(cost=Cost.TABLES)} == {Cost.TABLES}
+    assert {rule.cost for rule in select_rules()} == {Cost.TABLES, Cost.FILES}
+    assert len(select_rules(cost=Cost.IMAGES)) == len(rules())
+    assert [rule.rule_id for rule in select_rules(["img005"], cost=Cost.TABLES)] == ["IMG005"]
     with pytest.raises(UsageError, match="no rule 'POS099'"):
-        selected(["POS099"])
+        select_rules(["POS099"])
     with pytest.raises(UsageError, match="no rule ''"):
-        selected(skip=[""])
+        select_rules(skip=[""])
 
 
 def test_severity_decides_the_exit_code(broken: Broken) -> None:
@@ -84,7 +84,7 @@ def test_what_nobody_reports_is_unread(broken: Broken) -> None:
     broken.layout.split("s").write_text("{")
     report = check(broken.root, only=["SPL003"])
     assert report.findings == []
-    assert len(report.unread) == 1
+    assert len(report.unreadable) == 1
     assert report.exit_code() == 2
     assert check(broken.root, only=["SPL001", "SPL003"]).exit_code() == 1
 
@@ -102,7 +102,7 @@ def test_a_table_cut_short_is_found_and_the_rest_is_checked(table: str, broken: 
     found = {(rule.rule_id, finding.file) for rule, finding in report.findings}
     name = f"traversals/{A0}/recorded/{table}.parquet"
     assert {("FIL002", name), ("TAB001", name), ("SPL002", "splits/s.json")} <= found
-    assert (report.exit_code(), report.unread) == (1, [])
+    assert (report.exit_code(), report.unreadable) == (1, [])
 
 
 def test_no_dataset(tmp_path: Path) -> None:

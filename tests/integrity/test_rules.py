@@ -18,7 +18,7 @@ EDITS = [*edits_of_files.edits(), *edits_of_scenes.edits()]
 def test_a_whole_dataset_has_no_findings(clean: Path) -> None:
     report = check(clean, cost=Cost.IMAGES)
     assert [(rule.rule_id, finding) for rule, finding in report.findings] == []
-    assert report.unread == []
+    assert report.unreadable == []
     assert report.exit_code(strict=True) == 0
     assert len(report.rules) == len(rules())
 

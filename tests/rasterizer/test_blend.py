@@ -44,7 +44,7 @@ def single(seen):
 
 
 def render(backend, seen, features, opacities, width, height, weights=None, absgrad=False):
-    """Picture, alpha, and gradients to means, conics, features and opacities; the magnitudes to the means."""
+    """Image, alpha, and gradients to means, conics, features and opacities; the magnitudes to the means."""
     leaves = [one.detach().clone().requires_grad_() for one in (seen.means2d, seen.conics, features, opacities)]
     seen = seen._replace(means2d=leaves[0], conics=leaves[1])
     done = backend(seen, *leaves[2:], width, height, preset=PRESET, tile_size=16, absgrad=absgrad)

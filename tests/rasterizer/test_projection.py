@@ -30,7 +30,7 @@ def options(preset: str = "gsplat-1.5", antialiased: bool = False, **others: flo
     return limits | {"preset": get_preset(preset), "antialiased": antialiased, "lens": None}
 
 
-def looking() -> Tensor:
+def default_view() -> Tensor:
     viewmat = torch.eye(4, dtype=torch.float64)
     cos, sin = np.cos(0.3), np.sin(0.3)
     viewmat[:3, :3] = torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
@@ -38,7 +38,7 @@ def looking() -> Tensor:
     return viewmat
 
 
-def cloud(number: int, *, aspect: float = 1.0, seed: int = 0, dtype: torch.dtype = torch.float32) -> Inputs:
+def random_gaussians(number: int, *, aspect: float = 1.0, seed: int = 0, dtype: torch.dtype = torch.float32) -> Inputs:
     """Gaussians around the camera, of which about a quarter is seen."""
     random = torch.Generator().manual_seed(seed)
     means = (2.0 * torch.rand(number, 3, generator=random) - 1.0) * torch.tensor([10.0, 6.0, 10.0])
@@ -47,7 +47,7 @@ def cloud(number: int, *, aspect: float = 1.0, seed: int = 0, dtype: torch.dtype
     scales[:, 0] *= aspect
     quats = 3.0 * torch.randn(number, 4, generator=random)
     opacities = torch.rand(number, generator=random)
-    return means.to(dtype), quats.to(dtype), scales.to(dtype), opacities.to(dtype), looking()
+    return means.to(dtype), quats.to(dtype), scales.to(dtype), opacities.to(dtype), default_view()
 
 
 def through(project: Any, inputs: Inputs, **how: Any) -> ProjectedGaussians:
@@ -77,7 +77,7 @@ def distance(ours: Tensor, truth: Tensor) -> float:
 @pytest.mark.parametrize(("preset", "antialiased"), MODES)
 @pytest.mark.parametrize("aspect", [1.0, 1000.0])
 def test_kernels_give_what_the_reference_gives(preset: str, antialiased: bool, aspect: float) -> None:
-    inputs, same = leaves(cloud(3000, aspect=aspect)), leaves(cloud(3000, aspect=aspect))
+    inputs, same = leaves(random_gaussians(3000, aspect=aspect)), leaves(random_gaussians(3000, aspect=aspect))
     ours = through(compiled, inputs, preset=preset, antialiased=antialiased)
     truth = through(reference, same, preset=preset, antialiased=antialiased)
     assert len(truth.ids) > 500
@@ -97,7 +97,7 @@ def test_kernels_give_what_the_reference_gives(preset: str, antialiased: bool, a
 
 
 def test_spare_lanes_are_not_taken_for_a_run() -> None:
-    inputs = cloud(13)
+    inputs = random_gaussians(13)
     inputs[0][:] = torch.tensor([30.0, 0.5, 6.0])
     for last in range(1, 13):
         inputs[0][[0, last // 2, last]] = torch.tensor([[1.0, 0.5, 6.0], [1.1, 0.5, 6.0], [1.2, 0.5, 6.0]])
@@ -110,7 +110,7 @@ def test_spare_lanes_are_not_taken_for_a_run() -> None:
 
 
 def test_causes_of_culling_add_up() -> None:
-    inputs = cloud(3000)
+    inputs = random_gaussians(3000)
     inputs[1][::7] = 0.0
     ours, truth = through(compiled, inputs), through(reference, inputs)
     assert sum(ours.counts.values()) + len(ours.ids) == 3000
@@ -127,7 +127,7 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     try:
         for number in (1, 2, 5):
             torch.set_num_threads(number)
-            inputs = leaves(cloud(3 * PART + 5))
+            inputs = leaves(random_gaussians(3 * PART + 5))
             ours = through(compiled, inputs, antialiased=True)
             tensors = [tensor for tensor in ours if isinstance(tensor, Tensor)]
             results.append([tensor.detach().numpy().tobytes() for tensor in (*tensors, *gradients(ours, inputs))])
@@ -138,7 +138,7 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 2, 7, 8, 9, PART + 1])
 def test_any_number_of_gaussians(number: int) -> None:
-    inputs, same = leaves(cloud(number, seed=number)), leaves(cloud(number, seed=number))
+    inputs, same = leaves(random_gaussians(number, seed=number)), leaves(random_gaussians(number, seed=number))
     ours, truth = through(compiled, inputs), through(reference, same)
     assert torch.equal(ours.ids, truth.ids)
     for mine, true in zip(gradients(ours, inputs), gradients(truth, same)):
@@ -150,7 +150,7 @@ def test_one_gradient_without_the_others(number: int) -> None:
     for field in ("means2d", "depths", "conics"):
         results = []
         for project in (compiled, reference):
-            inputs = leaves((*(t[:number] for t in cloud(5)[:4]), looking()))
+            inputs = leaves((*(t[:number] for t in random_gaussians(5)[:4]), default_view()))
             with torch.no_grad():
                 inputs[0].copy_(torch.tensor([1.0, 0.5, 6.0]) + torch.arange(number)[:, None])
             wanted = (*inputs[:3], inputs[4])
@@ -162,7 +162,7 @@ def test_one_gradient_without_the_others(number: int) -> None:
 
 def test_double_precision_inputs_far_from_the_origin() -> None:
     origin = torch.tensor([4.5e6, -1e7, 3.0], dtype=torch.float64)
-    means, quats, scales, opacities, viewmat = cloud(2000, dtype=torch.float64)
+    means, quats, scales, opacities, viewmat = random_gaussians(2000, dtype=torch.float64)
     moved = viewmat.clone()
     moved[:3, 3] -= viewmat[:3, :3] @ origin
     near = through(compiled, (means, quats, scales, opacities, viewmat))
@@ -179,7 +179,7 @@ def test_double_precision_inputs_far_from_the_origin() -> None:
 
 
 def test_what_is_culled_has_no_gradient() -> None:
-    inputs = leaves(cloud(1000))
+    inputs = leaves(random_gaussians(1000))
     ours = through(compiled, inputs)
     hidden = torch.ones(1000, dtype=torch.bool)
     hidden[ours.ids] = False
@@ -202,7 +202,7 @@ def sound(inputs: Inputs, **how: Any) -> ProjectedGaussians:
 
 @pytest.mark.parametrize(("preset", "antialiased"), MODES)
 def test_degenerate_gaussians_are_culled_or_drawn_and_never_nan(preset: str, antialiased: bool) -> None:
-    means, quats, scales, opacities, viewmat = cloud(640)
+    means, quats, scales, opacities, viewmat = random_gaussians(640)
     means[:160:2] = torch.tensor([1.0, 0.5, 6.0])
     quats[1:160:3] = 0.0
     quats[3:160:7] *= 1e-20
@@ -220,7 +220,7 @@ def test_degenerate_gaussians_are_culled_or_drawn_and_never_nan(preset: str, ant
 
 
 def test_nothing_is_seen() -> None:
-    inputs = leaves(cloud(100))
+    inputs = leaves(random_gaussians(100))
     ours = through(compiled, inputs, near_plane=1e3, far_plane=1e4)
     assert len(ours.ids) == 0
     assert ours.counts["near"] == 100
@@ -234,14 +234,14 @@ numbers = st.floats(-(2.0**100), 2.0**100, width=32)
 @given(st.lists(numbers, min_size=10, max_size=10), st.floats(0.0, 1.0, width=32), st.booleans(), st.booleans())
 def test_anything_finite_gives_numbers(shape: list[float], opacity: float, antialiased: bool, blurred: bool) -> None:
     gaussian = torch.tensor([shape])
-    inputs = (gaussian[:, :3], gaussian[:, 3:7], gaussian[:, 7:], torch.tensor([opacity]), looking())
+    inputs = (gaussian[:, :3], gaussian[:, 3:7], gaussian[:, 7:], torch.tensor([opacity]), default_view())
     sound(inputs, antialiased=antialiased, eps2d=0.3 if blurred else 0.0, far_plane=1e30)
 
 
 @pytest.mark.parametrize("exponent", [-45, -38, -31, -30, -29, -23, -19, 0, 19, 30, 38])
 @pytest.mark.parametrize("lens", [None, Lens(model="fisheye")])
 def test_quaternions_of_any_length_that_counts_are_the_same_rotation(exponent: int, lens: Lens | None) -> None:
-    means, quats, scales, opacities, viewmat = cloud(500)
+    means, quats, scales, opacities, viewmat = random_gaussians(500)
     means[:] = torch.tensor([0.3, 0.2, 4.0])
     units = torch.nn.functional.normalize(quats.double(), dim=1)
     long = (units * 10.0**exponent).float()  # below 1e-38 what is left of a quaternion is a few bits
@@ -270,4 +270,4 @@ def test_quaternions_of_float64_have_the_same_limits(length: float, count: int) 
     means, scales = torch.tensor([[0.3, 0.2, 4.0]]).double(), torch.tensor([[0.1, 0.2, 0.3]]).double()
     quats, opacities = torch.tensor([[length, 0.0, 0.0, 0.0]], dtype=torch.float64), torch.ones(1).double()
     for project in (compiled, reference):
-        assert len(through(project, (means, quats, scales, opacities, looking())).ids) == count
+        assert len(through(project, (means, quats, scales, opacities, default_view())).ids) == count

@@ -22,7 +22,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
-from mirror.view.pictures import busiest_frame, category_colours, legend, rig_pictures, same_place
+from mirror.view.images import busiest_frame, category_colours, legend, rig_images, same_place
 from mirror.view.report import map_legend, write_report
 from mirror.view.svg import Line, scene_map
 
@@ -92,7 +92,7 @@ def test_the_page_is_well_formed_and_needs_nothing_else(page: Page) -> None:
     assert "url(" not in style and "@import" not in style
 
 
-def test_every_inlined_picture_decodes(page: Page) -> None:
+def test_every_inlined_image_decodes(page: Page) -> None:
     sources = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
     # One instant, one place of two traversals, and two conditions with seven cameras each.
     assert len(sources) == 7 + 2 + 2 * 7
@@ -119,15 +119,15 @@ def test_what_the_tables_say_is_on_the_page(page: Page, dataset: Dataset) -> Non
 
 def test_charts_draw_the_counts(page: Page, dataset: Dataset) -> None:
     labels = {attributes.get("aria-label") for tag, attributes in page.tags if tag == "svg"}
-    assert {"Traversals by light and weather", "Boxes by category", "Pictures by camera"} <= labels
+    assert {"Traversals by light and weather", "Boxes by category", "Images by camera"} <= labels
     assert f"{dataset.count('images')}" in page.text.replace(",", "")
     assert f"{dataset.count('boxes')}" in page.text.replace(",", "")
 
 
-def test_boxes_on_a_picture_are_where_the_lens_puts_them(dataset: Dataset) -> None:
+def test_boxes_on_a_image_are_where_the_lens_puts_them(dataset: Dataset) -> None:
     frame = busiest_frame(dataset, dataset.traversals())
     assert set(frame.images) == set(CANONICAL_CAMERAS)
-    html = rig_pictures(frame, boxes=True, width_px=640)
+    html = rig_images(frame, boxes=True, width_px=640)
     shown = 0
     for figure in re.findall(r"<figure.*?</figure>", html):
         camera = re.search(r'alt="(\w+)"', figure).group(1)
@@ -166,7 +166,7 @@ def test_one_place_is_the_same_place(dataset: Dataset) -> None:
     assert np.hypot(*np.subtract(*places)) < 12.0
 
 
-def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: list[Path], tmp_path: Path) -> None:
+def test_a_dataset_without_images_or_traversals_has_a_report_too(recordings: list[Path], tmp_path: Path) -> None:
     ingest_recordings(
         recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions()
     )
@@ -174,7 +174,7 @@ def test_a_dataset_without_pictures_or_traversals_has_a_report_too(recordings: l
     page = Page((tmp_path / "bare.html").read_text())
     assert page.open == []
     assert page.count("img") == 0
-    assert "No traversal has pictures" in page.text
+    assert "No traversal has images" in page.text
     assert "inside too briefly" in page.text
 
 
@@ -209,7 +209,7 @@ def test_categories_of_other_words_have_colours_of_their_own() -> None:
         assert f'class="swatch {colour}"' in legend(["car", "Car", "Truck", "Pedestrian"])
 
 
-def test_a_truncated_picture_is_an_error(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_truncated_image_is_an_error(dataset: Dataset, tmp_path: Path) -> None:
     root = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
     for file in root.glob("traversals/*/recorded/**/*.jpg"):
         file.write_bytes(file.read_bytes()[:400])

@@ -31,7 +31,7 @@ def _box_numbers(view: SceneView) -> Iterator[Finding]:
     pose = np.column_stack([boxes.floats(name) for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")])
     bad: Bool = np.asarray(~((np.isfinite(size) & (size > 0)).all(axis=1) & np.isfinite(pose).all(axis=1)))
     for name in ("vx_mps", "vy_mps", "vz_mps"):
-        bad |= boxes.known(name) & ~np.isfinite(boxes.floats(name))
+        bad |= boxes.is_known(name) & ~np.isfinite(boxes.floats(name))
     yield from boxes.findings(
         bad, lambda row: f"size {size[row].tolist()} m, centre {pose[row, 4:].tolist()} m, or a velocity"
     )
@@ -84,14 +84,14 @@ def _box_unseen(view: SceneView) -> Iterator[Finding]:
 def _cameras(view: SceneView) -> dict[int, list[tuple[Camera, Poses]]]:
     """Cameras that have images, with their mountings, of every stage, by traversal."""
     images, rows = view.images, view.all_calibrations
-    codes, names = images.words("camera")
+    codes, names = images.text_codes("camera")
     there = {(number, names[code]) for _, number, own in images.slices() for code in np.unique(codes[own]).tolist()}
     mounted = Motion(rows)
     found: dict[int, list[tuple[Camera, Poses]]] = {}
     for row, camera in view.cameras.items():
         number = int(rows.traversal[row])
         finite = mounted.unit[row] and np.isfinite(mounted.position[row]).all()
-        if finite and (number, rows.word("camera", row)) in there:
+        if finite and (number, rows.text("camera", row)) in there:
             pose = Poses(mounted.rotation[row : row + 1], mounted.position[row : row + 1])
             found.setdefault(number, []).append((camera, pose))
     return found
@@ -105,13 +105,13 @@ def _cameras(view: SceneView) -> dict[int, list[tuple[Camera, Poses]]]:
 )
 def _category_flip(view: SceneView) -> Iterator[Finding]:
     boxes = view.boxes
-    category, names = boxes.words("category")
-    order = np.lexsort((boxes.integers("timestamp_ns"), boxes.words("track_id")[0], boxes.owner))
+    category, names = boxes.text_codes("category")
+    order = np.lexsort((boxes.integers("timestamp_ns"), boxes.text_codes("track_id")[0], boxes.owner))
     bad = np.zeros(len(boxes), np.bool_)
     before = np.full(len(boxes), -1)
     before[order[1:]] = order[:-1]
     same = before >= 0
-    for codes in (boxes.owner, boxes.words("track_id")[0]):
+    for codes in (boxes.owner, boxes.text_codes("track_id")[0]):
         same &= codes == codes[before]
     bad = same & (category != category[before])
     yield from boxes.findings(
@@ -136,7 +136,7 @@ def _box_velocity(view: SceneView) -> Iterator[Finding]:
     boxes = view.boxes
     if not len(boxes):
         return
-    track = boxes.words("track_id")[0]
+    track = boxes.text_codes("track_id")[0]
     world, turned, placed = _in_world(view)
     order = np.lexsort((boxes.integers("timestamp_ns"), track, boxes.owner))
     one, two = order[:-1], order[1:]
@@ -191,7 +191,7 @@ def _in_world(view: SceneView) -> tuple[Float64, Float64, Bool]:
 )
 def _box_score(view: SceneView) -> Iterator[Finding]:
     score = view.boxes.floats("score")
-    bad = view.boxes.known("score") & ~((score >= 0.0) & (score <= 1.0))
+    bad = view.boxes.is_known("score") & ~((score >= 0.0) & (score <= 1.0))
     yield from view.boxes.findings(np.asarray(bad), lambda row: f"score {score[row]:g}")
 
 

@@ -26,8 +26,8 @@ def _calibrated(view: SceneView) -> Iterator[Finding]:
     images, calibrations = view.images, view.calibrations
     # Where the table of calibrations cannot be read, another rule says so.
     bad = np.isin(images.traversal, [number for _, number, _ in calibrations.parts])
-    start = np.where(calibrations.known("valid_from_ns"), calibrations.integers("valid_from_ns"), _MIN)
-    end = np.where(calibrations.known("valid_to_ns"), calibrations.integers("valid_to_ns"), _MAX)
+    start = np.where(calibrations.is_known("valid_from_ns"), calibrations.integers("valid_from_ns"), _MIN)
+    end = np.where(calibrations.is_known("valid_to_ns"), calibrations.integers("valid_to_ns"), _MAX)
     stamps = images.integers("timestamp_ns")
     for row, own, same_camera in view.calibrated_images():
         bad[own] &= ~(same_camera & (stamps[own] >= start[row]) & (stamps[own] <= end[row]))
@@ -52,7 +52,7 @@ def _raster(view: SceneView) -> Iterator[Finding]:
         calibrated >= 0,
         lambda row: (
             f"{width[row]} x {height[row]} px, but calibrated"
-            f" ({calibrations.word('stage', int(calibrated[row]))}) for"
+            f" ({calibrations.text('stage', int(calibrated[row]))}) for"
             f" {across[calibrated[row]]} x {down[calibrated[row]]} px"
         ),
     )
@@ -69,7 +69,7 @@ def _no_camera(view: SceneView) -> Iterator[Finding]:
     bad = np.zeros(len(calibrations), np.bool_)
     for row in view.camera_errors:
         # A model that nobody knows is an unknown word.
-        bad[row] = calibrations.word("model", row) in COEFFICIENTS
+        bad[row] = calibrations.text("model", row) in COEFFICIENTS
     yield from calibrations.findings(bad, lambda row: str(view.camera_errors[row]))
 
 
@@ -90,7 +90,7 @@ def _implausible_lens(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
     width, height = rows.integers("width_px"), rows.integers("height_px")
     fx, fy, cx, cy = (rows.floats(name) for name in ("fx_px", "fy_px", "cx_px", "cy_px"))
-    codes, words = rows.words("model")
+    codes, words = rows.text_codes("model")
     f_theta = np.isin(codes, [code for code, word in enumerate(words) if word == "f_theta"])
     share, aspect = fx / width, fy / fx
     off = np.maximum(np.abs(cx / width - 0.5), np.abs(cy / height - 0.5))
@@ -163,7 +163,7 @@ _TOLERANCE = 1e-9
 def _covariance(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
     why: dict[int, str] = {}
-    for row in np.flatnonzero(rows.known("covariance")).tolist():
+    for row in np.flatnonzero(rows.is_known("covariance")).tolist():
         values = np.array(rows.data.column("covariance")[row].as_py(), np.float64)
         if values.shape != (36,) or not np.isfinite(values).all():
             why[row] = f"{len(values)} values, {np.isfinite(values).sum()} of them finite; expected 36"
@@ -188,12 +188,12 @@ def _covariance(view: SceneView) -> Iterator[Finding]:
 )
 def _validity(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
-    start = np.where(rows.known("valid_from_ns"), rows.integers("valid_from_ns"), _MIN)
-    end = np.where(rows.known("valid_to_ns"), rows.integers("valid_to_ns"), _MAX)
-    order = np.lexsort((end, start, rows.words("stage")[0], rows.words("camera")[0], rows.owner))
+    start = np.where(rows.is_known("valid_from_ns"), rows.integers("valid_from_ns"), _MIN)
+    end = np.where(rows.is_known("valid_to_ns"), rows.integers("valid_to_ns"), _MAX)
+    order = np.lexsort((end, start, rows.text_codes("stage")[0], rows.text_codes("camera")[0], rows.owner))
     same = np.zeros(len(rows), np.bool_)
     same[order[1:]] = True
-    for codes in (rows.owner, rows.words("camera")[0], rows.words("stage")[0]):
+    for codes in (rows.owner, rows.text_codes("camera")[0], rows.text_codes("stage")[0]):
         same[order[1:]] &= codes[order[1:]] == codes[order[:-1]]
     # The last instant of one may be the first of the next.
     overlapping = np.zeros(len(rows), np.bool_)
@@ -221,8 +221,8 @@ _ANGLE_DEG = 15.0
 def _symmetry(view: SceneView) -> Iterator[Finding]:
     rows = view.calibrations
     mounted = Motion(rows)
-    cameras, names = rows.words("camera")
-    stages = rows.words("stage")[0]
+    cameras, names = rows.text_codes("camera")
+    stages = rows.text_codes("stage")[0]
     usable = mounted.unit & np.isfinite(mounted.position).all(axis=1)
     for file, _, own in rows.slices():
         for left_name, right_name in _PAIRS:
@@ -268,7 +268,7 @@ def _stages(view: SceneView) -> Iterator[Finding]:
     differ = np.zeros(len(rows), np.bool_)
     angle = np.zeros(len(rows))
     compared = rows.same_group("camera") & mounted.unit
-    compared[1:] &= mounted.unit[:-1] & (rows.words("stage")[0][1:] != rows.words("stage")[0][:-1])
+    compared[1:] &= mounted.unit[:-1] & (rows.text_codes("stage")[0][1:] != rows.text_codes("stage")[0][:-1])
     at = np.flatnonzero(compared)
     if len(at):
         rotation = quaternion_normalise(mounted.rotation[np.concatenate([at, at - 1])])
@@ -276,7 +276,7 @@ def _stages(view: SceneView) -> Iterator[Finding]:
         differ = angle > _LIMIT_DEG
     yield from rows.findings(
         differ,
-        lambda row: f"{angle[row]:.3f} degrees from stage {rows.word('stage', row - 1)}",
+        lambda row: f"{angle[row]:.3f} degrees from stage {rows.text('stage', row - 1)}",
         worst=angle,
     )
 
@@ -289,7 +289,7 @@ def _stages(view: SceneView) -> Iterator[Finding]:
 )
 def _rig_cameras(view: SceneView) -> Iterator[Finding]:
     images = view.images
-    cameras, names = images.words("camera")
+    cameras, names = images.text_codes("camera")
     bad = np.zeros(len(images), np.bool_)
     for _, number, rows in images.slices():
         rig = view.traversals[number].rig
@@ -312,7 +312,7 @@ def _rig_cameras(view: SceneView) -> Iterator[Finding]:
 )
 def _silent_camera(view: SceneView) -> Iterator[Finding]:
     images = view.images
-    cameras, names = images.words("camera")
+    cameras, names = images.text_codes("camera")
     for file, number, rows in images.slices():
         rig = view.traversals[number].rig
         there = {names[code] for code in np.unique(cameras[rows]).tolist()}

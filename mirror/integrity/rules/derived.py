@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 from mirror.dataset.index.inputs import DATASET_KEY
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.problems import unread
+from mirror.integrity.problems import report_unreadable
 from mirror.integrity.rule import dataset_rule, scene_rule
 from mirror.integrity.scene_view import SceneView
 
@@ -22,7 +22,7 @@ from mirror.integrity.scene_view import SceneView
 )
 def _index_there(view: DatasetView) -> Iterator[Finding]:
     if view.index_manifest is None:
-        broken = list(unread(view.problems, lambda file: file == "index/manifest.json"))
+        broken = list(report_unreadable(view.problems, lambda file: file == "index/manifest.json"))
         yield from broken or [Finding("index", None, "there is no index")]
 
 

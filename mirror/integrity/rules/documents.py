@@ -9,7 +9,7 @@ from mirror.dataset.images.decoding import decode_grey
 from mirror.dataset.layout import MANIFEST, manifest_sha256
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Cost, Finding, Severity
-from mirror.integrity.problems import unread
+from mirror.integrity.problems import report_unreadable
 from mirror.integrity.rule import dataset_rule
 from mirror.schema.documents import is_identifier
 
@@ -22,7 +22,7 @@ from mirror.schema.documents import is_identifier
 )
 def _dataset_document(view: DatasetView) -> Iterator[Finding]:
     if view.document is None:
-        yield from unread(view.problems, lambda file: file == "dataset.json")
+        yield from report_unreadable(view.problems, lambda file: file == "dataset.json")
 
 
 @dataset_rule(
@@ -33,7 +33,7 @@ def _dataset_document(view: DatasetView) -> Iterator[Finding]:
 )
 def _regions(view: DatasetView) -> Iterator[Finding]:
     if not view.scenes:
-        yield from unread(view.problems, lambda file: file == "rois.geojson")
+        yield from report_unreadable(view.problems, lambda file: file == "rois.geojson")
 
 
 @dataset_rule(
@@ -46,7 +46,7 @@ def _rig(view: DatasetView) -> Iterator[Finding]:
     for rig_id, document in view.rigs.items():
         if document.rig_id != rig_id:
             yield Finding(f"rigs/{rig_id}.json", "rig_id", f"holds rig {document.rig_id!r}")
-    yield from unread(view.problems, lambda file: file.startswith("rigs/"))
+    yield from report_unreadable(view.problems, lambda file: file.startswith("rigs/"))
 
 
 @dataset_rule(
@@ -59,7 +59,7 @@ def _drive_document(view: DatasetView) -> Iterator[Finding]:
     for name, document in view.drives.items():
         if document.drive_id != name:
             yield Finding(f"drives/{name}/drive.json", "drive_id", f"holds drive {document.drive_id!r}")
-    yield from unread(view.problems, lambda file: file.endswith("/drive.json"))
+    yield from report_unreadable(view.problems, lambda file: file.endswith("/drive.json"))
 
 
 @dataset_rule(
@@ -70,7 +70,9 @@ def _drive_document(view: DatasetView) -> Iterator[Finding]:
 )
 def _manifest(view: DatasetView) -> Iterator[Finding]:
     _ = view.folder_manifests
-    yield from unread(view.problems, lambda file: file.endswith("/manifest.json") and not file.startswith("index/"))
+    yield from report_unreadable(
+        view.problems, lambda file: file.endswith("/manifest.json") and not file.startswith("index/")
+    )
 
 
 @dataset_rule(

@@ -27,7 +27,7 @@ def _world_place(view: SceneView) -> Iterator[Finding]:
     if scene.longitude_deg is None or scene.latitude_deg is None or not len(poses):
         return
     # Where the source has no height, the scene's stands in for it.
-    height = np.where(poses.known("height_m"), poses.floats("height_m"), scene.height_m)
+    height = np.where(poses.is_known("height_m"), poses.floats("height_m"), scene.height_m)
     frame = TangentFrame(scene.longitude_deg, scene.latitude_deg, scene.height_m)
     expected = frame.from_geodetic(poses.floats("longitude_deg"), poses.floats("latitude_deg"), height)
     world = np.column_stack([poses.floats(name) for name in ("tx_m", "ty_m", "tz_m")])
@@ -78,7 +78,7 @@ def _heading(view: SceneView) -> Iterator[Finding]:
     across = forward[:, 0] * motion.step_m[:, 1] - forward[:, 1] * motion.step_m[:, 0]
     angle = np.degrees(np.arctan2(across, along))
     # A heading that was taken from the course says nothing about the source's.
-    codes, words = poses.words("orientation")
+    codes, words = poses.text_codes("orientation")
     recorded = codes != (words.index("course") if "course" in words else len(words))
     moving = recorded & (motion.speed_mps > _MOVING_MPS) & np.isfinite(angle)
     way = np.where(moving, motion.distance_m, 0.0)

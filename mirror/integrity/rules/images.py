@@ -12,7 +12,7 @@ from mirror.arrays import Bool, Int64
 from mirror.dataset.splits.candidates import hash_bytes
 from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.images import MISSING, leaves_dataset
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 
@@ -29,7 +29,7 @@ def _missing(view: SceneView) -> Iterator[Finding]:
     missing = view.image_files.size == MISSING
     if view.dataset.withheld:
         missing &= ~np.asarray(pc.is_in(images.data.column("uri"), value_set=pa.array(sorted(view.dataset.withheld))))
-    yield from images.findings(missing, lambda row: f"{images.word('uri', row)} is missing or cannot be opened")
+    yield from images.findings(missing, lambda row: f"{images.text('uri', row)} is missing or cannot be opened")
 
 
 @scene_rule(
@@ -46,14 +46,14 @@ def _byte_length(view: SceneView) -> Iterator[Finding]:
     long = np.flatnonzero((size >= 0) & (offset == 0) & (size > length))
     # A shard holds several images one behind the other, the frames of a video are one file.
     shared = _repeated(images, long)
-    video = [images.word("codec", int(row)) == "video" for row in long]
+    video = [images.text("codec", int(row)) == "video" for row in long]
     short[long] |= np.array(video, np.bool_) | ~shared
     yield from images.findings(
-        short, lambda row: f"{images.word('uri', row)} has {size[row]} bytes; expected {offset[row] + length[row]}"
+        short, lambda row: f"{images.text('uri', row)} has {size[row]} bytes; expected {offset[row] + length[row]}"
     )
 
 
-def _repeated(images: Rows, rows: Int64) -> Bool:
+def _repeated(images: TableRows, rows: Int64) -> Bool:
     """Which of some rows have a uri that other rows of the table have too."""
     uri = images.data.column("uri")
     asked = uri.take(pa.array(rows))
@@ -72,7 +72,7 @@ def _repeated(images: Rows, rows: Int64) -> Bool:
 def _cut_short(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        ~view.image_files.ended, lambda row: f"{images.word('uri', row)} has no end-of-image marker"
+        ~view.image_files.ended, lambda row: f"{images.text('uri', row)} has no end-of-image marker"
     )
 
 
@@ -86,7 +86,7 @@ def _cut_short(view: SceneView) -> Iterator[Finding]:
 def _image_hash(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
-        ~view.image_contents.same_bytes, lambda row: f"{images.word('uri', row)} has other bytes than were recorded"
+        ~view.image_contents.same_bytes, lambda row: f"{images.text('uri', row)} has other bytes than were recorded"
     )
 
 
@@ -101,7 +101,7 @@ def _undecodable(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     yield from images.findings(
         ~view.image_contents.decodes & view.image_files.ended,
-        lambda row: f"{images.word('uri', row)} cannot be decoded as {images.word('codec', row)}",
+        lambda row: f"{images.text('uri', row)} cannot be decoded as {images.text('codec', row)}",
     )
 
 
@@ -119,7 +119,7 @@ def _image_size(view: SceneView) -> Iterator[Finding]:
     yield from images.findings(
         decoded & ((found.width_px != width) | (found.height_px != height)),
         lambda row: (
-            f"{images.word('uri', row)} is {found.width_px[row]} x {found.height_px[row]} px;"
+            f"{images.text('uri', row)} is {found.width_px[row]} x {found.height_px[row]} px;"
             f" expected {width[row]} x {height[row]} px"
         ),
     )
@@ -138,7 +138,7 @@ _LEAST = 3
 def _blank(view: SceneView) -> Iterator[Finding]:
     images, spread = view.all_images, view.image_contents.spread
     yield from images.findings(
-        spread < _LEAST, lambda row: f"{images.word('uri', row)}: values differ by {spread[row]} of 255"
+        spread < _LEAST, lambda row: f"{images.text('uri', row)}: values differ by {spread[row]} of 255"
     )
 
 
@@ -150,10 +150,10 @@ def _blank(view: SceneView) -> Iterator[Finding]:
 )
 def _repeated_image(view: SceneView) -> Iterator[Finding]:
     images = view.images
-    rows = np.flatnonzero(images.known("sha256"))
+    rows = np.flatnonzero(images.is_known("sha256"))
     hashes = hash_bytes(images.data.column("sha256"))
     words = np.ascontiguousarray(hashes).view(np.uint64)
-    camera = images.words("camera")[0]
+    camera = images.text_codes("camera")[0]
     keys = (*words.T, camera[rows], images.owner[rows])
     # The rows of equal keys lie together, the first one first.
     order = np.lexsort((rows, *keys))
@@ -171,7 +171,7 @@ def _repeated_image(view: SceneView) -> Iterator[Finding]:
 )
 def _raw(view: SceneView) -> Iterator[Finding]:
     images = view.images
-    codes, words = images.words("privacy")
+    codes, words = images.text_codes("privacy")
     redacted = {
         number for number, item in enumerate(view.traversals) if any(kind == "redaction" for kind, *_ in item.layers)
     }
@@ -190,10 +190,10 @@ def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
         # Nearly no uri has two dots in a row; only those that have are taken apart.
         suspects = np.flatnonzero(pc.match_substring(rows.data.column("uri"), "..").to_numpy())
         outside = np.zeros(len(rows), np.bool_)
-        outside[suspects] = [leaves_dataset(str(rows.word("uri", int(row)))) for row in suspects]
+        outside[suspects] = [leaves_dataset(str(rows.text("uri", int(row)))) for row in suspects]
         yield from rows.findings(
             outside,
-            lambda row, rows=rows: f"uri {rows.word('uri', row)!r}",  # type: ignore[misc]
+            lambda row, rows=rows: f"uri {rows.text('uri', row)!r}",  # type: ignore[misc]
         )
 
 
@@ -221,10 +221,10 @@ def _image_total(view: SceneView) -> Iterator[Finding]:
 )
 def _video_stamp(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
-    codes, words = images.words("codec")
+    codes, words = images.text_codes("codec")
     video = np.isin(codes, [code for code, word in enumerate(words) if word == "video"])
-    stamped = images.known("video_pts")
+    stamped = images.is_known("video_pts")
     yield from images.findings(
         video != stamped,
-        lambda row: f"codec {images.word('codec', row)} {'without' if video[row] else 'with'} video_pts",
+        lambda row: f"codec {images.text('codec', row)} {'without' if video[row] else 'with'} video_pts",
     )

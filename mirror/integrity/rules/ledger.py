@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import Bool, Float64
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.rows import Rows
+from mirror.integrity.rows import TableRows
 from mirror.integrity.rule import dataset_rule, scene_rule
 from mirror.integrity.scene_view import SceneView
 from mirror.schema.documents import TriggerOptions
@@ -32,7 +32,7 @@ class Threshold:
     limit: float
     strict: bool
 
-    def met(self, passes: Rows) -> Bool:
+    def met(self, passes: TableRows) -> Bool:
         """(N,) True where the figure fulfils it."""
         figure = passes.floats(self.column)
         return figure > self.limit if self.strict else figure >= self.limit
@@ -50,13 +50,13 @@ def thresholds(trigger: TriggerOptions) -> tuple[Threshold, ...]:
     )
 
 
-def accepted(passes: Rows) -> Bool:
+def accepted(passes: TableRows) -> Bool:
     """(N,) True where the decision is ``accepted``."""
-    codes, words = passes.words("decision")
+    codes, words = passes.text_codes("decision")
     return np.isin(codes, [code for code, word in enumerate(words) if word == "accepted"])
 
 
-def figures(passes: Rows) -> dict[str, Float64]:
+def figures(passes: TableRows) -> dict[str, Float64]:
     """The measured columns of a ledger by name."""
     names = ("duration_s", "path_m", "inside_path_m", "overlap", "closest_m", "mean_speed_mps")
     return {name: passes.floats(name) for name in names}
@@ -91,7 +91,7 @@ def _refused_wrongly(view: DatasetView) -> Iterator[Finding]:
     if view.document is None:
         return
     passes = view.passes
-    codes, words = passes.words("rule")
+    codes, words = passes.text_codes("rule")
     refused = ~accepted(passes)
     expected = np.full(len(passes), "none", dtype=object)
     right = np.zeros(len(passes), np.bool_)
@@ -106,7 +106,7 @@ def _refused_wrongly(view: DatasetView) -> Iterator[Finding]:
     yield from passes.findings(
         refused & ~right,
         lambda row: (
-            f"refused by {passes.word('rule', row)}, measured {passes.floats('measured')[row]:g}, threshold"
+            f"refused by {passes.text('rule', row)}, measured {passes.floats('measured')[row]:g}, threshold"
             f" {passes.floats('threshold')[row]:g}; the first that it fails is {expected[row]}"
         ),
     )
@@ -151,7 +151,7 @@ _ON_THE_CIRCLE_M = 1e-3
 )
 def _never_inside(view: DatasetView) -> Iterator[Finding]:
     passes = view.passes
-    codes, words = passes.words("scene_id")
+    codes, words = passes.text_codes("scene_id")
     radius = np.array([view.scenes[word].radius_m if word in view.scenes else np.inf for word in words])[codes]
     closest = passes.floats("closest_m")
     yield from passes.findings(
@@ -221,7 +221,7 @@ def _pass_identity(view: DatasetView) -> Iterator[Finding]:
     passes = view.passes
     expected_drive = [file.split("/")[-2] for file in passes.files]
     yes = accepted(passes)
-    decision, words = passes.words("decision")
+    decision, words = passes.text_codes("decision")
     unknown = np.isin(decision, [code for code, word in enumerate(words) if word not in ("accepted", "refused")])
     why: dict[int, str] = {}
     columns = [passes.data.column(name).to_pylist() for name in ("scene_id", "drive_id", "traversal_id", "entry_ns")]
@@ -256,7 +256,7 @@ def _pass_identity(view: DatasetView) -> Iterator[Finding]:
 def _overlapping_passes(view: DatasetView) -> Iterator[Finding]:
     passes = view.passes
     entry, end = passes.integers("entry_ns"), passes.integers("exit_ns")
-    scene = passes.words("scene_id")[0]
+    scene = passes.text_codes("scene_id")[0]
     order = np.lexsort((end, entry, scene, passes.owner))
     one, two = order[:-1], order[1:]
     again = (passes.owner[one] == passes.owner[two]) & (scene[one] == scene[two]) & (entry[two] < end[one])

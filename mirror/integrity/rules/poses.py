@@ -46,7 +46,7 @@ def _not_finite(view: SceneView) -> Iterator[Finding]:
     bad = np.zeros(len(poses), np.bool_)
     for name in _NUMBERS:
         values = poses.floats(name)
-        bad |= poses.known(name) & ~(np.isfinite(values) & (np.abs(values) <= _LIMITS.get(name, np.inf)))
+        bad |= poses.is_known(name) & ~(np.isfinite(values) & (np.abs(values) <= _LIMITS.get(name, np.inf)))
     yield from poses.findings(bad, lambda row: ", ".join(f"{name} {poses.floats(name)[row]:.9g}" for name in _NUMBERS))
 
 
@@ -181,7 +181,7 @@ _LIMIT_DEGPS = 120.0
 )
 def _turn_rate(view: SceneView) -> Iterator[Finding]:
     poses = view.all_poses
-    codes, words = poses.words("orientation")
+    codes, words = poses.text_codes("orientation")
     recorded = codes == (words.index("recorded") if "recorded" in words else -2)
     rate = turn_rates(view.motion)
     yield from poses.findings(
@@ -253,7 +253,7 @@ def _frozen(view: SceneView) -> Iterator[Finding]:
 def _turn_deg(motion: Motion, begin: int, end: int) -> float:
     """The angle between the first and the last orientation of a run of poses; 0 where it is not known."""
     # A course is made of positions: it says nothing of its own.
-    if motion.poses.word("orientation", begin) != "recorded" or not (motion.unit[begin] and motion.unit[end]):
+    if motion.poses.text("orientation", begin) != "recorded" or not (motion.unit[begin] and motion.unit[end]):
         return 0.0
     first, last = quaternion_normalise(motion.rotation[[begin, end]])
     return float(angle_between_deg(first, last))

@@ -74,7 +74,7 @@ def _point_numbers(view: SceneView) -> Iterator[Finding]:
     place = np.stack([rows.floats(name) for name in ("x_m", "y_m", "z_m")], axis=1)
     sigma = rows.floats("sigma_m")
     bad = ~np.isfinite(place).all(axis=1) | (rows.integers("views") < 0)
-    bad |= rows.known("sigma_m") & ~((sigma > 0.0) & np.isfinite(sigma))
+    bad |= rows.is_known("sigma_m") & ~((sigma > 0.0) & np.isfinite(sigma))
     yield from rows.findings(
         bad, lambda row: f"at {place[row].tolist()}, views {rows.integers('views')[row]}, sigma_m {sigma[row]}"
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from mirror.dataset.splits.leaks import TieKind, find_leaks
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.problems import unread
+from mirror.integrity.problems import report_unreadable
 from mirror.integrity.rule import dataset_rule
 from mirror.schema.documents import ByScene
 
@@ -34,7 +34,7 @@ def _split_document(view: DatasetView) -> Iterator[Finding]:
     for name, split in view.splits.items():
         if split.name != name:
             yield Finding(f"splits/{name}.json", "name", f"holds split {split.name!r}")
-    yield from unread(view.problems, lambda file: file.startswith("splits/"))
+    yield from report_unreadable(view.problems, lambda file: file.startswith("splits/"))
 
 
 @dataset_rule(

@@ -11,8 +11,8 @@ from mirror.arrays import Bool
 from mirror.geometry.cameras import COEFFICIENTS
 from mirror.integrity.dataset_view import DatasetView
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.problems import unread
-from mirror.integrity.rows import Rows
+from mirror.integrity.problems import report_unreadable
+from mirror.integrity.rows import TableRows
 from mirror.integrity.rule import dataset_rule, scene_rule
 from mirror.integrity.scene_view import SceneView
 from mirror.recordings.calibration import STAGES, Calibration
@@ -28,7 +28,7 @@ from mirror.schema.tables import EGO_POSES
 def _unreadable_table(view: SceneView) -> Iterator[Finding]:
     view.tables()
     own = tuple(f"traversals/{item.traversal_id}/" for item in view.traversals)
-    yield from unread(view.dataset.problems, lambda file: file.endswith(".parquet") and file.startswith(own))
+    yield from report_unreadable(view.dataset.problems, lambda file: file.endswith(".parquet") and file.startswith(own))
 
 
 @dataset_rule(
@@ -39,7 +39,9 @@ def _unreadable_table(view: SceneView) -> Iterator[Finding]:
 )
 def _unreadable_ledger(view: DatasetView) -> Iterator[Finding]:
     _ = view.passes, view.index_row_groups
-    yield from unread(view.problems, lambda file: file.endswith(".parquet") and not file.startswith("traversals/"))
+    yield from report_unreadable(
+        view.problems, lambda file: file.endswith(".parquet") and not file.startswith("traversals/")
+    )
 
 
 @scene_rule(
@@ -55,7 +57,7 @@ def _row_order(view: SceneView) -> Iterator[Finding]:
             yield from rows.findings(backward(rows), lambda row: "comes before the row above it")
 
 
-def backward(rows: Rows) -> Bool:
+def backward(rows: TableRows) -> Bool:
     """(N,) True where a row's keys are smaller than those of the row above it in its file; null has no order."""
     undecided = rows.same_file[1:].copy()
     smaller = np.zeros(len(rows), np.bool_)
@@ -106,12 +108,12 @@ def _unknown_word(view: SceneView) -> Iterator[Finding]:
     for rows in view.tables():
         for (table, name), known in VOCABULARY.items():
             if table == rows.table.name:
-                codes, words = rows.words(name)
+                codes, words = rows.text_codes(name)
                 unknown = [code for code, word in enumerate(words) if word not in known]
                 yield from rows.findings(
                     np.isin(codes, unknown),
                     lambda row, name=name, known=known, rows=rows: (  # type: ignore[misc]
-                        f"{name} is {rows.word(name, row)!r}; expected {', '.join(known)}"
+                        f"{name} is {rows.text(name, row)!r}; expected {', '.join(known)}"
                     ),
                 )
 
@@ -135,10 +137,10 @@ def _foreign_row(view: SceneView) -> Iterator[Finding]:
         yield from _differing(rows, "source_version", [folder.partition("@")[2] for folder in folders])
 
 
-def _differing(rows: Rows, name: str, expected: list[str]) -> Iterator[Finding]:
-    codes, words = rows.words(name)
+def _differing(rows: TableRows, name: str, expected: list[str]) -> Iterator[Finding]:
+    codes, words = rows.text_codes(name)
     position = {word: code for code, word in enumerate(words)}
     wanted = np.array([position.get(word, -1) for word in expected], np.int64)[rows.owner]
     yield from rows.findings(
-        codes != wanted, lambda row: f"{name} is {rows.word(name, row)!r}; expected {expected[rows.owner[row]]!r}"
+        codes != wanted, lambda row: f"{name} is {rows.text(name, row)!r}; expected {expected[rows.owner[row]]!r}"
     )

@@ -87,7 +87,7 @@ def _frame_numbers(view: SceneView) -> Iterator[Finding]:
         return
     frames = view.frames
     index = images.integers("frame_index")
-    known = images.known("frame_index")
+    known = images.is_known("frame_index")
     same = images.same_group("camera")
     expected = np.arange(len(images)) - np.maximum.accumulate(np.where(same, 0, np.arange(len(images))))
     miscounted = frames.is_reference & ~(known & (index == expected))
@@ -97,10 +97,10 @@ def _frame_numbers(view: SceneView) -> Iterator[Finding]:
             f"image {expected[row]} of the reference camera has frame_index {index[row] if known[row] else 'null'}"
         ),
     )
-    order = np.lexsort((index, images.words("camera")[0], images.owner))
+    order = np.lexsort((index, images.text_codes("camera")[0], images.owner))
     again = (
         (np.diff(index[order]) == 0)
-        & (np.diff(images.words("camera")[0][order]) == 0)
+        & (np.diff(images.text_codes("camera")[0][order]) == 0)
         & (np.diff(images.owner[order]) == 0)
         & known[order][1:]
         & known[order][:-1]
@@ -150,7 +150,7 @@ def _camera_gap(view: SceneView) -> Iterator[Finding]:
 def _missing_camera(view: SceneView) -> Iterator[Finding]:
     images = view.images
     frames = view.frames
-    cameras, names = images.words("camera")
+    cameras, names = images.text_codes("camera")
     index = images.integers("frame_index")
     for file, _, rows in images.slices():
         framed = np.flatnonzero(frames.framed[rows]) + rows.start

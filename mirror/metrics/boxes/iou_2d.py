@@ -1,4 +1,4 @@
-"""Intersection over union in a picture: of masks, of boxes along its axes, and of a mask with a projected 3D box."""
+"""Intersection over union in an image: of masks, of boxes along its axes, and of a mask with a projected 3D box."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HULL_VARIANTS: Final[tuple[HullVariant, ...]] = get_args(HullVariant)
 
 
 class RegionIou(Score):
-    """How well two regions of a picture agree: a float in [0, 1], NaN where there is nothing to compare.
+    """How well two regions of an image agree: a float in [0, 1], NaN where there is nothing to compare.
 
     Args:
         value: the figure.
@@ -81,7 +81,7 @@ def mask_iou(first: Numbers, second: Numbers, *, valid: Numbers | None = None) -
 
 
 def box_iou_2d(first: Numbers, second: Numbers) -> Float64:
-    """Intersection over union of boxes along the picture's axes.
+    """Intersection over union of boxes along the image's axes.
 
     Args:
         first: (..., 4) ``u_min v_min u_max v_max``.
@@ -118,7 +118,7 @@ def hull_iou(
 ) -> RegionIou:
     """How well a mask agrees with a projected 3D box: the editing accuracy, in three variants.
 
-    All are counted on pixels (`polygon_mask`), within the picture and within ``valid``. ``mask_hull``: the mask with
+    All are counted on pixels (`polygon_mask`), within the image and within ``valid``. ``mask_hull``: the mask with
     the box's hull. ``box_box``: the tight upright rectangle of the mask with that of the hull's pixels, so that a mask
     equal to the hull scores 1. ``ceiling_normalised``: the mask with the hull's rectangle, over what the object's own
     outline would reach with it (no car fills its rectangle), at most 1.
@@ -127,7 +127,7 @@ def hull_iou(
     reason says so.
 
     Args:
-        mask: (H, W) bool or integer, the region found in the picture.
+        mask: (H, W) bool or integer, the region found in the image.
         hull_px: (K, 2) the convex outline of the projected box, from `mirror.geometry.BoxProjections.hull`.
         variant: one of `HULL_VARIANTS`.
         valid: (H, W) the pixels that count, without the ego body and nearer objects, say; None: all.

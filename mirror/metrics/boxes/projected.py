@@ -1,4 +1,4 @@
-"""Convex polygons in a picture: their part within it, their area, and how much of them is seen.
+"""Convex polygons in an image: their part within it, their area, and how much of them is seen.
 
 `mirror.geometry.project_boxes(...).hull(row)` gives the polygon of a box, cut at the near plane.
 """
@@ -12,13 +12,13 @@ from mirror.metrics.boxes.raster import as_polygon
 from mirror.metrics.inputs import Numbers
 
 
-def clip_to_picture(polygon_px: Numbers, width_px: int, height_px: int) -> Float64:
-    """The part of a convex polygon within a picture (Sutherland and Hodgman, Comm. ACM 17(1), 1974).
+def clip_to_image(polygon_px: Numbers, width_px: int, height_px: int) -> Float64:
+    """The part of a convex polygon within an image (Sutherland and Hodgman, Comm. ACM 17(1), 1974).
 
     Args:
         polygon_px: (K, 2) corners in order.
-        width_px: of the picture.
-        height_px: of the picture.
+        width_px: of the image.
+        height_px: of the image.
 
     Returns:
         (L, 2) corners in the same order; (0, 2) where nothing is within.
@@ -57,7 +57,7 @@ def polygon_area(polygon_px: Numbers) -> float:
 
 
 def visible_share(polygon_px: Numbers, width_px: int, height_px: int) -> float:
-    """The share of a convex polygon's area that lies within a picture; NaN for a polygon without area.
+    """The share of a convex polygon's area that lies within an image; NaN for a polygon without area.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.
@@ -65,4 +65,4 @@ def visible_share(polygon_px: Numbers, width_px: int, height_px: int) -> float:
     whole = polygon_area(polygon_px)
     if whole == 0.0:
         return float("nan")
-    return min(polygon_area(clip_to_picture(polygon_px, width_px, height_px)) / whole, 1.0)
+    return min(polygon_area(clip_to_image(polygon_px, width_px, height_px)) / whole, 1.0)

@@ -1,4 +1,4 @@
-"""Features of pictures that were seen before, by what they are: pixels, weights and mode."""
+"""Features of images that were seen before, by what they are: pixels, weights and mode."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FeatureCache:
 
 
 def feature_key(pixels: AnyArray, identity: str) -> str:
-    """Key of a picture's or a clip's feature.
+    """Key of an image's or a clip's feature.
 
     Args:
         pixels: as they go into the network's preparation.

@@ -1,4 +1,4 @@
-"""From pictures or clips to features: prepared one by one, run in batches, never twice for the same pixels."""
+"""From images or clips to features: prepared one by one, run in batches, never twice for the same pixels."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Extractor(Protocol):
     computed: int
 
     def prepare(self, pixels: UInt8) -> Tensor:
-        """One picture or clip as the network takes it, without the batch axis."""
+        """One image or clip as the network takes it, without the batch axis."""
 
     def run(self, prepared: Tensor) -> Float32:
         """(n, d) features of a batch."""
 
 
 def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache | None = None) -> Float32:
-    """Features of pictures or clips, in their order.
+    """Features of images or clips, in their order.
 
     Args:
         extractor: the network.
@@ -77,7 +77,7 @@ def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache |
     if waiting:
         run()
     if not features:
-        raise UsageError("there are no pictures to take features of")
+        raise UsageError("there are no images to take features of")
     return np.stack([feature for feature in features if feature is not None])
 
 

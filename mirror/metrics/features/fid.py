@@ -1,4 +1,4 @@
-"""Fréchet and kernel inception distance (Heusel et al., 2017; Bińkowski et al., 2018) of two sets of pictures."""
+"""Fréchet and kernel inception distance (Heusel et al., 2017; Bińkowski et al., 2018) of two sets of images."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Fid:
     Attributes:
         name: ``fid``, or the name of another network.
         frechet: the distance, with error bound, rank and n.
-        kernel: the kernel distance of the same features, which is unbiased at any n; None below 4 pictures.
-        mode: how pictures were resized, ``clean | tf1``.
+        kernel: the kernel distance of the same features, which is unbiased at any n; None below 4 images.
+        mode: how images were resized, ``clean | tf1``.
         weights: hash of the network's file, by name.
         warning: why the figure is not to be compared with others; None if it is.
     """
@@ -62,7 +62,7 @@ class InceptionFeatures:
         mode: ``clean`` resizes as clean-fid does, ``tf1`` as the first FID and torch-fidelity do.
         name: what figures are called; ``fid`` only with the published weights.
         weights: the file that the network came from.
-        batch: pictures at once.
+        batch: images at once.
 
     Raises:
         UsageError: a published name with other weights, or no such mode.
@@ -88,7 +88,7 @@ class InceptionFeatures:
         self._network = network.fold()
 
     def prepare(self, pixels: UInt8) -> Tensor:
-        """(3, 299, 299), (grey - 128) / 128, of one picture (h, w, 3).
+        """(3, 299, 299), (grey - 128) / 128, of one image (h, w, 3).
 
         Raises:
             UsageError: another shape.
@@ -98,9 +98,9 @@ class InceptionFeatures:
         from mirror.metrics.networks.resize import resize_clean, resize_tf1
 
         if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
-            raise UsageError(f"a picture of shape {pixels.shape}", expected="(h, w, 3)")
-        picture = torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1)[None].float()
-        resized = (resize_clean if self.mode == "clean" else resize_tf1)(picture, _SIDE)
+            raise UsageError(f"an image of shape {pixels.shape}", expected="(h, w, 3)")
+        image = torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1)[None].float()
+        resized = (resize_clean if self.mode == "clean" else resize_tf1)(image, _SIDE)
         return ((resized - 128.0) / 128.0)[0]
 
     def run(self, prepared: Tensor) -> Float32:
@@ -148,7 +148,7 @@ def fid(
         layout: of every item, as of `mirror.metrics.images.psnr.psnr`.
 
     Raises:
-        UsageError: fewer than 2 pictures on a side, or pictures that do not fit.
+        UsageError: fewer than 2 images on a side, or images that do not fit.
     """
     first = extract(network, images_of(renders, "render", layout), cache)
     return fid_of_features(first, extract(network, images_of(truth, "truth", layout), cache), network, seed=seed)
@@ -161,8 +161,8 @@ def fid_of_features(renders: AnyArray, truth: AnyArray, network: InceptionFeatur
     warning = None
     if fewest < ENOUGH:
         warning = (
-            f"{fewest} pictures are fewer than {ENOUGH}: the Fréchet distance is far too large by its bias; compare it "
-            "only with figures of the same pictures, and rather the kernel distance"
+            f"{fewest} images are fewer than {ENOUGH}: the Fréchet distance is far too large by its bias; compare it "
+            "only with figures of the same images, and rather the kernel distance"
         )
     kernel = kid(renders, truth, seed=seed) if fewest >= 4 else None
     return Fid(network.name, distance, kernel, network.mode, network.weights, warning)

@@ -95,8 +95,8 @@ class _Overlap:
 def _overlap(a: CovarianceRoot, b: CovarianceRoot) -> _Overlap:
     """Nuclear norm of the cross product of two roots.
 
-    Between two scatter matrices the eigenvalues of its Gram matrix come first: they take a quarter of the time, and how
-    far rounding moves their square roots can be told from them. Where that is too far, the singular values follow.
+    For two scatter matrices, the eigenvalues of the Gram matrix are computed first: they take a quarter of the time,
+    and they bound the rounding error of their square roots. If this bound is too large, the singular values are used.
     """
     size = min(len(a.root), len(b.root))
     # Rounding of the product itself, entry by entry, as a nuclear norm.

@@ -89,7 +89,7 @@ def lpips(
         The distance; of a batch a list, one an image.
 
     Raises:
-        UsageError: another network than LPIPS's, or pictures that do not fit.
+        UsageError: another network than LPIPS's, or images that do not fit.
     """
     if not network.name.startswith("lpips-"):
         raise UsageError(f"{network.name} is not LPIPS", remedy="call the network itself, and its figures by its name")

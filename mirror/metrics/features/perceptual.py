@@ -1,4 +1,4 @@
-"""Distance of two pictures between a network's unit-length features, weighted by learned heads (Zhang et al., 2018)."""
+"""Distance of two images between a network's unit-length features, weighted by learned heads (Zhang et al., 2018)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _RESERVED = ("lpips", "st_lpips", "st-lpips")
 
 
 class ClampWarning(UserWarning):
-    """A picture had values outside of 0 to 1; they were clamped."""
+    """An image had values outside of 0 to 1; they were clamped."""
 
 
 class PerceptualDistance:
@@ -83,7 +83,7 @@ class PerceptualDistance:
             truth: of the same shape.
             mask: (h, w), true where pixels count; None: everywhere.
             masked: ``map``: the mean of the distance map over the mask, with the caveat that features see beyond it;
-                ``zero-fill``: both pictures black outside of it and the mean over the whole frame, as MTGS has it: its
+                ``zero-fill``: both images black outside of it and the mean over the whole frame, as MTGS has it: its
                 value shrinks with the mask.
             layout: ``hwc`` or ``chw``; None: arrays (h, w, 3).
 
@@ -91,58 +91,58 @@ class PerceptualDistance:
             One score each; NaN with a reason where the mask is empty.
 
         Raises:
-            UsageError: shapes differ, a picture is too small, of another type or not finite.
+            UsageError: shapes differ, an image is too small, of another type or not finite.
         """
         if masked not in ("map", "zero-fill"):
             raise UsageError(f"masked is {masked!r}", expected="'map' or 'zero-fill'")
-        pictures = [as_image(truth, "truth", layout), *(as_image(render, "render", layout) for render in renders)]
+        images = [as_image(truth, "truth", layout), *(as_image(render, "render", layout) for render in renders)]
         counted = None if mask is None else as_array(mask, "mask")
-        self._check(pictures, counted)
+        self._check(images, counted)
         if counted is not None and not counted.any():
             return [EMPTY_MASK] * len(renders)
-        different = [at for at, picture in enumerate(pictures[1:]) if not _equal(picture, pictures[0])]
+        different = [at for at, image in enumerate(images[1:]) if not _equal(image, images[0])]
         scores = [Score(0.0)] * len(renders)
         self.skipped += len(renders) - len(different)
         if different:
-            chosen = [self._to_unit(pictures[at]) for at in (0, *(at + 1 for at in different))]
+            chosen = [self._to_unit(images[at]) for at in (0, *(at + 1 for at in different))]
             values = self._distances(np.stack(chosen), counted, masked)
             self.compared += len(different)
             for at, value in zip(different, values):
                 scores[at] = Score(value)
         return scores
 
-    def _check(self, pictures: Sequence[AnyArray], mask: Bool | None) -> None:
-        shape = pictures[0].shape
+    def _check(self, images: Sequence[AnyArray], mask: Bool | None) -> None:
+        shape = images[0].shape
         if len(shape) != 3 or shape[2] != 3 or min(shape[:2]) < self._trunk.minimum:
             least = self._trunk.minimum
-            raise UsageError(f"a picture of shape {shape}", expected=f"(h, w, 3) with h and w of {least} or more")
-        for picture in pictures:
-            if picture.shape != shape:
-                raise UsageError(f"a picture of shape {picture.shape} beside one of {shape}")
+            raise UsageError(f"an image of shape {shape}", expected=f"(h, w, 3) with h and w of {least} or more")
+        for image in images:
+            if image.shape != shape:
+                raise UsageError(f"an image of shape {image.shape} beside one of {shape}")
         if mask is not None and (mask.shape != shape[:2] or mask.dtype != np.bool_):
             raise UsageError(f"a mask of {mask.dtype} and shape {mask.shape}", expected=f"bool, {shape[:2]}")
 
-    def _to_unit(self, picture: AnyArray) -> Float32:
+    def _to_unit(self, image: AnyArray) -> Float32:
         """Float32 from 0 to 1; what lies outside is clamped and counted."""
-        if picture.dtype == np.uint8:
-            scaled: Float32 = picture.astype(np.float32) / np.float32(255.0)
+        if image.dtype == np.uint8:
+            scaled: Float32 = image.astype(np.float32) / np.float32(255.0)
             return scaled
-        if picture.dtype.kind != "f":
-            raise UsageError(f"a picture of type {picture.dtype}", expected="uint8, or floats from 0 to 1")
-        if not np.isfinite(picture).all():
-            raise UsageError(f"{int((~np.isfinite(picture)).sum())} values of a picture are NaN or infinite")
-        outside = int(((picture < 0.0) | (picture > 1.0)).sum())
+        if image.dtype.kind != "f":
+            raise UsageError(f"an image of type {image.dtype}", expected="uint8, or floats from 0 to 1")
+        if not np.isfinite(image).all():
+            raise UsageError(f"{int((~np.isfinite(image)).sum())} values of an image are NaN or infinite")
+        outside = int(((image < 0.0) | (image > 1.0)).sum())
         if outside:
             self.clamped += outside
             warnings.warn(f"{outside} values outside of 0 to 1 were clamped", ClampWarning, stacklevel=3)
-        return np.clip(picture, 0.0, 1.0).astype(np.float32)
+        return np.clip(image, 0.0, 1.0).astype(np.float32)
 
-    def _distances(self, pictures: Float32, mask: Bool | None, masked: Masked) -> list[float]:
+    def _distances(self, images: Float32, mask: Bool | None, masked: Masked) -> list[float]:
         if mask is not None and masked == "zero-fill":
-            pictures = pictures * mask[:, :, None].astype(np.float32)
+            images = images * mask[:, :, None].astype(np.float32)
             mask = None
         with torch.inference_mode():
-            batch = torch.from_numpy(pictures).permute(0, 3, 1, 2)
+            batch = torch.from_numpy(images).permute(0, 3, 1, 2)
             shift, scale = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
             batch = (2.0 * batch - 1.0 - shift) / scale
             maps = self._maps(batch)
@@ -157,7 +157,7 @@ class PerceptualDistance:
             return chosen.double().mean(dim=1).tolist()
 
     def _maps(self, batch: Tensor) -> list[Tensor]:
-        """For every tap the (renders, h', w') distances from the first picture."""
+        """For every tap the (renders, h', w') distances from the first image."""
         rows: list[list[Tensor]] = [[] for _ in self._heads]
         for tap, features in self._trunk.taps(batch.contiguous(memory_format=torch.channels_last)):
             for part in features.split(_ROWS, dim=2):

@@ -68,7 +68,7 @@ def st_lpips(
     """ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
 
     Raises:
-        UsageError: another network than ST-LPIPS's, or pictures that do not fit.
+        UsageError: another network than ST-LPIPS's, or images that do not fit.
     """
     if not network.name.startswith("st_lpips-"):
         raise UsageError(f"{network.name} is not ST-LPIPS", remedy="load it with load_st_lpips")

@@ -6,8 +6,8 @@ that are saturated in the render, in the photograph or in the warped render; the
 
 The fits are least squares by blocked normal equations in float64. They are set up in colours that are centred and
 decorrelated, which changes no fit (an affine change of colours maps quadratic polynomials to quadratic polynomials)
-but keeps the equations well-conditioned for nearly grey pictures. The solution is the one of least norm among the
-polynomial's own coefficients: where the colours of a picture do not determine all ten, `CorrectedPsnr.rank` says so.
+but keeps the equations well-conditioned for nearly grey images. The solution is the one of least norm among the
+polynomial's own coefficients: where the colours of an image do not determine all ten, `CorrectedPsnr.rank` says so.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class CorrectedPsnr:
 
     @property
     def full_rank(self) -> bool:
-        """Whether the picture's colours determine the warp."""
+        """Whether the image's colours determine the warp."""
         return self.rank == self.terms
 
 
@@ -115,7 +115,7 @@ def psnr_cc(
             arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        dB and the rank of the fits; of a batch a list, one an image. Infinite for equal pictures, and where the warp
+        dB and the rank of the fits; of a batch a list, one an image. Infinite for equal images, and where the warp
         meets the photograph to rounding, 1e-9 of the range at every pixel: what is left then is the fit's own noise,
         which no mean should contain.
 
@@ -160,7 +160,7 @@ def correct_colours(
         The warped colours, clipped to the data range, and the ranks.
 
     Raises:
-        UsageError: the pictures cannot be compared (`as_pair`), a selected pixel is NaN or infinite, the mask selects
+        UsageError: the images cannot be compared (`as_pair`), a selected pixel is NaN or infinite, the mask selects
             none, or there is no iteration.
     """
     images = as_image(render, "render", layout), as_image(truth, "truth", layout)
@@ -175,8 +175,8 @@ def _correct(pair: Pair, iterations: int) -> Correction:
     pair.refuse_non_finite()
     # Channels first, so that each term of a block is contiguous.
     colours, target = (
-        np.ascontiguousarray(pair.selected(picture).T, dtype=np.float64) / pair.data_range
-        for picture in (pair.render, pair.truth)
+        np.ascontiguousarray(pair.selected(image).T, dtype=np.float64) / pair.data_range
+        for image in (pair.render, pair.truth)
     )
     usable = _unsaturated(colours) & _unsaturated(target)
     spread = _Spread.of(colours)

@@ -17,7 +17,7 @@ _LEAST, _MOST = 1e-60, 1e60
 
 @dataclass(frozen=True)
 class Pair:
-    """Two pictures that can be compared.
+    """Two images that can be compared.
 
     Attributes:
         render: (H, W, C).
@@ -36,9 +36,9 @@ class Pair:
         """Whether the mask selects no pixel."""
         return self.mask is not None and not self.mask.any()
 
-    def selected(self, picture: AnyArray) -> AnyArray:
-        """The pixels of one of the pictures that count, (N, C), row by row."""
-        return picture.reshape(-1, picture.shape[2]) if self.mask is None else picture[self.mask]
+    def selected(self, image: AnyArray) -> AnyArray:
+        """The pixels of one of the images that count, (N, C), row by row."""
+        return image.reshape(-1, image.shape[2]) if self.mask is None else image[self.mask]
 
     def refuse_non_finite(self) -> None:
         """Raise if a pixel that counts is NaN or infinite, and name the first.
@@ -46,8 +46,8 @@ class Pair:
         Raises:
             UsageError: it is.
         """
-        for name, picture in (("render", self.render), ("truth", self.truth)):
-            bad = ~np.isfinite(picture)
+        for name, image in (("render", self.render), ("truth", self.truth)):
+            bad = ~np.isfinite(image)
             if self.mask is not None:
                 bad &= self.mask[..., None]
             if bad.any():
@@ -56,7 +56,7 @@ class Pair:
                     f"{np.count_nonzero(bad)} values are NaN or infinite",
                     place=f"{name}, first at row {row}, column {column}, channel {channel}",
                     expected="finite pixels",
-                    remedy="repair the picture or leave the pixels out with a mask",
+                    remedy="repair the image or leave the pixels out with a mask",
                 )
 
 
@@ -76,7 +76,7 @@ def as_pairs(
 
 
 def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> Pair:
-    """Check what every metric of pictures asks of its arguments.
+    """Check what every metric of images asks of its arguments.
 
     Args:
         render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
@@ -88,7 +88,7 @@ def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range
         The pair, with a channel axis.
 
     Raises:
-        UsageError: shapes or types differ or are of another kind, a picture has no pixels, or the range is missing or
+        UsageError: shapes or types differ or are of another kind, an image has no pixels, or the range is missing or
             beyond 1e-60 to 1e60.
     """
     if render.shape != truth.shape or render.ndim not in (2, 3):
@@ -98,17 +98,17 @@ def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range
             f"render of {render.dtype}, truth of {truth.dtype}", expected=f"one type of {', '.join(_DTYPES)}"
         )
     if render.size == 0:
-        raise UsageError(f"pictures {render.shape} without a pixel", expected="at least one pixel")
+        raise UsageError(f"images {render.shape} without a pixel", expected="at least one pixel")
     if mask is not None and (mask.dtype != np.bool_ or mask.shape != render.shape[:2]):
         raise UsageError(
             f"mask {mask.shape} of {mask.dtype}",
             expected=f"{render.shape[:2]} of bool",
-            remedy="pass mask > 0 of a mask that is stored as a picture",
+            remedy="pass mask > 0 of a mask that is stored as an image",
         )
     if data_range is None:
         if render.dtype.kind == "f":
             raise UsageError(
-                "data_range of float pictures is missing", expected="their white minus their black, 1.0 for [0, 1]"
+                "data_range of float images is missing", expected="their white minus their black, 1.0 for [0, 1]"
             )
         data_range = float(np.iinfo(render.dtype).max)
     if not _LEAST <= data_range <= _MOST:

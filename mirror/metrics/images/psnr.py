@@ -1,7 +1,7 @@
 """Peak signal-to-noise ratio: of an image, the mean over images, and of the pooled squared error.
 
-``PSNR = 10 log10(data_range² / MSE)`` with the mean over the selected pixels and all channels. uint8 pictures are
-compared in integers, others in float64. Equal pictures have infinite PSNR, which no mean contains.
+``PSNR = 10 log10(data_range² / MSE)`` with the mean over the selected pixels and all channels. uint8 images are
+compared in integers, others in float64. Equal images have infinite PSNR, which no mean contains.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ def psnr(
             arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        dB; of a batch a list, one an image. Infinite for equal pictures, NaN with a reason for an empty mask. Float
-        pictures that differ by less than 1e-154 of the range count as equal.
+        dB; of a batch a list, one an image. Infinite for equal images, NaN with a reason for an empty mask. Float
+        images that differ by less than 1e-154 of the range count as equal.
 
     Raises:
-        UsageError: the pictures cannot be compared (`as_pair`), or a selected pixel is NaN or infinite.
+        UsageError: the images cannot be compared (`as_pair`), or a selected pixel is NaN or infinite.
     """
     pairs = as_pairs(render, truth, mask, data_range, layout)
     return of_layout([_decibels(*_relative_squares(pair)) for pair in pairs], layout)

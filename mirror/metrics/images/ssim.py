@@ -34,7 +34,7 @@ PRESETS: Final[Mapping[str, SsimSettings]] = MappingProxyType(
 )
 MASK_MODES: Final = ("map", "erode", "normalised")
 
-_NO_WINDOW: Final = "no selected pixel has its whole window in the picture"
+_NO_WINDOW: Final = "no selected pixel has its whole window in the image"
 _NO_WHOLE_WINDOW: Final = "no selected pixel has its whole window in the mask"
 
 
@@ -90,11 +90,11 @@ def ssim(
             arrays (H, W, C). Tensors of more axes need it.
 
     Returns:
-        At most 1, and 1 for equal pictures; NaN with a reason where no pixel is left. Of a batch a list, one score an
+        At most 1, and 1 for equal images; NaN with a reason where no pixel is left. Of a batch a list, one score an
         image.
 
     Raises:
-        UsageError: the pictures cannot be compared (`as_pair`), they are smaller than the window and the border is
+        UsageError: the images cannot be compared (`as_pair`), they are smaller than the window and the border is
             ``valid``, a name is unknown, or windows reach a pixel that is NaN or infinite.
     """
     settings, pairs = _settings(preset), as_pairs(render, truth, mask, data_range, layout)
@@ -121,7 +121,7 @@ def ssim_map(
         layout: of the images; that of the map does not follow it.
 
     Returns:
-        (H, W, C), or (H, W) for pictures of that shape; NaN where the window leaves the picture and the border is
+        (H, W, C), or (H, W) for images of that shape; NaN where the window leaves the image and the border is
         ``valid``.
 
     Raises:
@@ -238,9 +238,9 @@ def _part(pair: Pair, settings: SsimSettings, erode: bool = False) -> _Part:
     edge = settings.radius if settings.border == "valid" else 0
     if height <= 2 * edge or width <= 2 * edge:
         raise UsageError(
-            f"a picture of {width} x {height} px",
-            expected=f"at least {settings.size} px each way for windows inside the picture",
-            remedy="take a preset whose windows may leave the picture: torchmetrics or 3dgs",
+            f"an image of {width} x {height} px",
+            expected=f"at least {settings.size} px each way for windows inside the image",
+            remedy="take a preset whose windows may leave the image: torchmetrics or 3dgs",
         )
     if pair.mask is None:
         return _Part(slice(edge, height - edge), slice(edge, width - edge), None)

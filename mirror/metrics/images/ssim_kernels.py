@@ -1,4 +1,4 @@
-"""The compiled part of SSIM: a ring of rows under the window, four sums a row, nothing as large as the picture.
+"""The compiled part of SSIM: a ring of rows under the window, four sums a row, nothing as large as the image.
 
 Loops run along rows, of which each is contiguous, tap by tap: all of them vectorise.
 """

@@ -42,8 +42,8 @@ class SsimSettings:
         window: shape of the window's weights.
         size: its width and height in pixels, odd.
         sigma_px: of the gaussian; without meaning for a uniform window.
-        border: ``valid``: only windows inside the picture; ``reflect``: mirrored without the edge pixel;
-            ``symmetric``: with it; ``zero``: black beyond the picture.
+        border: ``valid``: only windows inside the image; ``reflect``: mirrored without the edge pixel;
+            ``symmetric``: with it; ``zero``: black beyond the image.
         sample_covariance: whether variances are divided by N - 1.
         k1: C1 is (k1 data_range)².
         k2: C2 is (k2 data_range)².
@@ -81,11 +81,11 @@ def map_tiles(
     precision: Precision,
     data_range: float,
 ) -> Iterator[AnyArray]:
-    """Part of the map, 64 rows at a time: nothing as large as the picture is made.
+    """Part of the map, 64 rows at a time: nothing as large as the image is made.
 
     Args:
-        render: (H, W, C) whole picture.
-        truth: (H, W, C) whole picture.
+        render: (H, W, C) whole image.
+        truth: (H, W, C) whole image.
         known: (H, W) pixels that take part in windows; None: all.
         rows: which part.
         columns: which part.
@@ -110,11 +110,9 @@ def map_tiles(
         tile = slice(start, min(start + _TILE_ROWS, rows.stop))
         along, ends = _reach(tile, settings.radius, render.shape[0])
         inside, pad = (along, across), (ends, sides)
-        pictures = [
-            _pad(np.ascontiguousarray(picture[inside]), pad, settings.border, 0.0) for picture in (render, truth)
-        ]
+        images = [_pad(np.ascontiguousarray(image[inside]), pad, settings.border, 0.0) for image in (render, truth)]
         weights = None if known is None else _pad(known[inside].astype(dtype), pad, settings.border, 1.0)
-        yield _tile(pictures[0], pictures[1], weights, centre, settings, constants, dtype)
+        yield _tile(images[0], images[1], weights, centre, settings, constants, dtype)
 
 
 def _tile(
@@ -153,7 +151,7 @@ def _taps(window: str, size: int, sigma_px: float) -> Float64:
 
 
 def _reach(part: slice, radius: int, length: int) -> tuple[slice, tuple[int, int]]:
-    """What windows on a part of an axis reach, and by how much they reach beyond the picture."""
+    """What windows on a part of an axis reach, and by how much they reach beyond the image."""
     first, last = part.start - radius, part.stop + radius
     return slice(max(first, 0), min(last, length)), (max(-first, 0), max(last - length, 0))
 
@@ -168,9 +166,9 @@ def _centre(render: AnyArray, truth: AnyArray, known: Bool | None) -> float:
     return low + 0.5 * (high - low)
 
 
-def _pad(picture: AnyArray, pad: tuple[tuple[int, int], ...], border: Border, beyond: float) -> AnyArray:
+def _pad(image: AnyArray, pad: tuple[tuple[int, int], ...], border: Border, beyond: float) -> AnyArray:
     (top, bottom), (left, right) = pad
     if not (top or bottom or left or right):
-        return picture
-    padded = cv2.copyMakeBorder(picture, top, bottom, left, right, _BORDERS[border], value=beyond)
-    return padded.reshape(padded.shape[:2] + picture.shape[2:])
+        return image
+    padded = cv2.copyMakeBorder(image, top, bottom, left, right, _BORDERS[border], value=beyond)
+    return padded.reshape(padded.shape[:2] + image.shape[2:])

@@ -146,7 +146,7 @@ class BlockE(nn.Module):
 
 
 class FidInception(nn.Module):
-    """Pooled features of pictures, (n, 2048)."""
+    """Pooled features of images, (n, 2048)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -168,13 +168,13 @@ class FidInception(nn.Module):
         self.Mixed_7c = BlockE(2048, by_maximum=True)
         self.fc = nn.Linear(2048, 1008)
 
-    def forward(self, pictures: Tensor) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Features of the last pooling.
 
         Args:
-            pictures: (n, 3, 299, 299), (grey - 128) / 128.
+            images: (n, 3, 299, 299), (grey - 128) / 128.
         """
-        features = self.Conv2d_2b_3x3(self.Conv2d_2a_3x3(self.Conv2d_1a_3x3(pictures)))
+        features = self.Conv2d_2b_3x3(self.Conv2d_2a_3x3(self.Conv2d_1a_3x3(images)))
         features = functional.max_pool2d(features, 3, stride=2)
         features = self.Conv2d_4a_3x3(self.Conv2d_3b_1x1(features))
         features = functional.max_pool2d(features, 3, stride=2)

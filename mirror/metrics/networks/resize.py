@@ -13,35 +13,35 @@ FidResize = Literal["clean", "tf1"]
 VideoCrop = Literal["direct224", "centre-crop"]
 
 
-def resize_clean(pictures: Tensor, size: int) -> Tensor:
+def resize_clean(images: Tensor, size: int) -> Tensor:
     """Bicubic with antialiasing, clamped: clean-fid's (Parmar et al., 2022), there by Pillow, channel by channel.
 
     Args:
-        pictures: (n, 3, h, w), 0 to 255, float.
+        images: (n, 3, h, w), 0 to 255, float.
         size: of the result.
     """
-    resized = functional.interpolate(pictures, (size, size), mode="bicubic", antialias=True, align_corners=False)
+    resized = functional.interpolate(images, (size, size), mode="bicubic", antialias=True, align_corners=False)
     return resized.clamp_(0.0, 255.0)
 
 
-def resize_tf1(pictures: Tensor, size: int) -> Tensor:
+def resize_tf1(images: Tensor, size: int) -> Tensor:
     """Bilinear without antialiasing, corner to corner and not centre to centre: TensorFlow 1's, as the first FID had.
 
     Args:
-        pictures: (n, 3, h, w), float.
+        images: (n, 3, h, w), float.
         size: of the result.
     """
-    return _along(_along(pictures, 3, size), 2, size)
+    return _along(_along(images, 3, size), 2, size)
 
 
-def _along(pictures: Tensor, axis: int, size: int) -> Tensor:
-    length = pictures.shape[axis]
+def _along(images: Tensor, axis: int, size: int) -> Tensor:
+    length = images.shape[axis]
     at = torch.arange(size, dtype=torch.float32) * torch.tensor(length / size, dtype=torch.float32)
     low = at.long().clamp_max(length - 1)
     high = (low + 1).clamp_max(length - 1)
-    share = (at - low).to(pictures.dtype).reshape([-1 if each == axis else 1 for each in range(4)])
-    below = pictures.index_select(axis, low)
-    return below + (pictures.index_select(axis, high) - below) * share
+    share = (at - low).to(images.dtype).reshape([-1 if each == axis else 1 for each in range(4)])
+    below = images.index_select(axis, low)
+    return below + (images.index_select(axis, high) - below) * share
 
 
 def resize_video(frames: Tensor, crop: VideoCrop, size: int = 224) -> Tensor:

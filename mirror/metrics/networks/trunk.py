@@ -13,9 +13,9 @@ class Trunk(nn.Module):
     Attributes:
         channels: of every tap.
         ends: index after the last layer of every tap.
-        halos: for every stage, rows that its convolutions look beyond; None: the stage is run on the whole picture.
+        halos: for every stage, rows that its convolutions look beyond; None: the stage is run on the whole image.
             A stage with a halo begins after its pooling, keeps the height, and is followed by pooling that halves it.
-        minimum: least height and width of a picture, in pixels.
+        minimum: least height and width of an image, in pixels.
         features: the layers, named and numbered as torchvision's.
     """
 
@@ -25,19 +25,19 @@ class Trunk(nn.Module):
     minimum: int
     features: nn.Sequential
 
-    def taps(self, pictures: Tensor, band: int = 16) -> Iterator[tuple[int, Tensor]]:
+    def taps(self, images: Tensor, band: int = 16) -> Iterator[tuple[int, Tensor]]:
         """Features from the first tap to the last, some rows at a time.
 
         The rows of a tap come from top to bottom. What a tap has given is no longer held when the next is taken.
 
         Args:
-            pictures: (n, 3, h, w).
+            images: (n, 3, h, w).
             band: rows of a band where a stage allows bands; even.
 
         Yields:
             The tap's number, and (n, channels, rows, w') features of it; not to be changed.
         """
-        state, start = pictures, 0
+        state, start = images, 0
         for tap, (end, halo) in enumerate(zip(self.ends, self.halos)):
             stage = self.features[start:end]
             if halo is None or state.shape[2] <= band + 2 * halo:
@@ -60,7 +60,7 @@ class Trunk(nn.Module):
 
 
 def convolution(inputs: int, outputs: int, size: int, stride: int = 1, padding: int | None = None) -> list[nn.Module]:
-    """A convolution and its rectifier; padded to keep the size unless told otherwise."""
+    """A convolution and its rectifier; padded to keep the size by default."""
     return [
         nn.Conv2d(inputs, outputs, size, stride, size // 2 if padding is None else padding),
         nn.ReLU(inplace=True),

@@ -1,4 +1,4 @@
-"""Overlaps in the picture against counts, closed forms and properties."""
+"""Overlaps in the image against counts, closed forms and properties."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.geometry import convex_hull
-from mirror.metrics.boxes import clip_to_picture, polygon_area, polygon_mask, visible_share
+from mirror.metrics.boxes import clip_to_image, polygon_area, polygon_mask, visible_share
 from tests.metrics.boxes.reference import CAR
 
 BOX = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -111,7 +111,7 @@ def test_a_corner_that_is_not_finite_is_named(corner: float) -> None:
         polygon_mask(BOX, -1, 4)
 
 
-def test_areas_and_what_a_picture_holds_of_them() -> None:
+def test_areas_and_what_a_image_holds_of_them() -> None:
     assert polygon_area(BOX * (3, 2)) == 6.0
     assert polygon_area(BOX[::-1] * (3, 2) + 1e8) == 6.0
     assert polygon_area([]) == polygon_area([[1.0, 2.0], [3.0, 4.0]]) == 0.0
@@ -119,20 +119,20 @@ def test_areas_and_what_a_picture_holds_of_them() -> None:
     assert visible_share(BOX * 10 + 10, 20, 20) == 1.0
     assert visible_share(BOX + 50, 20, 20) == 0.0
     assert np.isnan(visible_share([[1.0, 1.0], [2.0, 2.0]], 20, 20))
-    assert polygon_area(clip_to_picture(BOX * 1e7, 20, 10)) == pytest.approx(200.0, rel=1e-9)
-    assert clip_to_picture(BOX + 50, 20, 20).shape == (0, 2)
+    assert polygon_area(clip_to_image(BOX * 1e7, 20, 10)) == pytest.approx(200.0, rel=1e-9)
+    assert clip_to_image(BOX + 50, 20, 20).shape == (0, 2)
 
 
 @given(corners)
 @settings(max_examples=60, deadline=None)
 def test_clipping_keeps_what_lies_within(points: list[tuple[float, float]]) -> None:
     hull = convex_hull(points)
-    clipped = clip_to_picture(hull, 11, 9)
+    clipped = clip_to_image(hull, 11, 9)
     assert ((clipped >= 0) & (clipped <= (11, 9))).all()
     # Shifted off the grid, so that no centre lies on a side.
     shift = (1e-3, 1.7e-3)
     np.testing.assert_array_equal(
-        polygon_mask(clip_to_picture(hull + shift, 11, 9), 11, 9), polygon_mask(hull + shift, 11, 9)
+        polygon_mask(clip_to_image(hull + shift, 11, 9), 11, 9), polygon_mask(hull + shift, 11, 9)
     )
     wider = polygon_mask((hull + 5) * 8, 8 * 21, 8 * 19)[40 : 40 + 72, 40 : 40 + 88]
     assert polygon_area(clipped) == pytest.approx(wider.sum() / 64, abs=3.0)

@@ -31,12 +31,12 @@ def smoke(state):
     return InceptionFeatures(network, name="smoke", batch=2)
 
 
-def pictures(count, seed=0, size=(40, 60)):
+def images(count, seed=0, size=(40, 60)):
     return np.random.default_rng(seed).integers(0, 256, (count, *size, 3), dtype=np.uint8)
 
 
 def test_figure(smoke):
-    a, b = pictures(5), pictures(4, seed=1) // 2
+    a, b = images(5), images(4, seed=1) // 2
     got = fid(iter(a), iter(b), smoke)
     features = extract(smoke, a), extract(smoke, b)
     assert got.value == pytest.approx(frechet_distance(*features).value, rel=1e-6)
@@ -47,14 +47,14 @@ def test_figure(smoke):
 
 
 def test_identical_sets(smoke):
-    a = pictures(3)
+    a = images(3)
     got = fid(a, a, smoke)
     assert got.value == 0.0
     assert got.kernel is None
 
 
 def test_batches_and_sizes_make_no_difference(smoke):
-    mixed = [pictures(1, size=size)[0] for size in ((40, 60), (20, 20), (60, 40))]
+    mixed = [images(1, size=size)[0] for size in ((40, 60), (20, 20), (60, 40))]
     together = extract(smoke, mixed)
     alone = np.concatenate([extract(smoke, [each]) for each in mixed])
     np.testing.assert_allclose(together, alone, atol=1e-4 * np.abs(alone).max())
@@ -70,7 +70,7 @@ def test_floats_are_rounded():
 
 def test_cache(smoke, tmp_path):
     cache = FeatureCache(tmp_path / "features")
-    a = pictures(3)
+    a = images(3)
     before = smoke.computed
     first = extract(smoke, a, cache)
     assert (smoke.computed - before, cache.hits, cache.misses) == (3, 0, 3)
@@ -84,7 +84,7 @@ def test_cache(smoke, tmp_path):
 
 
 def test_keys_hold_all_that_matters():
-    a = pictures(1)[0]
+    a = images(1)[0]
     keys = {
         feature_key(a, "clean"),
         feature_key(a, "tf1"),
@@ -102,7 +102,7 @@ def test_modes_have_their_own_identity():
 
 
 def test_errors(smoke):
-    a = pictures(3)
+    a = images(3)
     for call in (
         lambda: fid(a, a[:1], smoke),
         lambda: fid([], a, smoke),
@@ -126,7 +126,7 @@ def test_published_file(state, smoke, tmp_path, monkeypatch):
     network = load_inception("clean", WeightResolver({"inception-fid": path}))
     assert network.name == "fid"
     assert network.weights == {"inception-fid": known.sha256}
-    a = pictures(2)
+    a = images(2)
     np.testing.assert_array_equal(extract(network, a), extract(smoke, a))
 
 
@@ -138,7 +138,7 @@ def test_missing_weights(tmp_path, monkeypatch):
         load_inception()
 
 
-def test_many_pictures_warn_no_more(smoke):
+def test_many_images_warn_no_more(smoke):
     draw = np.random.default_rng(0)
     features = draw.standard_normal((2048, 3)), draw.standard_normal((2050, 3))
     assert fid_of_features(*features, smoke).warning is None

@@ -36,7 +36,7 @@ def make(name, **kwargs):
     return model
 
 
-def pictures(height=70, width=52, seed=0):
+def images(height=70, width=52, seed=0):
     draw = np.random.default_rng(seed)
     a = draw.random((height, width, 3))
     return a, np.clip(a + 0.1 * draw.standard_normal(a.shape), 0.0, 1.0)
@@ -56,12 +56,12 @@ def reference(model, a, b):
 @pytest.mark.parametrize("name", ["vgg", "st-alex"])
 def test_other_nets(name):
     model = make(name)
-    a, b = pictures(48, 32)
+    a, b = images(48, 32)
     assert model([b], a)[0] == pytest.approx(reference(model, a, b)[1], rel=1e-5)
 
 
 def test_value(smoke):
-    a, b = pictures()
+    a, b = images()
     assert smoke([b], a)[0] == pytest.approx(reference(smoke, a, b)[1], rel=1e-5)
     bytes_a, bytes_b = ((x * 255).astype(np.uint8) for x in (a, b))
     assert smoke([bytes_b], bytes_a)[0] == pytest.approx(reference(smoke, bytes_a / 255, bytes_b / 255)[1], rel=1e-5)
@@ -69,7 +69,7 @@ def test_value(smoke):
 
 
 def test_masks(smoke):
-    a, b = pictures()
+    a, b = images()
     mask = np.zeros(a.shape[:2], bool)
     mask[10:40, 5:30] = True
     maps, _ = reference(smoke, a, b)
@@ -82,7 +82,7 @@ def test_masks(smoke):
 
 
 def test_one_pixel_and_empty_masks(smoke):
-    a, b = pictures()
+    a, b = images()
     mask = np.zeros(a.shape[:2], bool)
     empty = smoke([b, a], a, mask)
     assert all(math.isnan(score) and score.reason for score in empty)
@@ -91,8 +91,8 @@ def test_one_pixel_and_empty_masks(smoke):
 
 
 def test_many_renders_of_one_truth(smoke):
-    a, b = pictures()
-    c = pictures(seed=7)[1]
+    a, b = images()
+    c = images(seed=7)[1]
     got = smoke([b, a, c], a)
     assert got[1] == 0.0
     assert (smoke.skipped, smoke.compared) == (1, 2)
@@ -100,8 +100,8 @@ def test_many_renders_of_one_truth(smoke):
     assert got[2] == pytest.approx(smoke([c], a)[0], rel=1e-6)
 
 
-def test_symmetry_and_flat_pictures(smoke):
-    a, b = pictures()
+def test_symmetry_and_flat_images(smoke):
+    a, b = images()
     assert smoke([b], a)[0] == pytest.approx(smoke([a], b)[0], rel=1e-6)
     flat = np.full((40, 40, 3), 0.5, np.float32)
     for value in (0.0, 1.0):
@@ -109,7 +109,7 @@ def test_symmetry_and_flat_pictures(smoke):
 
 
 def test_values_are_clamped_and_counted(smoke):
-    a, b = pictures()
+    a, b = images()
     over = b.copy()
     over[0, 0] = [1.0000001, 1.5, -0.1]
     with pytest.warns(ClampWarning, match="3 values"):
@@ -119,7 +119,7 @@ def test_values_are_clamped_and_counted(smoke):
 
 
 def test_errors(smoke):
-    a, b = pictures()
+    a, b = images()
     mask = np.ones(a.shape[:2], bool)
     for call in (
         lambda: smoke([b[:-1]], a),
@@ -177,7 +177,7 @@ def published(tmp_path, monkeypatch):
 
 
 def test_published_files(published):
-    a, b = pictures()
+    a, b = images()
     network = load_lpips("alex", WeightResolver(published))
     assert network.name == "lpips-alex"
     assert set(network.weights) == {"alexnet", "lpips-heads-alex"}

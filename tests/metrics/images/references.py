@@ -1,4 +1,4 @@
-"""Pictures, and the definitions of image metrics done plainly: for tests and benchmarks."""
+"""Images, and the definitions of image metrics done plainly: for tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PADS: dict[str, Any] = {"reflect": "reflect", "symmetric": "symmetric", "zero":
 
 
 def street(height: int = 90, width: int = 160, seed: int = 0) -> tuple[Array, Array]:
-    """A render in other colours, with noise, and the picture with texture that it is of; uint8 RGB."""
+    """A render in other colours, with noise, and the image with texture that it is of; uint8 RGB."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:height, :width]
     wave = 120 + 80 * np.sin(x / 17.0) * np.cos(y / 13.0)
@@ -37,7 +37,7 @@ def ellipse(height: int, width: int, rows: slice, columns: slice) -> Array:
 def exact_ssim(render: Array, truth: Array, how: SsimSettings, data_range: float, known: Array | None = None) -> Array:
     """Equation 13 of Wang et al. 2004 in long double, shift by shift.
 
-    NaN where a window leaves the picture and the border is ``valid``. With ``known``, windows are weighted sums over
+    NaN where a window leaves the image and the border is ``valid``. With ``known``, windows are weighted sums over
     known pixels, divided by the sum of their weights.
     """
     radius = how.radius
@@ -47,8 +47,8 @@ def exact_ssim(render: Array, truth: Array, how: SsimSettings, data_range: float
     beyond: dict[str, Any] = {"constant_values": 1} if how.border == "zero" else {}
     weights = np.pad(weights, pad, _PADS[how.border], **beyond)[..., None]
     a, b = (
-        np.where(weights > 0, np.pad(picture.astype(np.longdouble), (*pad, (0, 0)), _PADS[how.border]) - centre, 0)
-        for picture in (render, truth)
+        np.where(weights > 0, np.pad(image.astype(np.longdouble), (*pad, (0, 0)), _PADS[how.border]) - centre, 0)
+        for image in (render, truth)
     )
     line = np.ones(how.size, np.longdouble)
     if how.window == "gaussian":
@@ -105,8 +105,8 @@ def _windowed(values: Array, line: Array) -> Array:
     return values
 
 
-def _eight_bit(picture: Array) -> Array:
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+def _eight_bit(image: Array) -> Array:
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 def affine_by_lstsq(render: Array, truth: Array, mask: Array | None = None) -> tuple[float, list[float], list[float]]:

@@ -54,7 +54,7 @@ def test_a_quadratic_warp_is_undone():
     assert psnr_cc(render, truth, data_range=1.0).db == math.inf
 
 
-def test_equal_pictures_are_infinite_whatever_their_colours():
+def test_equal_images_are_infinite_whatever_their_colours():
     _, truth = street()
     assert psnr_cc(truth, truth).db == math.inf
     truth[..., 2] = 255
@@ -62,7 +62,7 @@ def test_equal_pictures_are_infinite_whatever_their_colours():
 
 
 @pytest.mark.parametrize("spread", [1e-2, 1e-4])
-def test_nearly_grey_pictures_lose_no_digits(spread):
+def test_nearly_grey_images_lose_no_digits(spread):
     rng = np.random.default_rng(0)
     grey = rng.uniform(0.2, 0.8, (60, 60, 1))
     render = grey + spread * rng.standard_normal((60, 60, 3))
@@ -82,7 +82,7 @@ def test_a_constant_colour_is_warped_to_the_mean_with_rank_one():
     assert found.db == pytest.approx(-10 * math.log10(np.var(truth / 255, axis=(0, 1)).mean()), abs=1e-9)
 
 
-def test_grey_pictures_have_rank_three_and_two_colours_two():
+def test_grey_images_have_rank_three_and_two_colours_two():
     render, truth = street()
     truth = np.clip(truth, 1, 254)
     grey = np.repeat(np.clip(render[..., :1], 1, 254), 3, axis=2)
@@ -120,13 +120,13 @@ def test_types_and_ranges_agree():
     render, truth = street()
     expected = psnr_cc(render, truth).db
     for scale, dtype in ((1 / 255, np.float64), (1.0, np.float64), (257, np.uint16)):
-        pair = [(picture.astype(np.float64) * scale).astype(dtype) for picture in (render, truth)]
+        pair = [(image.astype(np.float64) * scale).astype(dtype) for image in (render, truth)]
         assert psnr_cc(*pair, data_range=255.0 * scale).db == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_pixels_that_are_not_finite_are_an_error(bad):
-    render, truth = (picture / 255.0 for picture in street(20, 20))
+    render, truth = (image / 255.0 for image in street(20, 20))
     render[4, 5, 2] = bad
     with pytest.raises(UsageError, match="row 4, column 5, channel 2"):
         psnr_cc(render, truth, data_range=1.0)
@@ -142,7 +142,7 @@ def test_nothing_to_fit_is_an_error():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12), st.integers(1, 40))
-def test_pictures_of_few_colours(seed, colours, spread):
+def test_images_of_few_colours(seed, colours, spread):
     rng = np.random.default_rng(seed)
     palette = rng.integers(20, 200, (colours, 3))
     render = (palette[rng.integers(colours, size=(30, 40))] + rng.integers(0, 2, (30, 40, 1)) * spread).astype(np.uint8)
@@ -152,7 +152,7 @@ def test_pictures_of_few_colours(seed, colours, spread):
     np.testing.assert_allclose(found, expected, atol=1e-7)
 
 
-def test_floats_of_either_size_are_the_same_picture() -> None:
+def test_floats_of_either_size_are_the_same_image() -> None:
     # Every float32 is a float64: the fit and the score have the same numbers to work on.
     draw = np.random.default_rng(0)
     truth = draw.random((24, 32, 3)).astype(np.float32)

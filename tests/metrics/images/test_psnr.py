@@ -45,7 +45,7 @@ def test_integers_are_exact(data):
         )
 
 
-def test_the_largest_difference_of_a_large_picture_does_not_overflow():
+def test_the_largest_difference_of_a_large_image_does_not_overflow():
     black = np.zeros((2160, 3840, 3), np.uint8)
     assert psnr(black, black + 255) == 0.0
 
@@ -60,7 +60,7 @@ def test_a_mask_selects():
     assert psnr(render, truth, mask=one) == pytest.approx(exact(render, truth, 255, one), abs=1e-12)
 
 
-def test_pictures_may_be_views():
+def test_images_may_be_views():
     render, truth = street()
     assert psnr(render[::2, ::-1, ::-1], truth[::2, ::-1, ::-1]) == psnr(render[::2].copy(), truth[::2].copy())
     assert psnr(render[..., 0], truth[..., 0]) == psnr(render[..., :1], truth[..., :1])
@@ -75,7 +75,7 @@ def test_an_empty_mask_is_nan_with_a_reason():
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e4, 1e8])
-def test_an_offset_costs_nothing_that_the_pictures_have(offset):
+def test_an_offset_costs_nothing_that_the_images_have(offset):
     rng = np.random.default_rng(0)
     # Multiples of 2^-20 near 1e8 are exact in float64.
     truth, render = (np.rint(rng.random((40, 50, 3)) * 2**20) / 2**20 for _ in range(2))
@@ -115,7 +115,7 @@ def test_what_float64_cannot_hold_is_an_error():
         (np.zeros((2, 2)), np.zeros((2, 2), np.float32), {"data_range": 1.0}, "render of float64, truth of float32"),
         (np.zeros((2, 2), int), np.zeros((2, 2), int), {}, "one type of"),
         (np.zeros((0, 2)), np.zeros((0, 2)), {"data_range": 1.0}, "without a pixel"),
-        (np.zeros((2, 2)), np.zeros((2, 2)), {}, "data_range of float pictures is missing"),
+        (np.zeros((2, 2)), np.zeros((2, 2)), {}, "data_range of float images is missing"),
         (np.zeros((2, 2)), np.zeros((2, 2)), {"data_range": 0.0}, "data_range 0.0"),
         (np.zeros((2, 2)), np.zeros((2, 2)), {"data_range": math.nan}, "data_range nan"),
         (np.zeros((2, 2)), np.zeros((2, 2)), {"data_range": 1.0, "mask": np.ones((2, 2), np.uint8)}, "mask > 0"),
@@ -140,7 +140,7 @@ def test_many_images_have_a_mean_and_a_pooled_score():
     assert summary.images.reasons == {"the mask selects no pixel": 1}
     assert (equal, math.isnan(empty)) == (math.inf, True)
     stacked = np.concatenate([render, truth, noisy]), np.concatenate([truth] * 3)
-    assert summary.pooled == pytest.approx(psnr(*(picture.astype(np.uint8) for picture in stacked)), abs=1e-12)
+    assert summary.pooled == pytest.approx(psnr(*(image.astype(np.uint8) for image in stacked)), abs=1e-12)
 
 
 def test_accumulators_know_when_they_have_nothing_and_what_they_cannot_join():

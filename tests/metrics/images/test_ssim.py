@@ -59,7 +59,7 @@ def test_torchmetrics_preset_is_torchmetrics():
     torch = pytest.importorskip("torch")
     torchmetrics = pytest.importorskip("torchmetrics.functional.image", exc_type=ImportError)
     render, truth = street()
-    batch = [torch.from_numpy(picture / 255.0).permute(2, 0, 1)[None] for picture in (render, truth)]
+    batch = [torch.from_numpy(image / 255.0).permute(2, 0, 1)[None] for image in (render, truth)]
     expected = torchmetrics.structural_similarity_index_measure(*batch, data_range=1.0)
     assert ssim(render, truth, preset="torchmetrics") == pytest.approx(float(expected), abs=1e-9)
 
@@ -73,7 +73,7 @@ def test_3dgs_preset_is_a_convolution_with_zero_padding():
     def blurred(values):
         return torch.nn.functional.conv2d(values, window, padding=5)
 
-    a, b = (torch.from_numpy(picture / 255.0).permute(2, 0, 1)[:, None] for picture in (render, truth))
+    a, b = (torch.from_numpy(image / 255.0).permute(2, 0, 1)[:, None] for image in (render, truth))
     ma, mb = blurred(a), blurred(b)
     va, vb, cov = blurred(a * a) - ma**2, blurred(b * b) - mb**2, blurred(a * b) - ma * mb
     found = (2 * ma * mb + 1e-4) * (2 * cov + 9e-4) / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4))
@@ -117,7 +117,7 @@ def test_normalised_windows_see_only_the_mask(preset, precision, error):
     options = {"preset": preset, "mask_mode": "normalised", "mask": mask, "precision": precision}
     found = ssim(render, truth, **options)
     assert found == pytest.approx(float(np.nanmean(expected)), abs=error)
-    floats = [picture / 255.0 for picture in (render, truth)]
+    floats = [image / 255.0 for image in (render, truth)]
     floats[0][~mask] = np.nan
     assert ssim(*floats, data_range=1.0, **options) == pytest.approx(found, abs=error)
 
@@ -137,7 +137,7 @@ def test_masks_that_leave_nothing_are_nan_with_a_reason():
     mask = np.zeros(render.shape[:2], bool)
     assert ssim(render, truth, mask=mask).reason == "the mask selects no pixel"
     mask[0, 0] = True
-    assert ssim(render, truth, mask=mask).reason == "no selected pixel has its whole window in the picture"
+    assert ssim(render, truth, mask=mask).reason == "no selected pixel has its whole window in the image"
     assert not math.isnan(ssim(render, truth, mask=mask, preset="3dgs"))
     mask[20:25, 30:35] = True
     assert (
@@ -146,10 +146,10 @@ def test_masks_that_leave_nothing_are_nan_with_a_reason():
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_pictures_may_be_views_of_any_number_of_channels(preset):
+def test_images_may_be_views_of_any_number_of_channels(preset):
     render, truth = street()
-    views = [np.concatenate([picture, picture[..., ::-1]], axis=2)[::-1, ::2] for picture in (render, truth)]
-    copies = [picture[:, ::2].copy() for picture in (render, truth)]
+    views = [np.concatenate([image, image[..., ::-1]], axis=2)[::-1, ::2] for image in (render, truth)]
+    copies = [image[:, ::2].copy() for image in (render, truth)]
     assert ssim(*views, preset=preset) == pytest.approx(ssim(*copies, preset=preset), abs=1e-12)
 
 
@@ -168,7 +168,7 @@ def test_a_mask_of_one_pixel():
 
 @settings(max_examples=30, deadline=None)
 @given(st.data())
-def test_one_for_equal_pictures_and_never_more(data):
+def test_one_for_equal_images_and_never_more(data):
     dtype = data.draw(st.sampled_from([np.uint8, np.float32, np.float64]))
     elements = st.integers(0, 255) if dtype == np.uint8 else st.floats(0, 1, width=32)
     shape = (data.draw(st.integers(11, 14)), data.draw(st.integers(11, 14)), data.draw(st.sampled_from([1, 3])))
@@ -195,23 +195,23 @@ def test_offsets(offset, precision, error):
     assert np.nanmax(abs(found - exact_ssim(render, truth, PRESETS["gaussian11"], 1))) <= error
 
 
-def test_flat_tiny_and_saturated_pictures():
+def test_flat_tiny_and_saturated_images():
     flat = np.full((20, 20), 0.6)
     for precision, error in (("float64", 1e-15), ("float32", 1e-7)):
         found = ssim(flat, flat + 1e-7, data_range=1.0, precision=precision)
         assert found <= 1.0
         assert found == pytest.approx(1 - 1e-14 / (0.36 * 2 + 1e-4), abs=error)
     render, truth = street(20, 20)
-    tiny = [picture * 2.0**-150 for picture in (render, truth)]
+    tiny = [image * 2.0**-150 for image in (render, truth)]
     assert ssim(*tiny, data_range=255 * 2.0**-150) == pytest.approx(ssim(render, truth), abs=1e-12)
     black, white = np.zeros((20, 20), np.uint8), np.full((20, 20), 255, np.uint8)
     assert ssim(black, white) == pytest.approx(1e-4 / (1 + 1e-4), abs=1e-12)
 
 
-def test_the_smallest_pictures():
+def test_the_smallest_images():
     render, truth = street(11, 11)
     assert ssim(render, truth) == pytest.approx(ssim_map(render, truth)[5, 5].mean(), abs=1e-15)
-    with pytest.raises(UsageError, match="a picture of 11 x 10 px"):
+    with pytest.raises(UsageError, match="an image of 11 x 10 px"):
         ssim(render[:10], truth[:10])
     one = render[:1, :1], truth[:1, :1]
     for preset in ("torchmetrics", "3dgs"):

@@ -211,27 +211,27 @@ def test_published_names_and_sizes():
 def test_features(filled):
     """In float64 the folded network equals the unfused reference; in float32 both do to rounding."""
     network, state = filled
-    pictures = torch.rand(1, 3, 139, 139, generator=torch.Generator().manual_seed(1)) * 2 - 1
+    images = torch.rand(1, 3, 139, 139, generator=torch.Generator().manual_seed(1)) * 2 - 1
     wide = {k: v.double() for k, v in state.items()}
     with torch.inference_mode():
-        truth = reference(wide, pictures.double())
+        truth = reference(wide, images.double())
         scale = float(truth.abs().max())
         assert truth.shape == (1, 2048)
         plain = copy.deepcopy(network)
-        assert float((plain(pictures) - truth).abs().max()) < 2e-6 * scale
-        apart = copy.deepcopy(network).fold()(pictures) - plain(pictures)
+        assert float((plain(images) - truth).abs().max()) < 2e-6 * scale
+        apart = copy.deepcopy(network).fold()(images) - plain(images)
         assert float(apart.square().mean().sqrt()) < 1e-6 * scale
         assert float(apart.abs().max()) < 4e-6 * scale
-        assert float((copy.deepcopy(network).double().fold()(pictures.double()) - truth).abs().max()) < 1e-12 * scale
+        assert float((copy.deepcopy(network).double().fold()(images.double()) - truth).abs().max()) < 1e-12 * scale
 
 
 def test_folding_twice_changes_nothing():
     unit = NormalisedConvolution(3, 4, 3).eval()
-    pictures = torch.rand(1, 3, 8, 8)
+    images = torch.rand(1, 3, 8, 8)
     with torch.inference_mode():
-        expected = unit(pictures)
+        expected = unit(images)
         unit.fold()
         unit.fold()
-        torch.testing.assert_close(unit(pictures), expected, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(unit(images), expected, rtol=1e-5, atol=1e-6)
     with pytest.raises(ValueError, match="running statistics"):
         folded(torch.ones(4, 3, 1, 1), nn.BatchNorm2d(4, track_running_stats=False))

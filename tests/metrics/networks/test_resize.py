@@ -5,7 +5,7 @@ import torch
 from mirror.metrics.networks.resize import resize_clean, resize_tf1, resize_video
 
 
-def picture(height, width, seed=0):
+def image(height, width, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.float32)
 
 
@@ -16,9 +16,11 @@ def tensor(pixels):
 @pytest.mark.parametrize(("height", "width"), [(54, 96), (20, 31), (17, 17), (1, 5)])
 def test_clean_is_pillows(height, width):
     """clean-fid resizes each channel as float with Pillow's bicubic filter, then clips."""
-    image = pytest.importorskip("PIL.Image")
-    pixels = picture(height, width)
-    channels = [image.fromarray(np.ascontiguousarray(pixels[..., c])).resize((29, 29), image.BICUBIC) for c in range(3)]
+    pillow = pytest.importorskip("PIL.Image")
+    pixels = image(height, width)
+    channels = [
+        pillow.fromarray(np.ascontiguousarray(pixels[..., c])).resize((29, 29), pillow.BICUBIC) for c in range(3)
+    ]
     truth = np.clip(np.stack([np.asarray(channel) for channel in channels], axis=2), 0, 255)
     got = resize_clean(tensor(pixels), 29)[0].permute(1, 2, 0).numpy()
     assert np.abs(got - truth).max() < 0.02
@@ -27,7 +29,7 @@ def test_clean_is_pillows(height, width):
 
 @pytest.mark.parametrize(("height", "width", "size"), [(54, 96, 29), (5, 7, 29), (29, 29, 29), (1, 1, 3)])
 def test_tf1_by_its_definition(height, width, size):
-    pixels = picture(height, width).astype(np.float64)
+    pixels = image(height, width).astype(np.float64)
     truth = np.empty((size, size, 3))
     for row in range(size):
         for column in range(size):
@@ -43,7 +45,7 @@ def test_tf1_by_its_definition(height, width, size):
 
 
 def test_modes_differ_by_grey_levels():
-    pixels = tensor(picture(90, 160))
+    pixels = tensor(image(90, 160))
     assert float((resize_clean(pixels, 29) - resize_tf1(pixels, 29)).abs().mean()) > 2.0
 
 

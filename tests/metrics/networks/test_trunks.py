@@ -78,11 +78,11 @@ def test_features(name, height, width):
     load_strictly(network, state)
     network.double()
     state = {key: value.double() for key, value in state.items()}
-    pictures = torch.randn(1, 3, height, width, generator=torch.Generator().manual_seed(1)).double()
-    truth = ALL[name](state, pictures)
+    images = torch.randn(1, 3, height, width, generator=torch.Generator().manual_seed(1)).double()
+    truth = ALL[name](state, images)
     with torch.inference_mode():
         got = [[] for _ in truth]
-        for tap, rows in network.taps(pictures.contiguous(memory_format=torch.channels_last)):
+        for tap, rows in network.taps(images.contiguous(memory_format=torch.channels_last)):
             got[tap].append(rows.clone())
     for tap, (expected, parts) in enumerate(zip(truth, got)):
         whole = torch.cat(parts, dim=2)
@@ -96,11 +96,11 @@ def test_bands_change_nothing(height):
     network = trunk("vgg")
     load_strictly(network, random_state(network))
     network.double()
-    pictures = torch.randn(1, 3, height, 16, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    images = torch.randn(1, 3, height, 16, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     with torch.inference_mode():
         for band in (2, 8, 1000):
             got = [[] for _ in network.ends]
-            for tap, rows in network.taps(pictures, band):
+            for tap, rows in network.taps(images, band):
                 got[tap].append(rows.clone())
             wholes = [torch.cat(parts, dim=2) for parts in got]
             if band == 2:

@@ -1,4 +1,4 @@
-"""Pictures on a page: a rig at one instant, one place in every traversal, 3D boxes drawn over them."""
+"""Images on a page: a rig at one instant, one place in every traversal, 3D boxes drawn over them."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def condition_order(light: str, weather: str) -> tuple[int, str]:
     return (_LIGHTS.index(light) if light in _LIGHTS else len(_LIGHTS), weather)
 
 
-def rig_pictures(frame: Frame, *, boxes: bool, width_px: int) -> str:
-    """All pictures of one frame; the seven of a MIRROR rig in the places that they look to.
+def rig_images(frame: Frame, *, boxes: bool, width_px: int) -> str:
+    """All images of one frame; the seven of a MIRROR rig in the places that they look to.
 
     Args:
         frame: the instant.
         boxes: draw its 3D boxes.
-        width_px: wider pictures are scaled down.
+        width_px: wider images are scaled down.
     """
     seven = set(frame.images) >= set(CANONICAL_CAMERAS)
     figures = [
@@ -70,14 +70,14 @@ def rig_pictures(frame: Frame, *, boxes: bool, width_px: int) -> str:
 
 
 def middle_frame(dataset: Dataset, traversal_id: str) -> Frame:
-    """The frame in the middle of a traversal, or the one before it if that has more pictures."""
+    """The frame in the middle of a traversal, or the one before it if that has more images."""
     frames = dataset.where(traversal=traversal_id).frames()
     middle = len(frames) // 2
     return max((frames[place] for place in {middle, max(middle - 1, 0)}), key=lambda frame: len(frame.images))
 
 
 def busiest_frame(dataset: Dataset, traversal_ids: Sequence[str]) -> Frame:
-    """The frame of some traversals that have pictures with the most cameras and, of those, the most boxes."""
+    """The frame of some traversals that have images with the most cameras and, of those, the most boxes."""
     view = dataset.where(traversal=traversal_ids)
     boxes = view.table("boxes", ["traversal_id", "timestamp_ns"])
     counts = Counter(zip(boxes.column("traversal_id").to_pylist(), boxes.column("timestamp_ns").to_pylist()))
@@ -98,14 +98,14 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
         dataset: the dataset.
         traversals: rows of the scene's traversals.
     """
-    pictured = [one for one in traversals if one["frames"] > 1]
-    if len(pictured) < 2:
+    with_frames = [one for one in traversals if one["frames"] > 1]
+    if len(with_frames) < 2:
         return []
     tracks = {}
-    for one in pictured:
+    for one in with_frames:
         table = dataset.where(traversal=one["traversal_id"]).table("frames", ["frame_index", "x_m", "y_m"])
         tracks[one["traversal_id"]] = tuple(table.column(name).to_numpy() for name in ("frame_index", "x_m", "y_m"))
-    first = max(pictured, key=lambda one: (one["frames"], one["traversal_id"]))
+    first = max(with_frames, key=lambda one: (one["frames"], one["traversal_id"]))
     _, first_x, first_y = tracks[first["traversal_id"]]
     nearest = np.stack(
         [np.hypot(first_x[:, None] - x, first_y[:, None] - y).min(axis=1) for _, x, y in tracks.values()]
@@ -115,7 +115,7 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
     place = int(np.lexsort((spread, -passed))[0])
     ahead = _heading(first_x, first_y, place)
     found = []
-    for one in pictured:
+    for one in with_frames:
         index, x, y = tracks[one["traversal_id"]]
         away = np.hypot(x - first_x[place], y - first_y[place])
         at = int(np.argmin(away))
@@ -124,7 +124,7 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
     return sorted(found, key=lambda one: condition_order(one.traversal["light"], one.traversal["weather"]))
 
 
-def place_pictures(dataset: Dataset, passages: Sequence[Passage], *, width_px: int) -> str:
+def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int) -> str:
     """The same view in every traversal: forward, or backward from those that drive the other way."""
     figures = []
     for one in passages:
@@ -147,7 +147,7 @@ def utc(stamp_ns: int) -> str:
 
 
 def category_colours(categories: Iterable[str]) -> dict[str, str]:
-    """The attributes that colour each category of a frame, the same in its legend and its pictures.
+    """The attributes that colour each category of a frame, the same in its legend and its images.
 
     Words that are not MIRROR's get hues of their own, a golden angle apart.
     """
@@ -165,9 +165,9 @@ def _heading(x: Float64, y: Float64, at: int) -> Float64:
     return np.array([x[last] - x[first], y[last] - y[first]])
 
 
-def _figure(picture: str, overlay: str, caption: str, area: str) -> str:
+def _figure(image: str, overlay: str, caption: str, area: str) -> str:
     style = f' style="grid-area:{area}"' if area else ""
-    return f'<figure{style}><div class="shot">{picture}{overlay}</div><figcaption>{caption}</figcaption></figure>'
+    return f'<figure{style}><div class="shot">{image}{overlay}</div><figcaption>{caption}</figcaption></figure>'
 
 
 def _inlined(frame: Frame, camera: str, width_px: int) -> str:
@@ -175,7 +175,7 @@ def _inlined(frame: Frame, camera: str, width_px: int) -> str:
 
 
 def _overlay(frame: Frame, camera: str) -> str:
-    """The edges of the boxes that a picture shows, followed through its lens, as SVG in pixels."""
+    """The edges of the boxes that an image shows, followed through its lens, as SVG in pixels."""
     image = frame.images[camera]
     lens = image.camera_model
     boxes = frame.boxes(f"camera:{camera}")

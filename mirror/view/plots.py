@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 LIGHT_COLOURS: Final = {"day": "#f2b134", "dusk": "#c8553d", "night": "#2b3a67", "unknown": "#9aa0a6"}
 _INK, _GRID = "#333333", "#dddddd"
-_MOST_SCENES = 50
+_MAX_SCENES = 50
 _NAMES: Final = ("traversals", "conditions", "speed")
 _KMH = 3.6
 
 
 def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
-    """Write the plots as PNG files: traversals a scene, speeds, conditions.
+    """Write the plots as PNG files: traversals by scene, speeds, conditions.
 
     Args:
-        statistics: of a dataset or a view.
-        folder: is made if need be; plots that are there are replaced.
+        statistics: statistics of a dataset or of a view.
+        folder: folder of the plots, created if necessary; earlier plots are replaced.
 
     Returns:
-        The files; a plot that there is no data for is left out.
+        The written files; a plot without data is left out.
 
     Raises:
-        UsageError: matplotlib is not installed, or the folder holds something else than such plots.
+        UsageError: matplotlib is not installed, or the folder holds other files.
         DatasetError: the folder cannot be written.
     """
-    _require_own(folder)
+    _require_plot_folder(folder)
     figures: dict[str, Figure] = {}
     if any(scene.traversals for scene in statistics.scenes):
         figures["traversals"] = traversals_figure(statistics)
@@ -52,28 +52,28 @@ def write_plots(statistics: Statistics, folder: Path) -> list[Path]:
     files = []
     for name, figure in figures.items():
         file = folder / f"{name}.png"
-        drawn = io.BytesIO()
-        figure.savefig(drawn, dpi=150)
-        write_bytes(file, drawn.getvalue())
+        buffer = io.BytesIO()
+        figure.savefig(buffer, dpi=150)
+        write_bytes(file, buffer.getvalue())
         files.append(file)
     return files
 
 
-def _require_own(folder: Path) -> None:
+def _require_plot_folder(folder: Path) -> None:
     if require_output_folder(folder, FolderKind.OTHER, place="--plots") is not None:
         others = sorted({path.name for path in folder.iterdir()} - {f"{name}.png" for name in _NAMES})
         if others:
             raise UsageError(
-                f"it holds {others[0]}, which is no such plot: nothing was written",
+                f"it holds {others[0]}, which is not a plot of this command: nothing was written",
                 file=folder, place="--plots", expected="a new or an empty folder, or one with earlier plots",
                 remedy="name another folder with --plots",
             )  # fmt: skip
 
 
 def traversals_figure(statistics: Statistics) -> Figure:
-    """Traversals of each scene as bars, divided by light; at most 50 scenes, those with the most."""
+    """Plot the traversals of each scene as bars, divided by light; at most the 50 scenes with the most traversals."""
     scenes = sorted(statistics.scenes, key=lambda scene: (-scene.traversals, scene.scene_id))
-    shown = scenes[:_MOST_SCENES]
+    shown = scenes[:_MAX_SCENES]
     figure = _figure(7.0, 1.4 + 0.28 * len(shown))
     axes = _axes(figure)
     left = [0] * len(shown)
@@ -96,7 +96,7 @@ def traversals_figure(statistics: Statistics) -> Figure:
 
 
 def speed_figure(speed: Speed) -> Figure:
-    """How much of the time was driven at which speed, in m/s with km/h above."""
+    """Plot the share of time at each speed, in m/s with km/h above."""
     figure = _figure(7.0, 3.6)
     axes = _axes(figure)
     total = sum(speed.hours)

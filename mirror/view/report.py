@@ -1,6 +1,6 @@
-"""A dataset on one page: images of every camera, maps, charts, splits, and the ledger of refused passes.
+"""The report of a dataset: images of every camera, maps, charts, splits, and the ledger of refused passes.
 
-One HTML file with everything in it: no script, no network; readable on a phone and in dark mode.
+It is one HTML file without scripts or network access, readable on a phone and in dark mode.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mirror.view.tables import ledger, split_table, traversal_table
 _LARGE_PX: Final = 640
 _SMALL_PX: Final = 360
 _MAP_POINTS: Final = 400
-_LOOKED_THROUGH: Final = 3
+_MAX_CANDIDATES: Final = 3
 _LIGHTS: Final = ("day", "dusk", "night")
 _WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog")
 
@@ -46,9 +46,9 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     """Write the report.
 
     Args:
-        dataset: what to report on; a filtered view is reported as such.
-        out: the HTML file; replaced whole or not at all.
-        title: of the page.
+        dataset: the dataset, or a filtered view of it.
+        out: the HTML file; it is replaced atomically.
+        title: title of the page.
 
     Raises:
         DatasetError: an image cannot be read, or the file cannot be written.
@@ -56,23 +56,23 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
-    tiles = _tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
+    tiles = _format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
     parts = [
         f"<header><h1>{escape(title)}</h1>{tiles}</header>",
-        *_instant(dataset, traversals),
-        *_places(dataset, scenes, traversals),
-        "<h2>Where it was driven</h2>",
-        map_legend({one["light"] for one in traversals}),
-        f'<div class="grid two">{"".join(_map(dataset, scene, traversals) for scene in scenes)}</div>',
+        *_format_instant(dataset, traversals),
+        *_format_places(dataset, scenes, traversals),
+        "<h2>Maps</h2>",
+        map_legend({row["light"] for row in traversals}),
+        f'<div class="grid two">{"".join(_draw_map(dataset, scene, traversals) for scene in scenes)}</div>',
         "<h2>Conditions and contents</h2>",
-        f'<div class="grid">{"".join(_charts(dataset, traversals))}</div>',
-        *_splits(dataset, traversals),
+        f'<div class="grid">{"".join(_draw_charts(dataset, traversals))}</div>',
+        *_format_splits(dataset, traversals),
         "<h2>Traversals</h2>",
         traversal_table(traversals),
         "<h2>The ledger of refused passes</h2>",
         *ledger(passes),
-        *_rigs(dataset, traversals),
-        f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)} alone.</footer>",
+        *_format_rigs(dataset, traversals),
+        f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)}.</footer>",
     ]
     style = style_sheet()
     page = (
@@ -84,50 +84,50 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     write_bytes(out, page.encode())
 
 
-def _tiles(
-    row: TableRow,
+def _format_tiles(
+    totals: TableRow,
     traversals: Sequence[Mapping[str, Any]],
     passes: Sequence[Mapping[str, Any]],
     boxes: int,
 ) -> str:
-    cameras = {camera for one in traversals for camera in one["cameras"]}
+    cameras = {camera for row in traversals for camera in row["cameras"]}
     tiles = {
-        "scenes": f"{row.scenes}",
-        "cities": f"{len(row.cities)}",
-        "km² of scenes": f"{row.area_km2:.3f}",
+        "scenes": f"{totals.scenes}",
+        "cities": f"{len(totals.cities)}",
+        "km² of scenes": f"{totals.area_km2:.3f}",
         "traversals": f"{len(traversals)}",
-        "passes refused": f"{sum(one['decision'] == 'refused' for one in passes)}",
-        "minutes": f"{sum(one['duration_s'] for one in traversals) / 60:.1f}",
-        "km driven": f"{sum(one['path_m'] for one in traversals) / 1000:.2f}",
+        "passes refused": f"{sum(row['decision'] == 'refused' for row in passes)}",
+        "minutes": f"{sum(row['duration_s'] for row in traversals) / 60:.1f}",
+        "km driven": f"{sum(row['path_m'] for row in traversals) / 1000:.2f}",
         "cameras": f"{len(cameras)}",
-        "images": f"{sum(one['images'] for one in traversals):,}",
+        "images": f"{sum(row['images'] for row in traversals):,}",
         "boxes": f"{boxes:,}",
     }
     cells = "".join(f'<div class="tile"><b>{value}</b><span>{name}</span></div>' for name, value in tiles.items())
     return f'<div class="tiles">{cells}</div>'
 
 
-def _box_layers(traversal: Mapping[str, Any]) -> int:
+def _count_box_layers(traversal: Mapping[str, Any]) -> int:
     return sum(layer.startswith("boxes/") for layer in traversal["layers"])
 
 
-def _instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """The best instant, large, with its boxes."""
-    with_frames = [one for one in traversals if one["frames"]]
+def _format_instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Show one instant in large images, with its boxes."""
+    with_frames = [row for row in traversals if row["frames"]]
     if not with_frames:
         yield '<p class="dim">No traversal has images.</p>'
         return
-    clear = [one for one in with_frames if (one["light"], one["weather"]) == ("day", "clear")] or with_frames
-    frame = busiest_frame(dataset, [one["traversal_id"] for one in clear[:_LOOKED_THROUGH]])
-    one = next(one for one in clear if one["traversal_id"] == frame.traversal_id)
-    # With several layers of boxes there is no saying which to draw.
-    boxes = _box_layers(one) == 1
+    clear = [row for row in with_frames if (row["light"], row["weather"]) == ("day", "clear")] or with_frames
+    frame = busiest_frame(dataset, [row["traversal_id"] for row in clear[:_MAX_CANDIDATES]])
+    row = next(row for row in clear if row["traversal_id"] == frame.traversal_id)
+    # With several layers of boxes, no layer is preferred: none is drawn.
+    boxes = _count_box_layers(row) == 1
     cameras = "One camera" if len(frame.images) == 1 else f"{len(frame.images)} cameras"
     yield f"<h2>One instant, {cameras.lower()}</h2>"
     yield (
-        f'<p class="dim">{escape(one["scene_id"])}, {utc(frame.timestamp_ns)} UTC, {escape(one["light"])}, '
-        f"{escape(one['weather'])}, {escape(one['vehicle_type'])}; "
-        f"frame {frame.frame_index} of {escape(one['traversal_id'])}</p>"
+        f'<p class="dim">{escape(row["scene_id"])}, {utc(frame.timestamp_ns)} UTC, {escape(row["light"])}, '
+        f"{escape(row['weather'])}, {escape(row['vehicle_type'])}; "
+        f"frame {frame.frame_index} of {escape(row['traversal_id'])}</p>"
     )
     if boxes:
         yield '<input type="checkbox" id="boxes" checked><label for="boxes">3D boxes</label>'
@@ -135,20 +135,20 @@ def _instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Itera
     yield rig_images(frame, boxes=boxes, width_px=_LARGE_PX)
 
 
-def _places(
+def _format_places(
     dataset: Dataset, scenes: Sequence[Mapping[str, Any]], traversals: Sequence[Mapping[str, Any]]
 ) -> Iterable[str]:
-    """One place of each scene in every traversal that passes it."""
-    shown = []
+    """Show one place of each scene in every traversal that passes it."""
+    parts = []
     for scene in scenes:
-        own = [one for one in traversals if one["scene_id"] == scene["scene_id"]]
+        own = [row for row in traversals if row["scene_id"] == scene["scene_id"]]
         passages = same_place(dataset, own)
         if len(passages) > 1:
-            shown.append(f"<h3>{escape(_scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
-    if shown:
+            parts.append(f"<h3>{escape(_scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
+    if parts:
         yield "<h2>One place, every traversal</h2>"
         yield '<p class="dim">The same view in every traversal that passes a place; times are UTC.</p>'
-        yield from shown
+        yield from parts
 
 
 def _scene_name(scene: Mapping[str, Any]) -> str:
@@ -157,58 +157,58 @@ def _scene_name(scene: Mapping[str, Any]) -> str:
 
 
 def map_legend(lights: Iterable[str]) -> str:
-    """HTML of the map's legend: a swatch for each light."""
+    """Format the map's legend: a swatch for each light."""
     known = [light for light in _LIGHTS if light in lights]
-    named = [*known, *sorted(set(lights) - set(known))]
-    entries = [f'<span><i class="swatch {escape(light)}"></i>{escape(light)}</span>' for light in named]
+    ordered = [*known, *sorted(set(lights) - set(known))]
+    entries = [f'<span><i class="swatch {escape(light)}"></i>{escape(light)}</span>' for light in ordered]
     return (
         f'<p class="key">{"".join(entries)}<span>● entry</span><span>▶ exit</span><span>┄ region of interest</span></p>'
     )
 
 
-def _map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
+def _draw_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
-    for one in traversals:
-        if one["scene_id"] != scene["scene_id"]:
+    for row in traversals:
+        if row["scene_id"] != scene["scene_id"]:
             continue
-        poses = dataset.where(traversal=one["traversal_id"]).table("ego_poses", ["timestamp_ns", "tx_m", "ty_m"])
+        poses = dataset.where(traversal=row["traversal_id"]).table("ego_poses", ["timestamp_ns", "tx_m", "ty_m"])
         stamps, x, y = (poses.column(name).to_numpy() for name in ("timestamp_ns", "tx_m", "ty_m"))
-        inside = np.flatnonzero((stamps >= one["entry_ns"]) & (stamps <= one["exit_ns"]))
+        inside = np.flatnonzero((stamps >= row["entry_ns"]) & (stamps <= row["exit_ns"]))
         inside = inside[:: max(1, len(inside) // _MAP_POINTS)]
-        about = f"{one['traversal_id']}: {one['light']}, {one['weather']}, {one['duration_s']:.0f} s"
-        lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], one["light"], about))
+        about = f"{row['traversal_id']}: {row['light']}, {row['weather']}, {row['duration_s']:.0f} s"
+        lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], row["light"], about))
     return scene_map(
         f"{_scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines, north=scene["frame"] is None
     )
 
 
-def _charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+def _draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     by_condition: dict[str, dict[str, float]] = {light: {} for light in _LIGHTS}
-    for one in traversals:
-        row = by_condition.setdefault(one["light"], {})
-        row[one["weather"]] = row.get(one["weather"], 0) + 1
-    weather = [name for name in (*_WEATHER, "unknown") if any(name in row for row in by_condition.values())]
+    for row in traversals:
+        counts = by_condition.setdefault(row["light"], {})
+        counts[row["weather"]] = counts.get(row["weather"], 0) + 1
+    weather = [name for name in (*_WEATHER, "unknown") if any(name in counts for counts in by_condition.values())]
     yield stacked_bars("Traversals by light and weather", by_condition, weather)
-    categories = _counted(dataset, "boxes", "category")
+    categories = _count_values(dataset, "boxes", "category")
     if categories:
         yield bars("Boxes by category", dict(categories.most_common(12)))
-    speeds = Counter(int(one["mean_speed_mps"] // 2) * 2 for one in traversals)
+    speeds = Counter(int(row["mean_speed_mps"] // 2) * 2 for row in traversals)
     if speeds:
         steps = range(min(speeds), max(speeds) + 2, 2)
         yield bars("Traversals by mean speed", {f"{step} to {step + 2} m/s": speeds[step] for step in steps})
-    yield bars("Traversals by vehicle type", dict(sorted(Counter(one["vehicle_type"] for one in traversals).items())))
-    images = _counted(dataset, "images", "camera")
+    yield bars("Traversals by vehicle type", dict(sorted(Counter(row["vehicle_type"] for row in traversals).items())))
+    images = _count_values(dataset, "images", "camera")
     if images:
         yield bars("Images by camera", {camera: images[camera] for camera in dataset.cameras()})
 
 
-def _counted(dataset: Dataset, table: str, column: str) -> Counter[str]:
+def _count_values(dataset: Dataset, table: str, column: str) -> Counter[str]:
     counts = pc.value_counts(dataset.table(table, [column]).column(column).cast(pa.string())).to_pylist()
     return Counter({entry["values"]: entry["counts"] for entry in counts})
 
 
-def _splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+def _format_splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     names = [name for name in dataset.store.list_files("splits") if name.endswith(".json")]
     if names:
         yield "<h2>Splits</h2>"
@@ -216,20 +216,20 @@ def _splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterab
         yield split_table(dataset.store.json(f"splits/{name}", SplitDocument), traversals)
 
 
-def _rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """All cameras of one frame for every condition that there is, folded away."""
-    shown: dict[tuple[str, str], Mapping[str, Any]] = {}
-    for one in traversals:
-        if one["frames"]:
-            shown.setdefault((one["light"], one["weather"]), one)
-    if not shown:
+def _format_rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Show all cameras of one frame for every condition, folded up."""
+    by_condition: dict[tuple[str, str], Mapping[str, Any]] = {}
+    for row in traversals:
+        if row["frames"]:
+            by_condition.setdefault((row["light"], row["weather"]), row)
+    if not by_condition:
         return
     yield "<h2>All cameras in every condition</h2>"
-    for light, weather in sorted(shown, key=lambda key: condition_order(*key)):
-        one = shown[light, weather]
-        frame = middle_frame(dataset, one["traversal_id"])
+    for light, weather in sorted(by_condition, key=lambda key: condition_order(*key)):
+        row = by_condition[light, weather]
+        frame = middle_frame(dataset, row["traversal_id"])
         yield (
             f'<details><summary><i class="dot {escape(light)}"></i>{escape(light)}, {escape(weather)} '
-            f'<span class="dim">{escape(one["scene_id"])}, {utc(frame.timestamp_ns)} UTC</span></summary>'
+            f'<span class="dim">{escape(row["scene_id"])}, {utc(frame.timestamp_ns)} UTC</span></summary>'
             f"{rig_images(frame, boxes=False, width_px=_SMALL_PX)}</details>"
         )

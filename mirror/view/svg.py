@@ -1,4 +1,4 @@
-"""Charts and maps as inline SVG: no script, no network, colours by CSS classes so that dark mode applies."""
+"""Charts and maps as inline SVG, without scripts or network access; CSS classes colour them, also in dark mode."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 20, 7, 104, 190,
 
 
 def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> str:
-    """A horizontal bar chart, one bar a label in the given order."""
+    """Draw a horizontal bar chart with one bar for each label, in the given order."""
     top = max(values.values(), default=0.0) or 1.0
     height = len(values) * (_BAR_HEIGHT + _BAR_GAP)
     width = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH
@@ -33,36 +33,36 @@ def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int
 
 
 def stacked_bars(title: str, rows: Mapping[str, Mapping[str, float]], parts: Sequence[str]) -> str:
-    """A horizontal bar chart whose bars are divided, with a legend of the parts.
+    """Draw a horizontal bar chart with divided bars, and a legend of the parts.
 
     Args:
-        title: of the chart.
-        rows: label of each bar -> value of each part.
-        parts: the parts, in order.
+        title: title of the chart.
+        rows: the values of the parts of each bar, by the bar's label.
+        parts: the parts, in their order.
     """
     top = max((sum(row.values()) for row in rows.values()), default=0.0) or 1.0
-    step, drawn = _BAR_HEIGHT + _BAR_GAP, []
+    step, elements = _BAR_HEIGHT + _BAR_GAP, []
     for number, (label, row) in enumerate(rows.items()):
         y, x = number * step, float(_LABEL_WIDTH)
         middle = y + _BAR_HEIGHT * 0.7
-        drawn.append(f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>')
+        elements.append(f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>')
         for part in parts:
             width = _BAR_WIDTH * row.get(part, 0.0) / top
             if width > 0.0:
-                drawn.append(
+                elements.append(
                     f'<rect x="{x:.1f}" y="{y}" width="{max(width - 1.5, 0.5):.1f}" height="{_BAR_HEIGHT}" rx="3"'
                     f' class="part {_css(part)}"><title>{escape(part)}: {row[part]:g}</title></rect>'
                 )
             x += width
-        drawn.append(f'<text x="{x + 6:.1f}" y="{middle:.1f}">{sum(row.values()):g}</text>')
+        elements.append(f'<text x="{x + 6:.1f}" y="{middle:.1f}">{sum(row.values()):g}</text>')
     x = float(_LABEL_WIDTH)
     for part in parts:
         y = len(rows) * step + 6
-        drawn.append(f'<rect x="{x:.1f}" y="{y}" width="12" height="12" rx="3" class="part {_css(part)}"/>')
-        drawn.append(f'<text x="{x + 17:.1f}" y="{y + 10.5}">{escape(part)}</text>')
+        elements.append(f'<rect x="{x:.1f}" y="{y}" width="12" height="12" rx="3" class="part {_css(part)}"/>')
+        elements.append(f'<text x="{x + 17:.1f}" y="{y + 10.5}">{escape(part)}</text>')
         x += 38 + 7.5 * len(part)
     width, height = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH, len(rows) * step + 24
-    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(drawn)}</svg>'
+    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(elements)}</svg>'
     return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
 
 
@@ -72,9 +72,9 @@ class Line:
 
     Attributes:
         x_m: (N,) east of the scene's centre.
-        y_m: (N,) north of it.
-        kind: CSS class that colours it.
-        title: what a pointer on it shows.
+        y_m: (N,) north of the scene's centre.
+        kind: CSS class that colours the line.
+        title: text under the mouse pointer.
     """
 
     x_m: Float64
@@ -84,11 +84,10 @@ class Line:
 
 
 def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool) -> str:
-    """A scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
+    """Draw a scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
 
-    Up is ``north`` unless the scene's frame is local.
-
-    Later lines are thinner, so that those which share a lane stay visible below each other.
+    With ``north``, an arrow states that up is north; a local frame has no north. Later lines are thinner, so that lines
+    in the same lane stay visible.
     """
     reach = radius_m * 1.12
     parts = [f'<circle cx="0" cy="0" r="{radius_m:.1f}" class="roi"/>']
@@ -98,9 +97,9 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool
         width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
         points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
         tip = _arrow(line, radius_m * 0.04)
-        drawn = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
+        polyline = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
         parts.append(
-            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title>{drawn}'
+            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title>{polyline}'
             f'<circle cx="{line.x_m[0]:.1f}" cy="{-line.y_m[0]:.1f}" r="{radius_m * 0.02:.1f}" class="entry"/>{tip}</g>'
         )
     bar = _scale_bar(radius_m)
@@ -123,12 +122,12 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool
 
 
 def _cross(size: float) -> str:
-    """The centre of the scene."""
+    """Draw the centre of the scene."""
     return f'<path class="centre" d="M {-size:.1f} 0 H {size:.1f} M 0 {-size:.1f} V {size:.1f}"/>'
 
 
 def _arrow(line: Line, size: float) -> str:
-    """A triangle at the end of a line, along its last motion."""
+    """Draw a triangle at the end of a line, along its last motion."""
     x, y = float(line.x_m[-1]), float(line.y_m[-1])
     for px, py in zip(line.x_m[::-1], line.y_m[::-1]):
         if math.hypot(x - px, y - py) > 1.0:
@@ -141,7 +140,7 @@ def _arrow(line: Line, size: float) -> str:
 
 
 def _scale_bar(radius_m: float) -> int:
-    """A round length of about a third of the radius."""
+    """Choose a round length of about a third of the radius."""
     power = 10 ** math.floor(math.log10(max(radius_m / 2, 1.0)))
     return int(max(step * power for step in (1, 2, 5) if step * power <= max(radius_m / 2, 1.0)))
 

@@ -1,4 +1,4 @@
-"""Tables on a page: traversals, splits and the ledger."""
+"""Tables of the report: traversals, splits and the ledger."""
 
 from __future__ import annotations
 
@@ -10,48 +10,48 @@ from mirror.html import html_table
 from mirror.schema.documents import SplitDocument
 from mirror.view.images import utc
 
-_ROWS: Final = 200
+_MAX_ROWS: Final = 200
 _RULES: Final = {
-    "min_duration": ("inside too briefly", "s"),
-    "min_path": ("driven too little", "m"),
-    "min_overlap": ("too much of the way outside", ""),
+    "min_duration": ("time inside too short", "s"),
+    "min_path": ("path inside too short", "m"),
+    "min_overlap": ("too much of the path outside", ""),
 }
 
 
 def traversal_table(traversals: Sequence[Mapping[str, Any]]) -> str:
-    """One row a traversal."""
+    """Format the table of traversals."""
     head = ["scene", "entry (UTC)", "light", "weather", "vehicle", "n:duration", "n:path", "n:mean speed", "n:images"]
     rows = [
         (
-            escape(one["scene_id"]),
-            utc(one["entry_ns"]),
-            f'<i class="dot {escape(one["light"])}"></i>{escape(one["light"])}',
-            escape(one["weather"]),
-            f"{escape(one['vehicle_id'])} ({escape(one['vehicle_type'])})",
-            f"{one['duration_s']:.1f} s",
-            f"{one['path_m']:.0f} m",
-            f"{one['mean_speed_mps']:.1f} m/s",
-            f"{one['images']:,}" if one["has_images"] else "poses only",
+            escape(row["scene_id"]),
+            utc(row["entry_ns"]),
+            f'<i class="dot {escape(row["light"])}"></i>{escape(row["light"])}',
+            escape(row["weather"]),
+            f"{escape(row['vehicle_id'])} ({escape(row['vehicle_type'])})",
+            f"{row['duration_s']:.1f} s",
+            f"{row['path_m']:.0f} m",
+            f"{row['mean_speed_mps']:.1f} m/s",
+            f"{row['images']:,}" if row["has_images"] else "poses only",
         )
-        for one in traversals
+        for row in traversals
     ]
     return html_table(head, rows)
 
 
 def split_table(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]) -> str:
-    """Each scene's traversals as chips that carry their roles."""
+    """Format the traversals of each scene with their roles in a split."""
     parameters = split.parameters.model_dump(exclude_none=True)
     words = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in parameters.items())
     rows = []
-    for scene in dict.fromkeys(one["scene_id"] for one in traversals):
+    for scene in dict.fromkeys(row["scene_id"] for row in traversals):
         chips = []
-        for one in traversals:
-            if one["scene_id"] == scene:
-                role = str(split.assignments.get(one["traversal_id"], "unknown"))
-                why = split.left_out.get(one["traversal_id"], one["traversal_id"])
-                about = f"{role.replace('_', ' ')} <small>{one['light']}, {one['weather']}</small>"
+        for row in traversals:
+            if row["scene_id"] == scene:
+                role = str(split.assignments.get(row["traversal_id"], "unknown"))
+                why = split.left_out.get(row["traversal_id"], row["traversal_id"])
+                about = f"{role.replace('_', ' ')} <small>{row['light']}, {row['weather']}</small>"
                 chips.append(
-                    f'<span class="chip {role}" title="{escape(why)}"><i class="dot {one["light"]}"></i>{about}</span>'
+                    f'<span class="chip {role}" title="{escape(why)}"><i class="dot {row["light"]}"></i>{about}</span>'
                 )
         rows.append((escape(scene), f'<div class="chips">{"".join(chips)}</div>'))
     note = f'<p class="dim">{escape(words)}, seed {split.seed}; frozen: traversals that come later change nothing.</p>'
@@ -59,35 +59,33 @@ def split_table(split: SplitDocument, traversals: Sequence[Mapping[str, Any]]) -
 
 
 def ledger(passes: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Every refused pass with the rule that refused it, in words."""
-    refused = [one for one in passes if one["decision"] == "refused"]
+    """Format the refused passes, each with the rule that refused it."""
+    refused = [row for row in passes if row["decision"] == "refused"]
     yield (
         f"<p>{len(passes)} passes of a vehicle through a region of interest: {len(passes) - len(refused)} became "
         f"traversals, {len(refused)} did not.</p>"
     )
     if not refused:
         return
-    head = (
-        "scene,drive,entry (UTC),refused because,n:measured,n:asked for,n:duration,n:path,n:overlap,began and ended by"
-    )
+    head = "scene,drive,entry (UTC),refused because,n:measured,n:required,n:duration,n:path,n:overlap,start and end"
     rows = []
-    for one in refused[:_ROWS]:
-        words, unit = _RULES[one["rule"]]
-        part = " (part of a split pass)" if one["split"] else ""
+    for row in refused[:_MAX_ROWS]:
+        words, unit = _RULES[row["rule"]]
+        part = " (part of a split pass)" if row["split"] else ""
         rows.append(
             (
-                escape(one["scene_id"]),
-                escape(one["drive_id"]),
-                utc(one["entry_ns"]),
-                f"{words}{part} <small>{one['rule']}</small>",
-                f"{one['measured']:.3g} {unit}",
-                f"{one['threshold']:g} {unit}",
-                f"{one['duration_s']:.1f} s",
-                f"{one['path_m']:.1f} m",
-                f"{100 * one['overlap']:.1f} %",
-                f"{escape(one['entry_kind'].replace('_', ' '))}, {escape(one['exit_kind'].replace('_', ' '))}",
+                escape(row["scene_id"]),
+                escape(row["drive_id"]),
+                utc(row["entry_ns"]),
+                f"{words}{part} <small>{row['rule']}</small>",
+                f"{row['measured']:.3g} {unit}",
+                f"{row['threshold']:g} {unit}",
+                f"{row['duration_s']:.1f} s",
+                f"{row['path_m']:.1f} m",
+                f"{100 * row['overlap']:.1f} %",
+                f"{escape(row['entry_kind'].replace('_', ' '))}, {escape(row['exit_kind'].replace('_', ' '))}",
             )
         )
     yield html_table(head.split(","), rows)
-    if len(refused) > _ROWS:
-        yield f'<p class="dim">The first {_ROWS} of {len(refused)}; all are in index/passes.parquet.</p>'
+    if len(refused) > _MAX_ROWS:
+        yield f'<p class="dim">The first {_MAX_ROWS} of {len(refused)}; all are in index/passes.parquet.</p>'

@@ -299,7 +299,7 @@ def test_an_empty_dataset_has_an_index(tmp_path: Path) -> None:
     assert dataset.where(within=(0.0, 0.0, 100.0), light="day").table("images").num_rows == 0
 
 
-def test_poses_that_do_not_cover_a_image_are_named(tmp_path: Path) -> None:
+def test_poses_that_do_not_cover_an_image_are_named(tmp_path: Path) -> None:
     builder = Builder(tmp_path)
     builder.scene("a")
     late = Pass("a", frames=40)
@@ -348,7 +348,7 @@ def test_a_missing_table_is_named(tmp_path: Path) -> None:
         build_index(tmp_path)
 
 
-def test_a_image_table_in_another_order_gives_the_same_index(tmp_path: Path) -> None:
+def test_an_image_table_in_another_order_gives_the_same_index(tmp_path: Path) -> None:
     for name, flip in (("one", False), ("two", True)):
         builder = Builder(tmp_path / name)
         builder.scene("a")

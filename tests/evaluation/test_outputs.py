@@ -97,7 +97,7 @@ def test_plots_and_sites_are_replaced(root: Path, tmp_path: Path, capsys: pytest
         )
     capsys.readouterr()
     assert main(["stats", str(root), "--plots", str(tmp_path / "stats")]) == 2
-    assert "it holds b.txt, which is no such plot" in capsys.readouterr().err
+    assert "it holds b.txt, which is not a plot of this command" in capsys.readouterr().err
 
 
 def test_interrupted_commands_continue(

@@ -88,7 +88,7 @@ def test_a_missing_image_is_named(
 
 @pytest.mark.parametrize(("transfer", "hashing"), WAYS[1:])
 @pytest.mark.parametrize("broken", [b"", image(20)[:-3], b"GIF89a"], ids=["empty", "truncated", "another kind"])
-def test_a_image_that_is_read_must_be_whole(
+def test_an_image_that_is_read_must_be_whole(
     stream: FileStream, tmp_path: Path, transfer: Literal["link", "copy"], hashing: bool, broken: bytes
 ) -> None:
     stream.paths[20].write_bytes(broken)

@@ -1,4 +1,4 @@
-"""The report of a small synthetic dataset: whole, self-contained, and showing what the tables say."""
+"""The report of a small synthetic dataset: well-formed, self-contained, and equal to the tables."""
 
 import base64
 import re
@@ -80,7 +80,7 @@ def page(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Page:
     return Page(out.read_text())
 
 
-def test_the_page_is_well_formed_and_needs_nothing_else(page: Page) -> None:
+def test_page_is_well_formed_and_self_contained(page: Page) -> None:
     assert page.open == []
     assert page.count("script") == page.count("link") == page.count("iframe") == 0
     assert "A <title> & more" in page.text
@@ -101,7 +101,7 @@ def test_every_inlined_image_decodes(page: Page) -> None:
         assert cv2.imdecode(data, cv2.IMREAD_COLOR).shape in RASTERS
 
 
-def test_what_the_tables_say_is_on_the_page(page: Page, dataset: Dataset) -> None:
+def test_page_shows_the_rows_of_the_tables(page: Page, dataset: Dataset) -> None:
     for camera in CANONICAL_CAMERAS:
         assert camera in page.text
     for row in dataset.table("traversals").to_pylist():
@@ -110,7 +110,7 @@ def test_what_the_tables_say_is_on_the_page(page: Page, dataset: Dataset) -> Non
     refused = [row for row in dataset.passes().to_pylist() if row["decision"] == "refused"]
     assert len(refused) == 1
     assert refused[0]["rule"] == "min_duration"
-    assert "inside too briefly" in page.text
+    assert "time inside too short" in page.text
     assert f"{refused[0]['measured']:.3g} s" in page.text
     assert "held out" in page.text and "train" in page.text
     for (category,) in {(row["category"],) for row in dataset.table("boxes", ["category"]).to_pylist()}:
@@ -124,7 +124,7 @@ def test_charts_draw_the_counts(page: Page, dataset: Dataset) -> None:
     assert f"{dataset.count('boxes')}" in page.text.replace(",", "")
 
 
-def test_boxes_on_a_image_are_where_the_lens_puts_them(dataset: Dataset) -> None:
+def test_boxes_are_projected_through_the_lens(dataset: Dataset) -> None:
     frame = busiest_frame(dataset, dataset.traversals())
     assert set(frame.images) == set(CANONICAL_CAMERAS)
     html = rig_images(frame, boxes=True, width_px=640)
@@ -154,10 +154,10 @@ def far_first(boxes) -> np.ndarray:
     return np.argsort(-np.linalg.norm(boxes.pose.translation, axis=1))
 
 
-def test_one_place_is_the_same_place(dataset: Dataset) -> None:
+def test_passages_are_at_the_same_place(dataset: Dataset) -> None:
     passages = same_place(dataset, dataset.table("traversals").to_pylist())
     assert len(passages) == 2
-    assert sorted(one.onward for one in passages) == [False, True]
+    assert sorted(one.is_same_direction for one in passages) == [False, True]
     places = []
     for one in passages:
         frames = dataset.where(traversal=one.traversal["traversal_id"]).table("frames").to_pylist()
@@ -166,7 +166,7 @@ def test_one_place_is_the_same_place(dataset: Dataset) -> None:
     assert np.hypot(*np.subtract(*places)) < 12.0
 
 
-def test_a_dataset_without_images_or_traversals_has_a_report_too(recordings: list[Path], tmp_path: Path) -> None:
+def test_report_without_images_or_traversals(recordings: list[Path], tmp_path: Path) -> None:
     ingest_recordings(
         recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions()
     )
@@ -175,10 +175,10 @@ def test_a_dataset_without_images_or_traversals_has_a_report_too(recordings: lis
     assert page.open == []
     assert page.count("img") == 0
     assert "No traversal has images" in page.text
-    assert "inside too briefly" in page.text
+    assert "time inside too short" in page.text
 
 
-def test_tiles_say_what_stats_says(dataset: Dataset, recordings: list[Path], tmp_path: Path) -> None:
+def test_tiles_agree_with_the_statistics(dataset: Dataset, recordings: list[Path], tmp_path: Path) -> None:
     ingest_recordings(
         recordings[2:], read_rois(recordings[0].parent / "rois.geojson"), tmp_path / "bare", IngestOptions()
     )
@@ -202,14 +202,14 @@ def test_unknown_light_has_a_legend_entry() -> None:
     assert '<i class="swatch unknown"></i>unknown' in map_legend({"unknown", "day"})
 
 
-def test_categories_of_other_words_have_colours_of_their_own() -> None:
+def test_other_categories_have_different_colours() -> None:
     colours = category_colours(["car", "Car", "Truck", "Pedestrian"])
     assert len(set(colours.values())) == 4
     for colour in colours.values():
         assert f'class="swatch {colour}"' in legend(["car", "Car", "Truck", "Pedestrian"])
 
 
-def test_a_truncated_image_is_an_error(dataset: Dataset, tmp_path: Path) -> None:
+def test_truncated_image_is_an_error(dataset: Dataset, tmp_path: Path) -> None:
     root = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
     for file in root.glob("traversals/*/recorded/**/*.jpg"):
         file.write_bytes(file.read_bytes()[:400])

@@ -308,7 +308,7 @@ def _rig_cameras(view: SceneView) -> Iterator[Finding]:
     "CAM012",
     Severity.WARNING,
     title="A camera of the rig has no image in a traversal that has images of others.",
-    remedy="look for the camera's images in the recording, and `mirror ingest RECORDING... --replace`",
+    remedy="check the recording for the camera's images, then `mirror ingest RECORDING... --replace`",
 )
 def _silent_camera(view: SceneView) -> Iterator[Finding]:
     images = view.images

@@ -47,7 +47,7 @@ _GRADE = 0.35
     "GEO002",
     Severity.WARNING,
     title="The height jumps: from one pose to the next by over 2 m more than the steepest street climbs.",
-    remedy="smooth the height into a pose layer, or look for a change of geoid",
+    remedy="smooth the height into a pose layer, or check for a change of the geoid",
 )
 def _height_jump(view: SceneView) -> Iterator[Finding]:
     motion = view.motion

@@ -104,7 +104,7 @@ def _gap(view: SceneView) -> Iterator[Finding]:
     "POS006",
     Severity.WARNING,
     title="The vehicle jumps: faster from one pose to the next than cleaning allows (`max_speed_mps`).",
-    remedy="look at the fixes there; ingest again with a lower --max-speed-mps",
+    remedy="check the fixes at this place; ingest again with a lower --max-speed-mps",
 )
 def _speed(view: SceneView) -> Iterator[Finding]:
     if view.dataset.document is None:
@@ -130,7 +130,7 @@ _SPAN_S = 0.5
     "POS007",
     Severity.WARNING,
     title=("The velocity jumps: over half a second, more than cleaning's `max_acceleration_mps2` on the level."),
-    remedy="smooth the track into a pose layer, or look for a jump of the fix",
+    remedy="smooth the track into a pose layer, or check the fixes for a jump",
 )
 def _acceleration(view: SceneView) -> Iterator[Finding]:
     if view.dataset.document is None:
@@ -177,7 +177,7 @@ _LIMIT_DEGPS = 120.0
     "POS008",
     Severity.WARNING,
     title="The recorded orientation jumps: over a fifth of a second, faster than 120 degrees a second.",
-    remedy="look for a jump of the orientation there, and correct it in a pose layer",
+    remedy="find the jump of the orientation at this place, and correct it in a pose layer",
 )
 def _turn_rate(view: SceneView) -> Iterator[Finding]:
     poses = view.all_poses

@@ -121,7 +121,7 @@ _PERIODS = 1.5
     "TIM005",
     Severity.WARNING,
     title="A camera pauses: two of its images are more than one and a half of its periods apart.",
-    remedy="look for dropped images in the recording; loaders leave them out",
+    remedy="check the recording for dropped images; loaders leave them out",
 )
 def _camera_gap(view: SceneView) -> Iterator[Finding]:
     images = view.images

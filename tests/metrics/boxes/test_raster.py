@@ -111,7 +111,7 @@ def test_a_corner_that_is_not_finite_is_named(corner: float) -> None:
         polygon_mask(BOX, -1, 4)
 
 
-def test_areas_and_what_a_image_holds_of_them() -> None:
+def test_areas_and_what_an_image_holds_of_them() -> None:
     assert polygon_area(BOX * (3, 2)) == 6.0
     assert polygon_area(BOX[::-1] * (3, 2) + 1e8) == 6.0
     assert polygon_area([]) == polygon_area([[1.0, 2.0], [3.0, 4.0]]) == 0.0

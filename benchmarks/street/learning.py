@@ -77,13 +77,13 @@ def _adam() -> Row:
     )
 
     def run_lazy_adam(step: int) -> None:
-        rows, pulls = seen[step % _STEPS]
-        adam.begin_step(rows, {"codes": _RATE})["codes"].grad = pulls
+        rows, gradients = seen[step % _STEPS]
+        adam.begin_step(rows, {"codes": _RATE})["codes"].grad = gradients
         adam.end_step()
 
     def all_rows(table: _Table, optimiser: torch.optim.Adam, step: int) -> None:
-        rows, pulls = seen[step % _STEPS]
-        table.codes.grad = torch.zeros_like(table.codes).index_copy_(0, rows, pulls.to(table.codes.dtype))
+        rows, gradients = seen[step % _STEPS]
+        table.codes.grad = torch.zeros_like(table.codes).index_copy_(0, rows, gradients.to(table.codes.dtype))
         optimiser.step()
 
     for step in range(_STEPS):

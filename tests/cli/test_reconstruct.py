@@ -323,7 +323,7 @@ def test_blocks_are_shared_out(
     assert "no block block_9" in problem["problem"] and first in problem["expected"]
 
 
-def test_layers_that_may_know_the_held_out_pictures_are_not_taken_unasked(
+def test_layers_from_held_out_images_are_not_used_by_default(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
@@ -400,7 +400,7 @@ def test_a_model_is_not_tested_by_what_it_was_trained_on(
     assert not (tmp_path / "out").exists() and not (tmp_path / "street.ply").exists()
 
 
-def test_a_held_out_picture_that_is_gone_is_not_needed_to_train(
+def test_missing_held_out_image_does_not_stop_training(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held_out = dataset.where(split="novel", role="held_out")
@@ -531,7 +531,7 @@ def test_what_is_done_is_done_on_a_machine_with_other_processors(
     assert "threads 1, now 2" in refused["problem"] and "--threads 1" in refused["remedy"]
 
 
-def test_the_test_is_not_what_was_trained_on_where_a_protocol_asks_for_training_pictures_alone(
+def test_held_out_frames_of_training_traversals_are_not_trained_on(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     alone = tmp_path / "alone.toml"
@@ -552,7 +552,7 @@ def test_the_test_is_not_what_was_trained_on_where_a_protocol_asks_for_training_
     assert "nothing to fit" in fit["problem"]
 
 
-def test_a_protocol_of_distorted_pictures_is_refused_before_layers_are_made(
+def test_protocol_with_distorted_images_is_refused_before_layers_are_made(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def distorted(*asked: Any) -> Plan:
@@ -670,9 +670,9 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
     monkeypatch.setattr("hybridworldsim.methods.scene_preparation.divide", lambda driven, size_m: divide(driven, 16.0))
     usual, masked = TrainingImageCache.__call__, set[str]()
 
-    def covered(pictures: TrainingImageCache, view: RenderView) -> TrainingImage:
-        picture = usual(pictures, view)
-        return replace(picture, scored=torch.zeros_like(picture.scored)) if view.path in masked else picture
+    def covered(images: TrainingImageCache, view: RenderView) -> TrainingImage:
+        image = usual(images, view)
+        return replace(image, scored=torch.zeros_like(image.scored)) if view.path in masked else image
 
     first = said(capsys, *reconstruct(dataset, tmp_path / "whole", "--steps", 2))["blocks"]
     gone = json.loads((tmp_path / "whole" / first[0] / "run.json").read_text())

@@ -22,7 +22,7 @@ FACE = (20, 10, 36, 30)
 """A mark in every image of `front_wide`: left, top, right, bottom; with that of `rear`, the truth of the dataset."""
 PLATE = (60, 40, 90, 50)
 _MODULE = '''
-"""Detectors of marks: pure red is a face, pure blue a plate; pure green crashes or hangs a detector that is told to."""
+"""Detectors of marks: pure red is a face, pure blue a plate; pure green crashes or hangs a detector if so set."""
 import os, time
 from pathlib import Path
 import numpy as np

@@ -84,8 +84,8 @@ def test_trace_keeps_the_given_offset_to_the_right() -> None:
     st.floats(-5.0, 5.0),
     st.floats(-20.0, 20.0),
 )
-def test_schedule_passes_its_knots_smoothly(pulls, begin, start) -> None:
-    speed = np.abs(np.cumsum(np.array(pulls) - 1.2)) * 0.1
+def test_schedule_passes_its_knots_smoothly(accelerations, begin, start) -> None:
+    speed = np.abs(np.cumsum(np.array(accelerations) - 1.2)) * 0.1
     along = start + np.concatenate([[0.0], np.cumsum(0.05 * (speed[1:] + speed[:-1]))])
     schedule = Schedule(begin, 0.1, along, speed)
     at, pace = schedule.at(begin + 0.1 * np.arange(len(speed)))

@@ -23,7 +23,7 @@ def merge_stationary(tracks: Mapping[str, Sequence[Track]]) -> dict[str, list[Tr
 
     Objects agree if they are of one group, at most 0.6 m and three standard deviations apart (with 0.1 m for the poses
     of a drive), and of sizes within 20 %. A group of them has at most one object of each traversal. Objects that move
-    are not changed. Another vehicle that parks at exactly the same place later is not told apart.
+    are not changed. Another vehicle that parks at exactly the same place later is not distinguished.
 
     Args:
         tracks: tracks in the world frame of one scene, by traversal.

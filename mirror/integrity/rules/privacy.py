@@ -74,13 +74,13 @@ def _stale(view: SceneView) -> Iterator[Finding]:
 )
 def _metadata(view: SceneView) -> Iterator[Finding]:
     images, store = view.all_images, view.dataset.store
-    codes, words = images.words("privacy")
+    codes, words = images.text_codes("privacy")
     redacted = np.isin(codes, [code for code, word in enumerate(words) if word == "redacted"])
     bad = np.zeros(len(images), np.bool_)
     held: dict[int, str] = {}
     for row in np.flatnonzero(redacted).tolist():
-        uri = str(images.word("uri", row))
-        place = None if leaves_dataset(uri) or images.word("codec", row) == "video" else store.resolve(uri)
+        uri = str(images.text("uri", row))
+        place = None if leaves_dataset(uri) or images.text("codec", row) == "video" else store.resolve(uri)
         if not isinstance(place, Path) or not place.is_file():
             continue
         try:
@@ -89,7 +89,7 @@ def _metadata(view: SceneView) -> Iterator[Finding]:
             # The rules of IMG name the fault.
             continue
         bad[row], held[row] = bool(found), ", ".join(found)
-    yield from images.findings(bad, lambda row: f"{images.word('uri', row)} holds {held[row]}")
+    yield from images.findings(bad, lambda row: f"{images.text('uri', row)} holds {held[row]}")
 
 
 @scene_rule(

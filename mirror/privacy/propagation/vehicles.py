@@ -15,7 +15,7 @@ from mirror.privacy.regions import Region, region_at
 VEHICLES: Final = frozenset(
     ("car", "van", "truck", "bus", "trailer", "vehicle", "motorcycle", "construction_vehicle", "pickup", "taxi")
 )
-"""Categories of boxes that carry number plates; others are told apart by their words."""
+"""Categories of boxes that carry number plates; other categories are recognised by their words."""
 SOURCE: Final = "vehicle_boxes"
 _HALF_WIDTH_M: Final = 0.28
 _LOW_M, _HIGH_M = 0.42, 0.95

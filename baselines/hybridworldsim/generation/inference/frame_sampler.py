@@ -22,7 +22,7 @@ class SamplerSettings:
         steps: number of steps.
         shift: shift of the noise levels; see `noise_levels`.
         guidance: scale of classifier-free guidance; 1: none.
-        context_noise: noise level of the references, which hides errors that add up over a rollout; the network is told
+        context_noise: noise level of the references, which hides errors that add up over a rollout; the network gets
             the level. 0: the references are used as they are.
         cache: whether a causal network encodes the references once for all steps.
     """

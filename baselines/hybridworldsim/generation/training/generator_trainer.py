@@ -35,7 +35,7 @@ class GeneratorSettings:
         learning_rate: highest rate; it falls in proportion to the remaining steps.
         warmup: steps in which the rate rises.
         weight_decay: of AdamW.
-        context_noise: highest noise level of the references, drawn evenly for each window; the network is told it.
+        context_noise: highest noise level of the references, drawn evenly for each window; the network is given it.
         drop_layout: share of windows without layout, for guidance.
         ema: highest decay of the averaged parameters; in step n it is ``min(ema, (1 + n) / (10 + n))``.
         precision: ``bf16``: the network computes in bfloat16, with parameters in float32.

@@ -193,7 +193,7 @@ def _overlapping_validity(broken: Broken) -> None:
 
 
 def _jump(broken: Broken) -> None:
-    def change(rows: Rows) -> Rows:
+    def change(rows: TableRows) -> TableRows:
         until, after = {**rows[0], "valid_to_ns": EPOCH}, {**rows[0], "valid_from_ns": EPOCH}
         return [until, {**after, "tx_m": rows[0]["tx_m"] + 0.1}, *rows[1:]]
 

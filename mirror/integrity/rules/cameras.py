@@ -331,16 +331,16 @@ _JUMP_M = 0.05
     "CAM013",
     Severity.WARNING,
     title="A camera's mounting jumps between two consecutive validity intervals, by over 0.3 degrees or 5 cm.",
-    remedy="look for an impact or a repair at that time; compare the stages with `mirror calibrate check DATASET`",
+    remedy="check for an impact or a repair at that time; compare the stages with `mirror calibrate check DATASET`",
 )
 def _jump(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
     mounted = Motion(rows)
     usable = mounted.unit & np.isfinite(mounted.position).all(axis=1)
-    start = np.where(rows.known("valid_from_ns"), rows.integers("valid_from_ns"), _MIN)
-    order = np.lexsort((start, rows.words("stage")[0], rows.words("camera")[0], rows.owner))
+    start = np.where(rows.is_known("valid_from_ns"), rows.integers("valid_from_ns"), _MIN)
+    order = np.lexsort((start, rows.text_codes("stage")[0], rows.text_codes("camera")[0], rows.owner))
     same = usable[order[1:]] & usable[order[:-1]] & (start[order[1:]] > start[order[:-1]])
-    for codes in (rows.owner, rows.words("camera")[0], rows.words("stage")[0]):
+    for codes in (rows.owner, rows.text_codes("camera")[0], rows.text_codes("stage")[0]):
         same &= codes[order[1:]] == codes[order[:-1]]
     later, earlier = order[1:][same], order[:-1][same]
     angle, distance = np.zeros(len(rows)), np.zeros(len(rows))
@@ -359,11 +359,11 @@ def _jump(view: SceneView) -> Iterator[Finding]:
 @scene_rule(
     "CAM014",
     Severity.WARNING,
-    title="A refined calibration has no covariance: nobody can tell how far to trust it.",
+    title="A refined calibration has no covariance: its uncertainty is unknown.",
     remedy="refine it with a method that states its uncertainty",
 )
 def _refined_without_covariance(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
-    codes, words = rows.words("stage")
+    codes, words = rows.text_codes("stage")
     refined = np.isin(codes, [code for code, word in enumerate(words) if word == "refined"])
-    yield from rows.findings(refined & ~rows.known("covariance"), lambda row: "no covariance")
+    yield from rows.findings(refined & ~rows.is_known("covariance"), lambda row: "no covariance")

@@ -13,7 +13,7 @@ from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
 
-from .test_projection import Inputs, cloud, distance, gradients, leaves, options
+from .test_projection import Inputs, distance, gradients, leaves, options, random_gaussians
 
 K = torch.tensor([[300.0, 0.0, 315.0], [0.0, 310.0, 245.0], [0.0, 0.0, 1.0]])
 WIDTH, HEIGHT = 640, 480
@@ -40,7 +40,7 @@ def through(project: Any, inputs: Inputs, lens: Lens, **how: Any) -> ProjectedGa
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.parametrize("aspect", [1.0, 30.0])
 def test_kernels_give_what_the_reference_gives(name: str, aspect: float) -> None:
-    inputs, same = leaves(cloud(3000, aspect=aspect)), leaves(cloud(3000, aspect=aspect))
+    inputs, same = leaves(random_gaussians(3000, aspect=aspect)), leaves(random_gaussians(3000, aspect=aspect))
     ours, truth = through(compiled, inputs, LENSES[name]), through(reference, same, LENSES[name])
     assert len(truth.ids) > 300
     assert torch.equal(ours.ids, truth.ids)
@@ -56,7 +56,7 @@ def test_kernels_give_what_the_reference_gives(name: str, aspect: float) -> None
 
 
 def test_a_lens_that_bends_nothing_is_the_limit_of_a_pinhole() -> None:
-    inputs = cloud(3000)
+    inputs = random_gaussians(3000)
     small = (*inputs[:2], 1e-3 * inputs[2], *inputs[3:])
     means, quats, scales, opacities, viewmat = small
     shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
@@ -68,7 +68,7 @@ def test_a_lens_that_bends_nothing_is_the_limit_of_a_pinhole() -> None:
 
 @pytest.mark.parametrize("name", ["everything", "fisheye"])
 def test_points_on_the_axis_beside_it_and_behind_the_camera(name: str) -> None:
-    inputs = leaves(cloud(400))
+    inputs = leaves(random_gaussians(400))
     with torch.no_grad():
         inputs[4].copy_(torch.eye(4))
         inputs[0][:100] *= torch.tensor([0.0, 0.0, 1.0])
@@ -89,7 +89,7 @@ def test_points_on_the_axis_beside_it_and_behind_the_camera(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["everything", "fisheye"])
 def test_quaternions_of_zero_and_extreme_shapes_are_no_nan(name: str) -> None:
-    inputs = leaves(cloud(400))
+    inputs = leaves(random_gaussians(400))
     with torch.no_grad():
         inputs[1][:100] = 0.0
         inputs[2][100:200] = torch.logspace(-30, 30, 100)[:, None]
@@ -110,7 +110,7 @@ def test_bits_do_not_depend_on_the_number_of_threads() -> None:
     try:
         for number in (1, 3):
             torch.set_num_threads(number)
-            inputs = leaves(cloud(40_000))
+            inputs = leaves(random_gaussians(40_000))
             ours = through(compiled, inputs, LENSES["fisheye"])
             tensors = [tensor for tensor in ours if isinstance(tensor, Tensor)]
             results.append([tensor.detach().numpy().tobytes() for tensor in (*tensors, *gradients(ours, inputs))])

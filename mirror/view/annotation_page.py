@@ -9,7 +9,7 @@ from pathlib import Path
 from mirror.dataset.dataset import Dataset
 from mirror.html import style_sheet
 from mirror.schema.files import write_bytes
-from mirror.view.pictures import legend, rig_pictures
+from mirror.view.images import legend, rig_images
 
 
 def write_annotation_page(
@@ -36,7 +36,7 @@ def write_annotation_page(
         for frame in frames[:1]:
             categories |= set(frame.boxes().category)
             head = f"<h2>{escape(traversal_id)}, frame {frame.frame_index}</h2><p>{escape(caption)}</p>"
-            sections.append(head + rig_pictures(frame, boxes=True, width_px=width_px))
+            sections.append(head + rig_images(frame, boxes=True, width_px=width_px))
     write_bytes(out, _page(title, sections, sorted(categories)).encode())
     return len(sections)
 

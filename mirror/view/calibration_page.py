@@ -230,7 +230,7 @@ def _validity(check: CalibrationCheck) -> str:
 
     for number, ((vehicle, camera, stage), own) in enumerate(lines.items()):
         y = 14 * number + 4
-        drawn.append(f'<text x="0" y="{y + 9}">{escape(f"{vehicle[-8:]} {camera} {stage}")}</text>')
+        drawn.append(f'<text x="0" y="{y + 9}">{escape(f"{vehicle[-12:]} {camera} {stage}")}</text>')
         for row in own:
             start, end = place(row["valid_from_ns"], 180.0), place(row["valid_to_ns"], float(_WIDTH))
             drawn.append(

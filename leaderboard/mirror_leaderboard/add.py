@@ -13,15 +13,18 @@ from mirror.errors import DatasetError
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
+from mirror.progress import ProgressReporter
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror_leaderboard.entry import ALL, IMAGE_FOLDER, Figure, Link, Measured, entry_key, load_entries
-from mirror_leaderboard.images import ImageSources, copy_pairs
+from mirror_leaderboard.entry import ALL, IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
+from mirror_leaderboard.images import copy_pairs
 from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
+from mirror_leaderboard.rescore import Sources, require_plan, rescore
 
 _MAX_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
@@ -33,7 +36,13 @@ _RUNTIME_GROUPS: Final = ("reported", "measured")
 
 
 def add_result(
-    path: Path, board: Path, dataset: str, *, setting: str | None = None, images: ImageSources | None = None
+    path: Path,
+    board: Path,
+    dataset: str,
+    *,
+    setting: str | None = None,
+    sources: Sources | None = None,
+    progress: ProgressReporter | None = None,
 ) -> Path:
     """Validate a result and write its entry.
 
@@ -42,7 +51,10 @@ def add_result(
         board: folder of the board, with its entries and images; created if it does not exist.
         dataset: name of the dataset on the board.
         setting: setting that distinguishes this row from others of the same method and version.
-        images: submission and dataset, to show a few renders beside their truth; None: show none.
+        sources: dataset that the result is held against. With its submission, the renders are scored again, and a few
+            are shown beside their truth; without, the entry stands in a table of unverified ones. None: the result is
+            held against its own table of images alone.
+        progress: receives the progress of the scoring.
 
     Returns:
         The new entry's file.
@@ -56,8 +68,19 @@ def add_result(
     require_output_folder(board, FolderKind.BOARD, place="--board")
     result = read_result(path)
     entry = make_entry(result, dataset, file=path, setting=setting)
-    require_recomputed_means(result, path)
+    _require_name(entry.method, "submission.method.name", path)
+    for name in filter(None, (entry.version, entry.setting, dataset)):
+        _require_name(name, "version, setting or dataset name", path)
+    if sources is not None and sources.submission is not None:
+        result = rescore(result, path, sources, progress)
+        entry = make_entry(result, dataset, file=path, setting=setting)
+        entry = entry.model_copy(update={"verified": True}).sealed()
+    else:
+        require_recomputed_means(result, path)
+        if sources is not None:
+            require_plan(result, path, sources.dataset)
     for other in load_entries(board / "entries") if (board / "entries").exists() else ():
+        _require_distinct_name(entry, other, path)
         if isinstance(other, Measured):
             _require_new(entry, other, path)
     try:
@@ -65,8 +88,8 @@ def add_result(
         (board / "entries").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritable_error(board / "entries", error) from error
-    if images is not None:
-        pairs = copy_pairs(result, images, board / IMAGE_FOLDER)
+    if entry.verified and sources is not None and result.protocol.task == "reconstruction":
+        pairs = copy_pairs(result, sources, board / IMAGE_FOLDER)
         entry = entry.model_copy(update={"pairs": pairs}).sealed()
     out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
     write_json(out, entry)
@@ -227,6 +250,23 @@ def _list_groups(result: Result) -> tuple[str, ...]:
     if result.protocol.task == "runtime":
         return _RUNTIME_GROUPS
     return tuple(group.name for group in result.protocol.groups if not group.without_vehicles)
+
+
+def _require_name(name: str, place: str, file: Path) -> None:
+    problem = find_name_problem(name)
+    if problem is not None:
+        raise RefusedError(f"{name!r} {problem}", file=file, place=place, expected="a plain name")
+
+
+def _require_distinct_name(entry: Measured, other: Entry, file: Path) -> None:
+    """Refuse a name that a reader takes for another method's."""
+    if other.method != entry.method and skeleton(other.method) == skeleton(entry.method):
+        raise RefusedError(
+            f"{entry.method!r} is easily taken for {other.method!r}, which is on the board",
+            file=file,
+            place="submission.method.name",
+            remedy="write it as on the board, or choose another name",
+        )
 
 
 def _require_new(entry: Measured, other: Measured, file: Path) -> None:

@@ -17,6 +17,9 @@ from mirror_leaderboard.measures import MEASURES, Measure
 FLOOR: Final = ("nearest_frame", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
+UNVERIFIED: Final = {"unverified:": "the renders were not scored again"}
+"""Option that separates the tables of entries whose renders the organiser did not score again."""
+
 Column = tuple[str, str]
 """A group and a metric."""
 
@@ -118,7 +121,8 @@ def seconds_per_image(entry: Entry, entries: Sequence[Entry]) -> float | None:
 def _board_key(entry: Entry) -> _Key:
     if isinstance(entry, Reported):
         return (entry.protocol, entry.dataset or "Data set not stated", None, None, ())
-    hashes, options = (entry.protocol_hash, entry.dataset_hash), tuple(sorted(entry.options.items()))
+    unverified = {} if entry.verified else UNVERIFIED
+    hashes, options = (entry.protocol_hash, entry.dataset_hash), tuple(sorted({**entry.options, **unverified}.items()))
     return (entry.protocol, entry.dataset, entry.split, hashes, options)
 
 

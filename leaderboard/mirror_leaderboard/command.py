@@ -12,6 +12,7 @@ import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
 from mirror.errors import ExitCode, UsageError
+from mirror.progress import progress_bar
 from mirror_leaderboard.refused import RefusedError
 
 PAPERS: Final = Path(__file__).parent / "papers"
@@ -20,14 +21,19 @@ BOARD: Final = Path("leaderboard")
 """The default board."""
 
 _BUILD_EXAMPLES = (
-    "mirror leaderboard build --board demo/board --out site",
-    "mirror leaderboard build --board demo/board --also leaderboard --out site",
+    "mirror leaderboard build --out site",
+    "mirror leaderboard build --board demo/board --unsigned --out site",
 )
 _ADD_EXAMPLES = (
-    "mirror leaderboard add demo/results/mean_color/result.json --dataset-name 'my street' --board board",
+    "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street' --board board",
     "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street'"
     " --submission demo/submissions/mean_color --board board",
 )
+_SIGN_EXAMPLES = (
+    "mirror leaderboard sign --board demo/board --key organiser.key",
+    "mirror leaderboard sign --key organiser.key",
+)
+_KEY_EXAMPLES = ("mirror leaderboard key --out organiser.key", "mirror leaderboard key --out ~/organiser.key")
 _ADD_RENAMED = {"--dataset": "--dataset-name", "--truth": "[DATASET]"}
 
 
@@ -41,6 +47,8 @@ class Build:
     """Board to show beside the figures of papers: a folder that `mirror leaderboard add` wrote."""
     also: Annotated[tuple[Path, ...], help_text(default="none", metavar="FOLDER")] = ()
     """More boards. An entry replaces the same entry of a board before it."""
+    unsigned: bool = False
+    """Build a draft: entries without signature and review are shown, and the page says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,16 +57,38 @@ class Add:
 
     result: tyro.conf.Positional[Path]
     """`result.json` of `mirror evaluate`."""
-    dataset: Annotated[tyro.conf.Positional[Path | None], help_text(default="none", metavar="[DATASET]")] = None
-    """Folder of the dataset, for the images of --submission."""
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset: the result is held against its plan."""
     dataset_name: Annotated[str, help_text(metavar="NAME")]
     """Name of the dataset on the board."""
     setting: Annotated[str | None, help_text(default="none")] = None
     """Setting that distinguishes this row from others of the same method and version."""
     submission: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
-    """Show some renders of this submission beside the truth. Requires DATASET."""
+    """Score the renders of this submission again. Without it, the row stands in a table of unverified ones."""
+    hidden: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """Folder of the hidden truth, for protocols that use it."""
+    features: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """Folder of cached features of true images, which evaluations may share."""
     board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
     """Folder of the board, created if it does not exist."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sign:
+    """Sign the measured entries of a board with the organiser's key; the public key is written into the board."""
+
+    key: Path
+    """File of the organiser's private key."""
+    board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
+    """Folder of the board."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Key:
+    """Make an organiser's key (ed25519) for signing the entries of a board."""
+
+    out: Path
+    """New file for the private key, outside the board. Only its owner can read it."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -66,6 +96,8 @@ def main(argv: Sequence[str]) -> int:
     subcommands = {
         "build": Subcommand("write the static site", _build),
         "add": Subcommand("put a result.json on the board", _add),
+        "sign": Subcommand("sign the measured entries of a board", _sign),
+        "key": Subcommand("make an organiser's key", _key),
     }
     try:
         return run_subcommand(argv, "mirror leaderboard", subcommands)
@@ -80,22 +112,47 @@ def _build(argv: Sequence[str]) -> int:
 
     has_default = arguments.board is None and (BOARD / "entries").is_dir()
     boards = (BOARD,) if has_default else () if arguments.board is None else (arguments.board,)
-    print(f"site: {build((PAPERS, *boards, *arguments.also), arguments.out)}")
+    print(f"site: {build((PAPERS, *boards, *arguments.also), arguments.out, unsigned=arguments.unsigned)}")
     return ExitCode.DONE
 
 
 def _add(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Add, argv, "mirror leaderboard add", examples=_ADD_EXAMPLES, renamed=_ADD_RENAMED)
     from mirror_leaderboard.add import add_result
-    from mirror_leaderboard.images import ImageSources
+    from mirror_leaderboard.rescore import Sources
 
-    if (arguments.submission is None) != (arguments.dataset is None):
-        raise UsageError("--submission and DATASET require each other", expected="both, or neither")
-    images = None
-    if arguments.submission is not None and arguments.dataset is not None:
-        images = ImageSources(arguments.submission, arguments.dataset)
-    entry = add_result(
-        arguments.result, arguments.board, arguments.dataset_name, setting=arguments.setting, images=images
-    )
+    if arguments.submission is None and arguments.hidden is not None:
+        raise UsageError("--hidden requires --submission", expected="both, or neither")
+    sources = Sources(arguments.dataset, arguments.submission, arguments.hidden, arguments.features)
+    with progress_bar(quiet=False) as bar:
+        entry = add_result(
+            arguments.result,
+            arguments.board,
+            arguments.dataset_name,
+            setting=arguments.setting,
+            sources=sources,
+            progress=bar,
+        )
     print(f"entry: {entry}")
+    print(f"next: mirror leaderboard sign --board {arguments.board} --key FILE")
+    return ExitCode.DONE
+
+
+def _key(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Key, argv, "mirror leaderboard key", examples=_KEY_EXAMPLES)
+    from mirror_leaderboard.signing import new_key
+
+    print(f"private key: {arguments.out} (keep it secret)")
+    print(f"public key: {new_key(arguments.out)}")
+    return ExitCode.DONE
+
+
+def _sign(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Sign, argv, "mirror leaderboard sign", examples=_SIGN_EXAMPLES)
+    from mirror_leaderboard.trust import sign_entries
+
+    signed = sign_entries(arguments.board, arguments.key)
+    for entry in signed:
+        print(f"signed: {entry.method} {entry.version}, {entry.protocol}, {entry.dataset}")
+    print(f"{len(signed)} entries were signed")
     return ExitCode.DONE

@@ -25,6 +25,7 @@ Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f<>]+$")]
 Note = Annotated[str, Field(max_length=400, pattern=r"^[^\x00-\x1f\x7f]+$")]
 ImageFile = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_\-]{0,79}(/[a-z0-9][a-z0-9_\-]{0,79})?\.jpg$")]
+Signature = Annotated[str, Field(pattern=r"^[A-Za-z0-9+/]{86}==$")]
 Link = Annotated[str, Field(max_length=200, pattern=r"^https://[A-Za-z0-9.\-]+(/[A-Za-z0-9._~/%\-]*)?$")]
 
 
@@ -152,7 +153,9 @@ class Measured(Document):
         figures: means with their confidence intervals.
         pairs: renders beside their truth.
         notes: warnings of the evaluation.
-        seal: hash of all other fields, which reveals changes by hand.
+        verified: whether the board's organiser scored the renders again. The hash of the content omits False.
+        seal: hash of all other fields but the signature, which reveals changes by hand.
+        signature: the organiser's signature of the seal, ed25519 in base64; None: the entry is a draft.
     """
 
     kind: Literal["measured"] = "measured"
@@ -174,16 +177,23 @@ class Measured(Document):
     figures: tuple[Figure, ...] = Field(min_length=1)
     pairs: tuple[Pair, ...] = ()
     notes: tuple[Note, ...] = ()
+    verified: bool = Field(default=False, exclude_if=lambda verified: not verified)
     seal: Hash = "0" * 64
+    signature: Signature | None = Field(default=None, exclude_if=lambda signature: signature is None)
 
     def sealed(self) -> Measured:
-        """Return a copy with its seal."""
-        return self.model_copy(update={"seal": self.content_hash})
+        """Return a copy with its seal, which nobody has signed."""
+        return self.model_copy(update={"seal": self.content_hash, "signature": None})
+
+    @property
+    def signed_content(self) -> bytes:
+        """The bytes that the organiser signs."""
+        return f"mirror-leaderboard-entry {self.seal}".encode()
 
     @property
     def content_hash(self) -> str:
         """The correct value of the seal."""
-        plain = self.model_dump(mode="json", exclude={"seal"})
+        plain = self.model_dump(mode="json", exclude={"seal", "signature"})
         return sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())
 
 
@@ -195,7 +205,12 @@ class _File(RootModel[Annotated[Entry, Field(discriminator="kind")]]):
 
 
 def load_entries(folder: Path) -> list[Entry]:
-    """Load all entries of a folder, in the order of their file names.
+    """Load all entries of a folder, in the order of their file names; errors as of `load_entry_files`."""
+    return list(load_entry_files(folder).values())
+
+
+def load_entry_files(folder: Path) -> dict[Path, Entry]:
+    """Load all entries of a folder by their files, in the order of the file names.
 
     Raises:
         DatasetError: the folder does not exist.
@@ -205,14 +220,14 @@ def load_entries(folder: Path) -> list[Entry]:
     if not folder.is_dir():
         raise DatasetError("no such folder", file=folder, expected="a folder of entries")
     paths: dict[tuple[str | None, ...], Path] = {}
-    entries: list[Entry] = []
+    entries: dict[Path, Entry] = {}
     for path in sorted(folder.glob("*.json")):
         entry = read_json(path, _File).root
         _require_valid(entry, path)
         first = paths.setdefault(entry_key(entry), path)
         if first is not path:
             raise SchemaError(f"is another entry for the same as {first.name}", file=path, remedy="keep one of them")
-        entries.append(entry)
+        entries[path] = entry
     return entries
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -12,58 +11,35 @@ import numpy as np
 import mirror
 from mirror.arrays import UInt8
 from mirror.evaluation.result import Result
-from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.protocols.png import decode_render, max_png_bytes
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, RenderView, plan_views
 from mirror.schema.files import write_bytes
 from mirror_leaderboard.entry import Pair
-from mirror_leaderboard.refused import RefusedError
+from mirror_leaderboard.rescore import Sources
 
 _VIEWS: Final = 3
 _WIDTH_PX: Final = 640
 _JPEG_QUALITY: Final = 80
 
 
-@dataclass(frozen=True)
-class ImageSources:
-    """Sources of an entry's images.
-
-    Attributes:
-        submission: folder or zip of renders.
-        truth: folder of the dataset.
-    """
-
-    submission: Path
-    truth: Path
-
-
-def copy_pairs(result: Result, sources: ImageSources, out: Path) -> tuple[Pair, ...]:
+def copy_pairs(result: Result, sources: Sources, out: Path) -> tuple[Pair, ...]:
     """Copy a few renders and their truth; a plan determines the views, so that methods can be compared.
 
     Args:
-        result: result of the submission.
+        result: result that was scored from the submission.
         sources: the submission and the dataset.
         out: folder of the board's images.
 
     Raises:
-        RefusedError: the submission or the dataset is not the one of the result, or the protocol has no recorded truth.
         DatasetError: an image cannot be read or written.
     """
-    if result.protocol.task != "reconstruction":
-        raise RefusedError(
-            f"images of {result.protocol.name} have no recorded truth", remedy="add it without --submission"
-        )
-    plan = plan_views(mirror.open(sources.truth), result.protocol, result.dataset.split)
-    if plan.hash != result.dataset.plan_hash:
-        raise RefusedError("is not the dataset of the result", file=sources.truth, expected=result.dataset.plan_hash)
+    if sources.submission is None:
+        return ()
+    plan = plan_views(mirror.open(sources.dataset), result.protocol, result.dataset.split)
     files = open_untrusted(sources.submission)
-    if check_submission(files, plan).hash != result.submission_hash:
-        raise RefusedError(
-            "is not the submission of the result", file=sources.submission, expected=result.submission_hash
-        )
-    truth = GroundTruth(mirror.open(sources.truth), result.protocol, plan.layers)
+    truth = GroundTruth(mirror.open(sources.dataset), result.protocol, plan.layers)
     folder, pairs = plan.hash[:16], []
     for number, view in enumerate(_select_views(plan)):
         data = files.read(view.path, max_png_bytes(view.width_px, view.height_px))

@@ -35,7 +35,7 @@ def require_recomputed_means(result: Result, path: Path) -> None:
         DatasetError: the table is missing or broken.
         RefusedError: a figure differs from the mean of its images, states a wrong number of images, or is missing.
     """
-    rows = _read_rows(path.parent / IMAGES)
+    rows = read_rows(path)
     columns = set(rows[0]) if rows else set()
     for number, figure in enumerate(result.figures):
         if figure.level == "group" and figure.metric in columns:
@@ -86,7 +86,13 @@ def _require_mean(result: Result, figure: Figure, rows: Sequence[Mapping[str, An
         )
 
 
-def _read_rows(file: Path) -> list[dict[str, Any]]:
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Read the table of images beside a result.
+
+    Raises:
+        DatasetError: the table is missing, too large or broken.
+    """
+    file = path.parent / IMAGES
     try:
         if file.stat().st_size > _MAX_BYTES:
             raise DatasetError("too large", file=file, expected=f"at most {_MAX_BYTES:,} bytes")

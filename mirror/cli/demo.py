@@ -73,7 +73,8 @@ def _compare_block(results: Path) -> ExitCode:
     """Print the scores of the block and of the nearest images on the held-out traversal. The block must be above."""
     scores = {name: _held_out_scores(results / name) for name in (_OURS, _FLOOR)}
     for name, values in scores.items():
-        print(f"  {name:<13} PSNR {values['psnr']:.2f} dB, PSNR* {values['psnr_cc']:.2f} dB on the held-out traversal")
+        psnr, invariant = values["psnr"], values["psnr_invariant"]
+        print(f"  {name:<13} PSNR {psnr:.2f} dB, invariant PSNR {invariant:.2f} dB on the held-out traversal")
     if costs := _costs(results / _OURS):
         print(f"  {costs}")
     is_above = all(scores[_OURS][metric] > value for metric, value in scores[_FLOOR].items())
@@ -98,14 +99,14 @@ def _costs(result: Path) -> str:
 
 
 def _held_out_scores(result: Path) -> dict[str, float]:
-    """PSNR and PSNR* on the held-out traversal, dB; NaN if there is no value."""
+    """PSNR and invariant PSNR on the held-out traversal, dB; NaN if there is no value."""
     from mirror.evaluation.result import RESULT, Result
     from mirror.schema.files import read_json
 
     figures = read_json(result / RESULT, Result).figures
     values = {figure.metric: figure.value for figure in figures if (figure.group, figure.level) == ("novel", "group")}
     # NaN is above no value.
-    return {metric: math.nan if (value := values[metric]) is None else value for metric in ("psnr", "psnr_cc")}
+    return {metric: math.nan if (value := values[metric]) is None else value for metric in ("psnr", "psnr_invariant")}
 
 
 def run(words: Sequence[str]) -> int:
@@ -133,7 +134,7 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
         yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
     if _has_reconstruction(arguments):
         yield from _block(arguments)
-    yield ["mirror", "leaderboard", "build", "--board", str(out / "board"), "--out", str(out / "site")]
+    yield ["mirror", "leaderboard", "build", "--board", str(out / "board"), "--unsigned", "--out", str(out / "site")]
 
 
 def _board(arguments: Arguments, result: str, submission: str, dataset: str, street: str) -> list[str]:

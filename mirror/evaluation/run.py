@@ -177,7 +177,7 @@ def evaluate(
         weights=available.weights,
         versions=_list_versions(),
         options={"extractor": inputs.extractor} if protocol.task == _EDITING else {},
-        warnings=tuple(_list_warnings(plan, check.manifest, available)),
+        warnings=tuple(list_warnings(plan, check.manifest, available.stand_ins)),
     )
     write_bytes(out / IMAGES, _encode_image_table(outcome.scored, protocol))
     write_json(out / RESULT, result)
@@ -282,9 +282,10 @@ def _list_versions() -> dict[str, str]:
     return versions
 
 
-def _list_warnings(plan: Plan, manifest: SubmissionManifest, available: _Availability) -> list[str]:
+def list_warnings(plan: Plan, manifest: SubmissionManifest, stand_ins: Sequence[str]) -> list[str]:
+    """List the warnings of a result: empty groups, stand-ins, and a fitted appearance."""
     warnings = [f"group {name} has no views in split {plan.split}" for name in plan.empty_groups]
-    for name in available.stand_ins:
+    for name in stand_ins:
         warnings.append(
             f"{name} stands in for {name.removeprefix(STAND_IN_PREFIX)}: another metric, with figures of its own"
         )

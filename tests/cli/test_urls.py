@@ -36,7 +36,7 @@ OUTPUTS = {
     "depth": "depth there --split s --weights {url}",
     "leaderboard build": "leaderboard build --out {url}",
     "leaderboard build with a board": "leaderboard build --also {url}",
-    "leaderboard add": "leaderboard add {url} --dataset-name d",
+    "leaderboard add": "leaderboard add {url} d --dataset-name d",
 }
 
 

@@ -15,6 +15,8 @@ from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_json
 from mirror_leaderboard.command import PAPERS
 from mirror_leaderboard.entry import IMAGE_FOLDER, Figure, Measured, Pair
+from mirror_leaderboard.signing import new_key
+from mirror_leaderboard.trust import sign_entries
 from tests.leaderboard.browser import NAMES, Browser, find_browser
 
 REPOSITORY = Path(__file__).parents[2]
@@ -63,7 +65,7 @@ def measured(method: str, psnr: float, *, lpips: float | None = None, **changes:
 
 @pytest.fixture
 def board(tmp_path: Path) -> Path:
-    """A board with entries and images."""
+    """A signed board with entries and images; its key is beside it."""
     folder = tmp_path / "board"
     shutil.copytree(REPORTED, folder / "entries")
     scores = (("nearest_frame", 12.5, None), ("mean_color", 11.25, 0.6), ("HybridWorldSim", 19.75, None))
@@ -75,6 +77,8 @@ def board(tmp_path: Path) -> Path:
             image = np.full((270, 480, 3), (60 * number, 90, 220 - 60 * view), np.uint8)
             cv2.putText(image, f"{name} {view}", (20, 140), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (255, 255, 255), 2)
             cv2.imwrite(str(folder / IMAGE_FOLDER / "street" / f"{name.lower()}-{view}.jpg"), image)
+    new_key(tmp_path / "organiser.key")
+    sign_entries(folder, tmp_path / "organiser.key")
     return folder
 
 

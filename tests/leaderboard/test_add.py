@@ -263,13 +263,23 @@ def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
 def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write(folder, result()))
     options = ["--dataset-name", "a street", "--board", str(board)]
-    assert main(["leaderboard", "add", path, *options]) == ExitCode.DONE
-    assert main(["leaderboard", "add", path, *options]) == ExitCode.FINDINGS
+    # The dataset does not exist.
+    assert main(["leaderboard", "add", path, str(tmp_path / "none"), *options]) == ExitCode.COULD_NOT_RUN
+    assert main(["leaderboard", "add", str(tmp_path / "none"), str(tmp_path), *options]) == ExitCode.COULD_NOT_RUN
+    hidden = ["--hidden", str(tmp_path)]
+    assert main(["leaderboard", "add", path, str(tmp_path), *options, *hidden]) == ExitCode.COULD_NOT_RUN
+    assert "--hidden requires --submission" in capsys.readouterr().err
+    add_result(Path(path), board, "a street")
+    build = ["leaderboard", "build", "--board", str(board), "--out", str(tmp_path / "site")]
+    assert main(build) == ExitCode.FINDINGS
     assert "refused" in capsys.readouterr().err
-    assert main(["leaderboard", "add", str(tmp_path / "none"), *options]) == ExitCode.COULD_NOT_RUN
-    assert main(["leaderboard", "add", path, *options, "--submission", str(tmp_path)]) == ExitCode.COULD_NOT_RUN
-    assert main(["leaderboard", "build", "--board", str(board), "--out", str(tmp_path / "site")]) == ExitCode.DONE
+    key = str(tmp_path / "organiser.key")
+    assert main(["leaderboard", "sign", "--board", str(board), "--key", key]) == ExitCode.DONE
+    assert "1 entries were signed" in capsys.readouterr().out
+    assert main(build) == ExitCode.DONE
     assert "a method" in (tmp_path / "site" / "index.html").read_text()
+    assert main(["leaderboard", "key", "--out", key]) == ExitCode.COULD_NOT_RUN
+    assert main(["leaderboard", "key", "--out", str(tmp_path / "new.key")]) == ExitCode.DONE
     assert main(["leaderboard"]) == ExitCode.COULD_NOT_RUN
     assert main(["leaderboard", "--help"]) == ExitCode.DONE
 

@@ -10,7 +10,7 @@ GUIDE: Final = """<section id="submit"><h2>How to submit</h2>
 # render every file that SUBMISSION/views.json lists; fill in manifest.json
 mirror submission check DATASET SUBMISSION
 mirror evaluate DATASET SUBMISSION --protocol static-reconstruction --split novel --out RESULT
-mirror leaderboard add RESULT/result.json --dataset-name NAME
+mirror leaderboard add RESULT/result.json DATASET --dataset-name NAME --submission SUBMISSION
 mirror leaderboard build --out site</pre>
 <p>If you do not have it, ask the organiser for the bundle that <code>mirror submission new --blind</code> writes:
 poses, lenses, names, sizes and masks, but no images. Send back the renders.</p>

@@ -23,9 +23,11 @@ from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
 from mirror_leaderboard.site.tables import board_table
+from mirror_leaderboard.trust import require_trusted
 
 _TITLE: Final = "MIRROR leaderboard"
 _MARK: Final = ".made-by-mirror-leaderboard"
+_DRAFT: Final = "<p><b>Draft.</b> Nobody signed these rows: they may be wrong.</p>"
 _KINDS: Final = (
     '<p><span class="tag measured">measured</span>: scored here; the hashes identify the result, the protocol and the '
     'data. <span class="tag reported">reported</span>: printed in a paper, from its authors’ evaluation; never ranked '
@@ -34,7 +36,7 @@ _KINDS: Final = (
 )
 
 
-def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Path) -> Path:
+def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Path, *, draft: bool = False) -> Path:
     """Write the site.
 
     Args:
@@ -42,6 +44,7 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
         image_folders: folders with the entries' images.
         out: folder of the site: new, empty, or written by an earlier run. Its page and images are replaced; other files
             stay.
+        draft: whether the page says that nobody signed its entries.
 
     Returns:
         The file of the page.
@@ -55,11 +58,11 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
     boards = make_boards(entries)
     _copy_images(image_files(boards), image_folders, out / IMAGE_FOLDER)
     page = out / "index.html"
-    write_bytes(page, _format_page(boards, entries).encode())
+    write_bytes(page, _format_page(boards, entries, draft=draft).encode())
     return page
 
 
-def _format_page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+def _format_page(boards: Sequence[Board], entries: Sequence[Entry], *, draft: bool) -> str:
     style = style_sheet() + files("mirror_leaderboard.site").joinpath("site.css").read_text()
     script = files("mirror_leaderboard.site").joinpath("site.js").read_text()
     policy = (
@@ -71,7 +74,8 @@ def _format_page(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     measured = sum(isinstance(entry, Measured) for entry in entries)
     counts = f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables."
     body = (
-        f'<main><header><h1>{_TITLE}</h1><p class="dim">{counts}</p>{_KINDS}<nav aria-label="Protocols"><ul>{links}'
+        f'<main><header><h1>{_TITLE}</h1><p class="dim">{counts}</p>{_DRAFT if draft else ""}{_KINDS}'
+        f'<nav aria-label="Protocols"><ul>{links}'
         '<li><a href="#submit">how to submit</a></li></ul></nav></header>'
         f"{''.join(_format_section(protocol, group, entries) for protocol, group in sections)}{GUIDE}"
         f"<footer>Made by mirror {escape(__version__)}; static files, no server.</footer></main>"
@@ -118,10 +122,23 @@ def _source_hash(text: str) -> str:
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
-def build(boards: Sequence[Path], out: Path) -> Path:
+def build(boards: Sequence[Path], out: Path, *, unsigned: bool = False) -> Path:
     """Build the site of several boards; see `build_site` and `load_entries`.
 
     An entry of a later board replaces the entry with the same key of an earlier board.
+
+    Args:
+        boards: folders of the boards.
+        out: folder of the site.
+        unsigned: whether to show entries without signature and review, on a page that is marked as a draft.
+
+    Raises:
+        RefusedError: an entry is neither signed nor reviewed.
     """
-    entries = {entry_key(entry): entry for board in boards for entry in load_entries(board / "entries")}
-    return build_site(list(entries.values()), [board / IMAGE_FOLDER for board in boards], out)
+    entries = {}
+    for board in boards:
+        found = load_entries(board / "entries")
+        if not unsigned:
+            require_trusted(board, found)
+        entries.update({entry_key(entry): entry for entry in found})
+    return build_site(list(entries.values()), [board / IMAGE_FOLDER for board in boards], out, draft=unsigned)

@@ -10,7 +10,7 @@ from math import ceil
 from typing import Final
 
 from mirror_leaderboard.boards import FLOOR, Board, Column, find_figure
-from mirror_leaderboard.entry import Entry, Figure, Reported
+from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.measures import MEASURES
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
@@ -97,7 +97,8 @@ def _format_row(
     if entry.link:
         name = f'<a href="{escape(entry.link)}" rel="nofollow noopener">{name}</a>'
     floor = '<span class="tag floor">floor</span>' if entry.method in FLOOR else ""
-    setting = f"<small>{escape(entry.setting)}</small>" if entry.setting else ""
+    details = ", ".join(_list_variant(entry, board))
+    setting = f"<small>{escape(details)}</small>" if details else ""
     # A metric without any value has no column: its notes are shown with the row.
     without_column = [figure for figure in entry.figures if (figure.group, figure.metric) not in board.columns]
     metric_notes = dict.fromkeys(f"{MEASURES[figure.metric].title}: {figure.note}" for figure in without_column)
@@ -106,6 +107,15 @@ def _format_row(
     key = escape(entry.method.lower())
     head = f'<th scope="row" class="method" data-value="{key}">{name}{marks} {floor}{setting}</th>'
     return f'<tr>{head}{cells}<td class="source">{_format_source(entry)}</td></tr>'
+
+
+def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
+    """What tells the row from others of its method: the version if another one is on the board, and the setting."""
+    others = {other.version for other in board.entries if isinstance(other, Measured) and other.method == entry.method}
+    if isinstance(entry, Measured) and len(others) > 1:
+        yield f"version {entry.version}"
+    if entry.setting:
+        yield entry.setting
 
 
 def _format_cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> str:

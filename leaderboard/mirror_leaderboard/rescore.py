@@ -1,0 +1,227 @@
+"""Holds a result against the plan of its dataset, and scores its renders again."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import mirror
+from mirror.dataset.dataset import Dataset
+from mirror.errors import UsageError
+from mirror.evaluation.result import Figure, Result
+from mirror.evaluation.run import EvaluationOptions, evaluate, list_warnings
+from mirror.evaluation.scorers import load_scorer
+from mirror.evaluation.scorers.inputs import ScoringInputs
+from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob
+from mirror.progress import ProgressReporter
+from mirror.protocols.views import Plan, plan_views
+from mirror.weights.resolve import WeightResolver
+from mirror.weights.table import KNOWN
+from mirror_leaderboard.recount import read_rows
+from mirror_leaderboard.refused import RefusedError
+
+_TOLERANCE: Final = 1e-9
+_AGAIN: Final = "evaluate the submission again: mirror evaluate"
+_ROW_KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
+_COMPARED: Final = ("value", "n", "n_inf", "n_missing", "low", "high", "reason", "note", "interval_reason")
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What an organiser holds a result against.
+
+    Attributes:
+        dataset: folder or URL of the dataset with the truth.
+        submission: folder or zip of the renders; None: they are not scored again.
+        hidden: folder of hidden truth, for protocols that use it.
+        features: folder of cached features of the truth, by hash; None: none are kept.
+        workers: number of worker processes.
+    """
+
+    dataset: str
+    submission: Path | None = None
+    hidden: Path | None = None
+    features: Path | None = None
+    workers: int = 2
+
+
+def rescore(result: Result, path: Path, sources: Sources, progress: ProgressReporter | None = None) -> Result:
+    """Score a submission again, and return the new result if the given one states the same.
+
+    Args:
+        result: the given result.
+        path: its file, for messages.
+        sources: dataset, submission and hidden truth.
+        progress: receives the progress.
+
+    Raises:
+        RefusedError: the submission is another one or has problems, or a figure, a reason, a warning or weights differ.
+        UsageError: `sources` has no submission.
+    """
+    if sources.submission is None:
+        raise UsageError("no submission to score", expected="--submission")
+    stand_ins = any(figure.metric.startswith(STAND_IN_PREFIX) for figure in result.figures)
+    with tempfile.TemporaryDirectory(prefix="mirror-rescore-") as folder:
+        options = EvaluationOptions(
+            hidden=sources.hidden,
+            stand_ins=stand_ins,
+            workers=sources.workers,
+            extractor=result.options.get("extractor"),
+            features=sources.features,
+        )
+        out = Path(folder) / "results"
+        done = evaluate(
+            sources.submission, sources.dataset, result.protocol, result.dataset.split, out, options, progress
+        )
+    if done.result is None:
+        problem = done.check.problems[0]
+        raise RefusedError(f"{problem.path} {problem.message}", file=sources.submission, expected="a whole submission")
+    _require_equal("submission_hash", result.submission_hash, done.result.submission_hash, path)
+    _require_equal("dataset", result.dataset, done.result.dataset, path)
+    _require_equal("submission", result.submission, done.result.submission, path)
+    _require_equal("unavailable", sorted(result.unavailable), sorted(done.result.unavailable), path)
+    _require_equal("weights", result.weights, done.result.weights, path)
+    _require_equal("warnings", result.warnings, done.result.warnings, path)
+    _require_equal_figures(result.figures, done.result.figures, path)
+    return done.result
+
+
+def require_plan(result: Result, path: Path, dataset: str) -> None:
+    """Hold views, metrics, weights, counts, means, intervals and warnings of a result against its dataset's plan.
+
+    The scores of single images are taken from the table beside the result: only `rescore` shows that they are true.
+
+    Args:
+        result: the result.
+        path: its file; the table of images lies beside it.
+        dataset: folder or URL of the dataset.
+
+    Raises:
+        RefusedError: something differs from the plan, or does not follow from the table of images.
+    """
+    opened = mirror.open(dataset)
+    plan = plan_views(opened, result.protocol, result.dataset.split)
+    _require_equal("dataset.dataset_hash", result.dataset.dataset_hash, plan.dataset_hash, path)
+    _require_equal("dataset.plan_hash", result.dataset.plan_hash, plan.hash, path)
+    _require_available(result, plan, path)
+    stand_ins = tuple(dict.fromkeys(f.metric for f in result.figures if f.metric.startswith(STAND_IN_PREFIX)))
+    _require_equal("warnings", result.warnings, tuple(list_warnings(plan, result.submission, stand_ins)), path)
+    if result.protocol.task in ("reconstruction", "lane-shift"):
+        scored = _scored_jobs(plan, read_rows(path), path)
+        inputs = _stated_inputs(result, path, opened, plan, stand_ins)
+        _require_equal_figures(result.figures, load_scorer(result.protocol.task).figures(plan, scored, inputs), path)
+
+
+def _require_available(result: Result, plan: Plan, path: Path) -> None:
+    """Only a metric with weights can be unavailable for want of them; used weights are the pinned ones."""
+    scorer = load_scorer(result.protocol.task)
+    needs, without = scorer.needs(plan), scorer.unavailable(plan, result.submission)
+    for metric in result.unavailable:
+        if metric not in needs and metric not in without:
+            raise RefusedError(
+                f"{metric} is stated to be unavailable, but it needs no weights",
+                file=path,
+                place="unavailable",
+                remedy=_AGAIN,
+            )
+    for metric, names in needs.items():
+        if metric in result.protocol.metric_names and metric not in result.unavailable:
+            for name in names:
+                pinned = KNOWN[name].sha256
+                if name not in result.weights or pinned not in (None, result.weights[name]):
+                    raise RefusedError(
+                        f"{metric} was not computed with the pinned weights {name}",
+                        file=path,
+                        place="weights",
+                        expected=str(pinned),
+                    )
+
+
+def _scored_jobs(plan: Plan, rows: Sequence[Mapping[str, Any]], path: Path) -> list[ScoredJob]:
+    by_path = {str(row.get("path")): row for row in rows}
+    if len(by_path) != len(rows) or set(by_path) != {view.path for view in plan.views}:
+        raise RefusedError(
+            f"the table of images has {len(rows)} rows, and not one for each of the {len(plan.views)} views",
+            file=path,
+            place="images.parquet",
+            remedy=_AGAIN,
+        )
+    jobs = []
+    for view in plan.views:
+        row = by_path[view.path]
+        for key in _ROW_KEYS:
+            if row.get(key) != getattr(view, key):
+                raise RefusedError(
+                    f"{key} of {view.path} is {row.get(key)!r}",
+                    file=path,
+                    place="images.parquet",
+                    expected=repr(getattr(view, key)),
+                )
+        jobs.append(ScoredJob(Job(view.path, (view,), (view.path,)), row))
+    return jobs
+
+
+def _stated_inputs(
+    result: Result, path: Path, dataset: Dataset, plan: Plan, stand_ins: tuple[str, ...]
+) -> ScoringInputs:
+    return ScoringInputs(
+        protocol=result.protocol,
+        submission=path,
+        manifest=result.submission,
+        dataset=dataset,
+        hashes={},
+        layers=plan.layers,
+        hidden=None,
+        resolver=WeightResolver(),
+        unavailable=result.unavailable,
+        stand_ins=stand_ins,
+        features=path.parent,
+    )
+
+
+def _require_equal(place: str, stated: object, expected: object, path: Path) -> None:
+    if stated != expected:
+        raise RefusedError(
+            f"{str(stated)!r:.200} is not what the evaluation finds",
+            file=path,
+            place=place,
+            expected=f"{str(expected)!r:.200}",
+            remedy=_AGAIN,
+        )
+
+
+def _require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], path: Path) -> None:
+    found = {_figure_key(figure): figure for figure in stated}
+    computed = {_figure_key(figure): figure for figure in expected}
+    for key in sorted(found.keys() ^ computed.keys()):
+        whose = "stated, but not found by the evaluation" if key in found else "missing"
+        raise RefusedError(f"{key[0]} of {' '.join(filter(None, key[1:]))} is {whose}", file=path, place="figures")
+    if len(found) != len(stated):
+        raise RefusedError("states a figure twice", file=path, place="figures")
+    for key, figure in computed.items():
+        for name, one, other in _differences(found[key], figure):
+            raise RefusedError(
+                f"{name} of {key[0]} of {' '.join(filter(None, key[1:]))} is {one}",
+                file=path,
+                place="figures",
+                expected=str(other),
+                remedy=_AGAIN,
+            )
+
+
+def _figure_key(figure: Figure) -> tuple[str, str, str, str]:
+    return figure.metric, figure.group, figure.level, figure.key
+
+
+def _differences(stated: Figure, expected: Figure) -> Iterator[tuple[str, object, object]]:
+    for name in _COMPARED:
+        one, other = getattr(stated, name), getattr(expected, name)
+        if isinstance(one, float) and isinstance(other, float):
+            if not math.isclose(one, other, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE):
+                yield name, one, other
+        elif one != other:
+            yield name, one, other

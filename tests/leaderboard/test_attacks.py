@@ -1,0 +1,247 @@
+"""Attacks of a hostile participant on the board, each refused (docs/threat-model.md has the figures before)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import SchemaError, UsageError
+from mirror.evaluation.run import EvaluationOptions, evaluate
+from mirror.evaluation.submission.manifest import Appearance
+from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.views import RenderView
+from mirror.schema.files import write_json
+from mirror_leaderboard import add as add_module
+from mirror_leaderboard.add import add_result
+from mirror_leaderboard.boards import make_boards
+from mirror_leaderboard.entry import Measured, Reported, load_entries
+from mirror_leaderboard.names import find_name_problem, skeleton
+from mirror_leaderboard.refused import RefusedError
+from mirror_leaderboard.rescore import Sources
+from mirror_leaderboard.signing import PUBLIC_KEY, new_key
+from mirror_leaderboard.site.page import build
+from mirror_leaderboard.trust import require_trusted, sign_entries
+from tests.evaluation.conftest import dataset, root
+from tests.evaluation.submissions import LEFT_HALF, SPLIT, small, write_renders
+from tests.leaderboard.conftest import REPORTED, measured
+
+__all__ = ["dataset", "root"]
+
+SMALL = small(more=LEFT_HALF, every=10)
+
+
+@pytest.fixture(scope="module")
+def scored(dataset: Dataset, root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a submission ``s`` and its results ``out``."""
+    folder = tmp_path_factory.mktemp("scored")
+
+    def noisy(view: RenderView, truth: UInt8) -> UInt8:
+        rng = np.random.default_rng(view.frame_index)
+        return np.clip(truth + rng.normal(0, 4 + view.frame_index % 5, truth.shape), 0, 255).astype(np.uint8)
+
+    write_renders(dataset, SMALL, folder / "s", noisy, name="honest")
+    assert evaluate(folder / "s", root, SMALL, SPLIT, folder / "out", EvaluationOptions(workers=1)).result is not None
+    return folder
+
+
+@pytest.fixture
+def result(scored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the honest result, whose protocol the board knows."""
+    monkeypatch.setattr(add_module, "protocol_names", lambda: ["small"])
+    monkeypatch.setattr(add_module, "load_protocol", lambda name: SMALL)
+    monkeypatch.setattr("mirror_leaderboard.entry.protocol_names", lambda: [*protocol_names(), "small"])
+    out = tmp_path / "result"
+    out.mkdir()
+    for name in ("result.json", "images.parquet"):
+        (out / name).write_bytes((scored / "out" / name).read_bytes())
+    return out / "result.json"
+
+
+def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    plain = json.loads(path.read_text())
+    change(plain)
+    path.write_text(json.dumps(plain))
+
+
+def louder(by: float) -> Callable[[dict[str, Any]], None]:
+    def change(plain: dict[str, Any]) -> None:
+        for figure in plain["figures"]:
+            if figure["metric"].startswith("psnr") and figure["value"] is not None:
+                figure["value"] += by
+                figure.update({end: figure[end] + by for end in ("low", "high") if figure.get(end) is not None})
+
+    return change
+
+
+def edit_table(path: Path, change: Callable[[list[dict[str, Any]]], list[dict[str, Any]]]) -> None:
+    table = pq.read_table(path.parent / "images.parquet")
+    pq.write_table(pa.Table.from_pylist(change(table.to_pylist())), path.parent / "images.parquet")
+
+
+def test_honest_result_is_scored_again_and_verified(scored: Path, result: Path, root: Path, tmp_path: Path) -> None:
+    sources = Sources(str(root), scored / "s", workers=1)
+    add_result(result, tmp_path / "board", "street", sources=sources)
+    (entry,) = load_entries(tmp_path / "board" / "entries")
+    assert isinstance(entry, Measured) and entry.verified and len(entry.pairs) == 3
+
+
+def test_fifteen_decibels_in_table_and_result_are_found(scored: Path, result: Path, root: Path, tmp_path: Path) -> None:
+    """Before: + 15 dB in `images.parquet` and `result.json` was accepted. After: refused, or unverified."""
+    edit(result, louder(15.0))
+    edit_table(result, lambda rows: [{**row, "psnr": row["psnr"] + 15.0} for row in rows])
+    with pytest.raises(RefusedError, match="of psnr"):
+        add_result(result, tmp_path / "board", "street", sources=Sources(str(root), scored / "s", workers=1))
+    add_result(result, tmp_path / "board", "street", sources=Sources(str(root)))
+    (entry,) = load_entries(tmp_path / "board" / "entries")
+    assert isinstance(entry, Measured) and not entry.verified
+    honest = measured("x", 20.0)
+    verified = honest.model_copy(update={"verified": True, "version": "2"}).sealed()
+    assert len(make_boards([honest, verified])) == 2
+
+
+def test_deleting_the_worse_half_of_the_frames_is_found(result: Path, root: Path, tmp_path: Path) -> None:
+    edit_table(result, lambda rows: rows[: len(rows) // 2])
+
+    def fewer(plain: dict[str, Any]) -> None:
+        rows = pq.read_table(result.parent / "images.parquet").to_pylist()
+        for figure in plain["figures"]:
+            if figure["metric"] in ("psnr", "ssim") and figure["level"] == "group":
+                figure["value"], figure["n"] = float(np.mean([row[figure["metric"]] for row in rows])), len(rows)
+
+    edit(result, fewer)
+    with pytest.raises(RefusedError, match=r"not one for each|is not the mean"):
+        add_result(result, tmp_path / "board", "street", sources=Sources(str(root)))
+
+
+@pytest.mark.parametrize("with_submission", [False, True])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda plain: plain.update(unavailable={"ssim": "no"}), r"needs no weights|unavailable"),
+        (
+            lambda plain: [
+                figure.update(low=figure["value"] - 0.005, high=figure["value"] + 0.005)
+                for figure in plain["figures"]
+                if figure["value"] is not None
+            ],
+            r"low of",
+        ),
+        (lambda plain: plain.update(warnings=["all is well"]), "all is well"),
+        (lambda plain: plain["submission"].update(seed=7), r"seed|submission"),
+        (lambda plain: plain.update(figures=[f for f in plain["figures"] if f["level"] != "camera"]), "missing"),
+    ],
+)
+def test_edited_result_is_refused(
+    scored: Path,
+    result: Path,
+    root: Path,
+    tmp_path: Path,
+    with_submission: bool,
+    change: Callable[[dict[str, Any]], None],
+    message: str,
+) -> None:
+    """SSIM moved to unavailable, intervals of 0.01, warnings or breakdowns changed, another manifest."""
+    edit(result, change)
+    if not with_submission and message == r"seed|submission":
+        pytest.skip("without the renders, nothing shows what the manifest was: the row is unverified")
+    sources = Sources(str(root), scored / "s" if with_submission else None, workers=1)
+    with pytest.raises(RefusedError, match=message):
+        add_result(result, tmp_path / "board", "street", sources=sources)
+    assert not (tmp_path / "board").exists() or not list((tmp_path / "board" / "entries").glob("*.json"))
+
+
+def test_fitted_rows_stand_in_a_table_of_their_own(scored: Path, result: Path, root: Path, tmp_path: Path) -> None:
+    edit(result, lambda plain: plain["submission"].update(appearance=Appearance(policy="fitted").model_dump()))
+    entry = add_module.make_entry(add_module.read_result(result), "street", file=result)
+    assert entry.options == {"appearance": "fitted"}
+
+
+def test_unsigned_and_forged_rows_are_not_built(tmp_path: Path) -> None:
+    """Before: a seal without a key, which anyone can write. After: `build` names the row and ends."""
+    board, forged = tmp_path / "board", measured("forged", 38.0, pairs=())
+    (board / "entries").mkdir(parents=True)
+    file = board / "entries" / "measured-forged.json"
+    write_json(file, measured("honest", 20.0, pairs=()))
+    with pytest.raises(RefusedError, match="no public key"):
+        build([board], tmp_path / "site")
+    new_key(tmp_path / "organiser.key")
+    assert [entry.method for entry in sign_entries(board, tmp_path / "organiser.key")] == ["honest"]
+    assert sign_entries(board, tmp_path / "organiser.key") == []
+    assert "honest" in build([board], tmp_path / "site").read_text()
+    (signed,) = load_entries(board / "entries")
+    assert isinstance(signed, Measured)
+    for signature in (None, signed.signature):
+        write_json(file, forged.model_copy(update={"signature": signature}))
+        with pytest.raises(RefusedError, match=r"forged .* has (no signature|a signature of another)"):
+            build([board], tmp_path / "site")
+    write_json(file, signed.model_copy(update={"method": "renamed"}))
+    with pytest.raises(SchemaError, match="changed after it was added"):
+        build([board], tmp_path / "site")
+    new_key(tmp_path / "other.key")
+    write_json(file, forged)
+    with pytest.raises(UsageError, match="another organiser"):
+        sign_entries(board, tmp_path / "other.key")
+    assert (tmp_path / "other.key").stat().st_mode & 0o777 == 0o600
+    assert "Draft" in build([board], tmp_path / "draft", unsigned=True).read_text()
+    (board / PUBLIC_KEY).write_text("no key")
+    with pytest.raises(UsageError, match="base64"):
+        build([board], tmp_path / "site")
+
+
+def test_reported_row_without_review_is_not_built(tmp_path: Path) -> None:
+    entries = [entry for entry in load_entries(REPORTED) if isinstance(entry, Reported)]
+    require_trusted(tmp_path, entries)
+    first = entries[0].figures[0]
+    assert first.value is not None
+    better = first.model_copy(update={"value": first.value / 2})
+    changed = entries[0].model_copy(update={"figures": (better, *entries[0].figures[1:])})
+    with pytest.raises(RefusedError, match="reviewed"):
+        require_trusted(tmp_path, [changed])
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["HybridWοrldSim", "ΗybridWorldSim", "HybridWor1dSim", "hybrid-world-sim", "Hуbrid WorldSіm", "HybrldWorldSim"],
+)
+def test_lookalike_of_an_existing_name_is_refused(result: Path, board: Path, root: Path, name: str) -> None:
+    """Before: accepted. `board` has HybridWorldSim."""
+    edit(result, lambda plain: plain["submission"]["method"].update(name=name))
+    with pytest.raises(RefusedError, match="easily taken for 'HybridWorldSim'"):
+        add_result(result, board, "street")
+
+
+@pytest.mark.parametrize(
+    "name", [" mine", "mine ", "mi\u200bne", "mi\u00adne", "ｍｉｎｅ", "mine\u3164", "mi\ufe0fne", "m  e"]
+)
+def test_invisible_and_surrounding_characters_are_refused(name: str) -> None:
+    assert find_name_problem(name) is not None
+
+
+def test_plain_names_stay() -> None:
+    for name in ("HybridWorldSim", "mtgs_style", "3DGS (ours, 30k)", "世界モデル", "Ünïcode-GS"):
+        assert find_name_problem(name) is None
+    methods = ["vanilla_3dgs", "mtgs_style", "omnire_style", "nearest_frame", "mean_color", "grey_frame", "DriveEditor"]
+    assert len({skeleton(name) for name in methods}) == len(methods)
+
+
+def test_two_variants_of_one_method_are_distinct_on_the_page(tmp_path: Path) -> None:
+    board = tmp_path / "board"
+    (board / "entries").mkdir(parents=True)
+    for version in ("1", "2"):
+        write_json(board / "entries" / f"{version}.json", measured("twin", 20.0, pairs=(), version=version))
+    page = build([board], tmp_path / "site", unsigned=True).read_text()
+    assert "version 1" in page and "version 2" in page
+
+
+def test_version_two_of_the_protocol_ranks_by_the_invariant_metric() -> None:
+    names = load_protocol("static-reconstruction").metric_names
+    assert names[:4] == ("psnr", "psnr_invariant", "psnr_affine", "psnr_cc")

@@ -16,8 +16,8 @@ from mirror.protocols.views import plan_views
 from mirror_baselines import mean_color, nearest_frame
 from mirror_leaderboard.add import add_result
 from mirror_leaderboard.entry import IMAGE_FOLDER, Measured, load_entries
-from mirror_leaderboard.images import ImageSources
 from mirror_leaderboard.refused import RefusedError
+from mirror_leaderboard.rescore import Sources
 from mirror_leaderboard.site.page import build
 
 
@@ -33,32 +33,15 @@ def test_baselines_appear_on_a_leaderboard(dataset: Dataset, tmp_path: Path) -> 
         result = tmp_path / f"{name}-result" / "result.json"
         other = next(folder for key, folder in submissions.items() if key != name)
         if other.exists():
-            with pytest.raises(RefusedError, match="is not the submission of the result"):
-                add_result(result, board, "a street", images=ImageSources(other, truth))
-        add_result(result, board, "a street", images=ImageSources(submissions[name], truth))
+            with pytest.raises(RefusedError, match="submission_hash"):
+                add_result(result, board, "a street", sources=Sources(str(truth), other))
+        add_result(result, board, "a street", sources=Sources(str(truth), submissions[name]))
     entries = [entry for entry in load_entries(board / "entries") if isinstance(entry, Measured)]
     assert {entry.method for entry in entries} == set(submissions)
     # All methods show the same views of the same truth.
     (truths,) = {tuple(pair.truth for pair in entry.pairs) for entry in entries}
     assert len(truths) == 3
-    page = build([board], tmp_path / "site")
+    page = build([board], tmp_path / "site", unsigned=True)
     for file in truths:
         pixels = cv2.imread(str(page.parent / IMAGE_FOLDER / file))
         assert np.abs(pixels.mean(axis=(0, 1)) - 120).max() < 4
-
-
-def test_image_pairs_need_recorded_truth(dataset: Dataset, tmp_path: Path) -> None:
-    from mirror.evaluation.result import Result
-    from mirror_leaderboard.images import copy_pairs
-
-    plan = plan_views(dataset, load_protocol("static-reconstruction"), "novel")
-    write_submission(dataset, plan, mean_color.render, mean_color.METHOD, mean_color.APPEARANCE, tmp_path / "out")
-    done = evaluate(tmp_path / "out", dataset.root, plan.protocol, "novel", tmp_path / "result")
-    assert isinstance(done.result, Result)
-    sources = ImageSources(tmp_path / "out", Path(dataset.root))
-    moved = done.result.model_copy(update={"protocol": load_protocol("lane-shift")})
-    with pytest.raises(RefusedError, match="have no recorded truth"):
-        copy_pairs(moved, sources, tmp_path / "images")
-    other = done.result.dataset.model_copy(update={"plan_hash": "00" * 32})
-    with pytest.raises(RefusedError, match="is not the dataset"):
-        copy_pairs(done.result.model_copy(update={"dataset": other}), sources, tmp_path / "images")

@@ -17,7 +17,7 @@ from mirror.synth.fleet.presets import PRESETS
 from mirror.synth.light.condition import Effects
 from mirror.synth.model import Model
 from mirror.synth.render.lens import make_lens
-from mirror.synth.render.scene import Instant, Scene
+from mirror.synth.render.scene import Scene
 from mirror.synth.writing.boxes import world_SE3_boxes
 
 VIEWS: Final = ("front_left", "front", "front_right")
@@ -164,14 +164,14 @@ class StreetRecorder:
         shown = np.unique(np.stack(tracks))
         return (
             np.stack(images), np.stack(backgrounds), np.stack(tracks),
-            self._boxes(with_traffic, ego, shown[shown != ABSENT].tolist()),
+            self._boxes(time_s, ego, shown[shown != ABSENT].tolist()),
         )  # fmt: skip
 
-    def _boxes(self, instant: Instant, ego: Poses, numbers: list[int]) -> list[_Box]:
+    def _boxes(self, time_s: float, ego: Poses, numbers: list[int]) -> list[_Box]:
         """Track, class, pose and size of the visible road users that are near."""
         users = [self.drive.road_users[number] for number in numbers]
         boxes = ego[np.zeros(len(users), np.int64)].inverse() @ world_SE3_boxes(
-            users, [instant.placements[number] for number in numbers]
+            users, [user.motion.at(time_s) for user in users]
         )
         near = np.linalg.norm(boxes.translation, axis=1) < _FARTHEST_M
         return [

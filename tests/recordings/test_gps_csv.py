@@ -270,3 +270,16 @@ def test_a_stamp_of_another_size_is_a_bad_row(tmp_path: Path) -> None:
     recording = open_recording(write(tmp_path / "drive.csv", "timestamp,lat,lon\n" + "\n".join(lines) + "\n"))
     track = clean_track(recording)
     assert (len(track), track.timestamp_ns[0]) == (199, 1_628_184_887_000_000_000)
+
+
+@pytest.mark.parametrize(("part", "line"), [("part1", 3), ("part2", 2), ("part2", 4)])
+def test_bad_row_of_a_later_file_is_named_by_its_own_line(part: str, line: int, tmp_path: Path) -> None:
+    rows = {"part1": ["timestamp,lat,lon"], "part2": ["timestamp,lat,lon"]}
+    for number in range(6):
+        rows["part1" if number < 3 else "part2"].append(f"{1628184886 + number},43.8,-79.5")
+    rows[part][line - 1] = rows[part][line - 1].replace("43.8", "north")
+    for name, lines in rows.items():
+        write(tmp_path / "drive" / f"{name}.csv", "\n".join(lines) + "\n")
+    error = refusal(tmp_path / "drive")
+    assert error.file is not None and Path(error.file).name == f"{part}.csv"
+    assert error.place == f"line {line}, column lat"

@@ -90,3 +90,12 @@ def test_identifiers(text: str, expected: str) -> None:
 def test_text_without_letters_and_digits_is_refused() -> None:
     with pytest.raises(RecordingError, match="no letter or digit"):
         to_identifier("|||")
+
+
+def test_hidden_files_hide_no_other_file(root: Path) -> None:
+    """A folder's entries come in no order, so that hidden files lie between others."""
+    names = {f"{number}.png" for number in range(20)}
+    for name in names:
+        (root / "masks" / name).write_bytes(b"mask")
+        (root / "masks" / f".{name}").write_bytes(b"hidden")
+    assert set(list_folder(root, root / "masks")) == {*names, "front.png"}

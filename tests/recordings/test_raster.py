@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -118,3 +120,31 @@ def test_photos_of_real_cameras_are_complete(real_data: Path) -> None:
     for file in photos:
         height, width = cv2.imread(str(file), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION).shape[:2]
         assert require_complete_image(file.read_bytes(), file) == (width, height)
+
+
+def png_chunk(kind: bytes, data: bytes, *, checksum: int | None = None) -> bytes:
+    """A chunk as the PNG specification (ISO/IEC 15948) defines it; its checksum is right unless stated."""
+    right = zlib.crc32(kind + data)
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", right if checksum is None else checksum)
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 24), (32, 0), (2**31, 24), (32, 2**31)])
+def test_png_without_pixels_or_beyond_the_format_is_refused(width: int, height: int) -> None:
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    data = IMAGES["png"][:8] + header + IMAGES["png"][8 + len(header) :]
+    with pytest.raises(RecordingError, match=f"a PNG of {width} x {height} px"):
+        require_complete_image(data, "p")
+
+
+@pytest.mark.parametrize(("kind", "critical"), [(b"PRVT", True), (b"PrVT", True), (b"prVT", False), (b"pRVT", False)])
+def test_checksums_of_critical_png_chunks_count(kind: bytes, critical: bool) -> None:
+    """The case of a chunk name's first letter alone states whether the chunk is critical."""
+    header_end = 8 + 25
+    before, after = IMAGES["png"][:header_end], IMAGES["png"][header_end:]
+    assert require_complete_image(before + png_chunk(kind, b"data") + after, "p") == (32, 24)
+    broken = before + png_chunk(kind, b"data", checksum=0) + after
+    if critical:
+        with pytest.raises(RecordingError, match=f"checksum of chunk {kind.decode()}"):
+            require_complete_image(broken, "p")
+    else:
+        assert require_complete_image(broken, "p") == (32, 24)

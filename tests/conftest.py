@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
+
+if TYPE_CHECKING:
+    from mirror.dataset.dataset import Dataset
+
+# The first example of a test may compile a kernel, and machines that run tests are loaded.
+settings.register_profile("mirror", deadline=None)
+settings.load_profile("mirror")
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -17,3 +26,22 @@ def real_data() -> Path:
     if not (folder / "README.md").is_file():
         pytest.skip(f"no real recordings at {folder}: set MIRROR_REAL_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two traversals of a synthetic street with the split ``novel``: one of them is held out. Tests do not change it."""
+    import mirror
+    import mirror.synth
+    from mirror.dataset.splits import make_split
+    from mirror.ingest.request import IngestOptions
+    from mirror.ingest.rois import read_rois
+    from mirror.ingest.run import ingest_recordings
+    from mirror.schema.documents import NovelTraversal
+
+    folder = tmp_path_factory.mktemp("tiny")
+    recordings = mirror.synth.write_recordings(folder / "recordings", "tiny", 0).recordings
+    rois = read_rois(folder / "recordings" / "rois.geojson")
+    assert not ingest_recordings(recordings, rois, folder / "dataset", IngestOptions()).failures
+    make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
+    return mirror.open(folder / "dataset")

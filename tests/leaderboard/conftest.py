@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mirror.dataset.dataset import Dataset
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_json
 from mirror_leaderboard.command import PAPERS
@@ -90,3 +91,13 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     instance = Browser(program, tmp_path_factory.mktemp("profile"))
     yield instance
     instance.close()
+
+
+@pytest.fixture(scope="session")
+def dataset(tiny_dataset: Dataset) -> Dataset:
+    return tiny_dataset
+
+
+@pytest.fixture(scope="session")
+def root(tiny_dataset: Dataset) -> Path:
+    return Path(tiny_dataset.root)

@@ -30,7 +30,6 @@ from mirror_leaderboard.rescore import Sources
 from mirror_leaderboard.signing import PUBLIC_KEY, new_key
 from mirror_leaderboard.site.page import build
 from mirror_leaderboard.trust import require_trusted, sign_entries
-from tests.evaluation.conftest import dataset, root
 from tests.evaluation.submissions import LEFT_HALF, SPLIT, small, write_renders
 from tests.leaderboard.conftest import REPORTED, measured
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from hybridworldsim.generation.network.checkpoints import read_weights
 from mirror.errors import UsageError
+from mirror.installation import install_command
 from mirror.weights.errors import WeightsUnavailableError
 
 _CONFIG: Final = "config.json"
@@ -66,7 +67,7 @@ def load_autoencoder(folder: Path) -> DiffusersAutoencoder:
         import diffusers
     except ImportError as error:
         raise UsageError(
-            "autoencoders of released models need diffusers", remedy="pip install 'mirror-dataset[generation]'"
+            "autoencoders of released models need diffusers", remedy=install_command("generation")
         ) from error
     try:
         config = json.loads((folder / _CONFIG).read_text())

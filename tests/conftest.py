@@ -30,7 +30,7 @@ def real_data() -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Two traversals of a synthetic street with the split ``novel``: one of them is held out. Tests do not change it."""
+    """Two traversals of a synthetic street; split ``novel`` holds one of them out. Tests do not change it."""
     import mirror
     import mirror.synth
     from mirror.dataset.splits import make_split

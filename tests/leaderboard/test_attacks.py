@@ -33,7 +33,6 @@ from mirror_leaderboard.trust import require_trusted, sign_entries
 from tests.evaluation.submissions import LEFT_HALF, SPLIT, small, write_renders
 from tests.leaderboard.conftest import REPORTED, measured
 
-
 SMALL = small(more=LEFT_HALF, every=10)
 
 

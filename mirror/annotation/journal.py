@@ -9,6 +9,7 @@ from typing import IO, Any
 
 from mirror.annotation.detections import Detections
 from mirror.schema.files import unwritable_error
+from mirror.schema.strict_json import decode_json
 
 
 class Journal:
@@ -26,7 +27,7 @@ class Journal:
             text = path.read_text()
             complete = text[: text.rfind("\n") + 1]
             for line in complete.splitlines():
-                entry = json.loads(line)
+                entry = decode_json(line)
                 self.rows[entry["timestamp_ns"]] = entry["boxes"]
             if complete != text:
                 path.write_text(complete)

@@ -22,6 +22,7 @@ from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
 from mirror.schema.files import write_bytes
+from mirror.schema.strict_json import decode_json
 
 _EXPECTED: Final = '{"meta": {...}, "results": {"<traversal_id>.<timestamp_ns>": [box, ...]}}'
 _META: Final = {
@@ -41,7 +42,7 @@ def read_results(path: Path) -> dict[str, list[dict[str, Any]]]:
         UsageError: the file is missing, is not JSON, or has another structure.
     """
     try:
-        document = json.loads(path.read_bytes())
+        document = decode_json(path.read_bytes())
     except OSError as error:
         raise UsageError(f"cannot be read: {error.strerror}", file=path, expected="a file of results") from error
     except ValueError as error:

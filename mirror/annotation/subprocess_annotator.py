@@ -24,6 +24,7 @@ from mirror.annotation.protocol import Annotator, require_settings
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import UsageError
+from mirror.schema.strict_json import decode_json
 
 FORMAT: Final = "mirror-annotate/1"
 _SETTINGS: Final = {
@@ -138,7 +139,7 @@ class _Program:
             code = self._process.wait()
             raise AnnotationError(f"the program ended with {code} before it answered", place="subprocess")
         try:
-            answer = json.loads(line)
+            answer = decode_json(line)
         except ValueError as error:
             raise AnnotationError(
                 f"the answer {line[:60]!r} is not JSON",

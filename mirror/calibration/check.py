@@ -25,6 +25,7 @@ from mirror.errors import DatasetError, ExitCode, MirrorError, UsageError
 from mirror.geometry import interpolate
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
+from mirror.schema.strict_json import decode_json
 
 METHOD: Final = "joint epipolar estimate, 1"
 
@@ -174,7 +175,7 @@ def check_calibration(
     for row in rows:
         file = None if work is None else work / f"{key}.{row['traversal_id']}.json"
         if file is not None and file.is_file():
-            checks.append(_from_plain(json.loads(file.read_text())))
+            checks.append(_from_plain(decode_json(file.read_text())))
         else:
             one = dataset.where(traversal=row["traversal_id"])
             other = None if reference is None else reference.where(traversal=row["traversal_id"])

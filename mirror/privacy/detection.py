@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.images.decoding import decode_grey, decode_rgb
@@ -27,6 +27,7 @@ from mirror.privacy.options import SkipRules
 from mirror.privacy.regions import Region
 from mirror.schema.documents import Document
 from mirror.schema.files import unwritable_error
+from mirror.schema.strict_json import decode_json
 
 ImageKey = tuple[str, int]
 """Camera and timestamp_ns."""
@@ -94,9 +95,9 @@ class DetectionLog:
             complete = path.read_bytes().rpartition(b"\n")[0] if path.is_file() else b""
             for line in complete.splitlines():
                 try:
-                    detected = Detected.model_validate_json(line)
-                except ValidationError:
-                    # The image is searched again.
+                    detected = Detected.model_validate(decode_json(line))
+                except ValueError:
+                    # An interruption cut the line off: the image is searched again.
                     continue
                 self.done[detected.key] = detected
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 from mirror.errors import SchemaError
 from mirror.privacy.regions import Kind, Region
 from mirror.schema.documents import Document
+from mirror.schema.strict_json import decode_json
 from mirror.version import __version__
 
 LOG: Final = "log.jsonl"
@@ -102,11 +103,11 @@ def read_log(path: Path) -> list[ImageRecord]:
     records = []
     for number, line in enumerate(path.read_bytes().splitlines(), 1):
         try:
-            records.append(ImageRecord.model_validate_json(line))
-        except ValidationError as error:
-            first = error.errors()[0]
+            records.append(ImageRecord.model_validate(decode_json(line)))
+        except ValueError as error:
+            problem = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
             raise SchemaError(
-                f"{first['msg']}", file=path, place=f"line {number}", expected="one JSON object an image",
+                problem, file=path, place=f"line {number}", expected="one JSON object an image",
                 remedy="restore the file, or write the redaction again",
             ) from error  # fmt: skip
     return records

@@ -28,7 +28,7 @@ FOLDERS = {
     "demo": "demo --quick --out {out}",
     "stats": "stats {data} --plots {out}",
     "leaderboard build": "leaderboard build --out {out}",
-    "leaderboard add": "leaderboard add {here}/result.json --dataset-name street --board {out}",
+    "leaderboard add": "leaderboard add {here}/result.json {data} --dataset-name street --board {out}",
 }
 FILES = {
     "report": "report {data} --out {out}/page.html",

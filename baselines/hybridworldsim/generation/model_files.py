@@ -16,6 +16,7 @@ from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.files import write_bytes
+from mirror.schema.strict_json import decode_json
 
 _GENERATOR: Final = "mirror-generator/1"
 _AUTOENCODER: Final = "mirror-autoencoder/1"
@@ -84,7 +85,7 @@ def _read(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, torch.Tensor
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise DatasetError(f"cannot be read ({error})", file=path, expected=f"a file of {kind}") from error
-    document = json.loads(metadata.get("document", "{}"))
+    document = decode_json(metadata.get("document", "{}"))
     if document.get("format") != kind:
         raise DatasetError(f"of format {document.get('format')!r}", file=path, expected=kind)
     return document, state

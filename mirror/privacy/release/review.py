@@ -27,6 +27,7 @@ from mirror.privacy.log import LOG, ImageRecord, Review, read_log
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, ReviewedImage, choose_sample, read_reviews
 from mirror.privacy.run import WORK
 from mirror.schema.files import read_table, unwritable_error
+from mirror.schema.strict_json import decode_json
 from mirror.schema.tables import IMAGES
 
 _LONGEST: Final = 4096
@@ -153,7 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Write a verdict."""
         length = int(self.headers.get("Content-Length") or 0)
         try:
-            said = json.loads(self.rfile.read(min(length, _LONGEST)))
+            said = decode_json(self.rfile.read(min(length, _LONGEST)))
             if not self._is_allowed({"token": [said["token"]]}):
                 return self._send(403, "text/plain", b"another session")
             if self._session.image(said["sha256"]) is None:

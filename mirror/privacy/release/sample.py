@@ -10,6 +10,7 @@ from typing import Final
 
 from mirror.privacy.log import ImageRecord, Review
 from mirror.schema.documents import Document
+from mirror.schema.strict_json import decode_json
 
 REVIEWS: Final = "reviews.jsonl"
 CONFIDENCE: Final = 0.95
@@ -73,7 +74,7 @@ def read_reviews(path: Path) -> dict[str, Review]:
         return {}
     found: dict[str, Review] = {}
     for line in path.read_bytes().rpartition(b"\n")[0].splitlines():
-        reviewed = ReviewedImage.model_validate_json(line)
+        reviewed = ReviewedImage.model_validate(decode_json(line))
         found[reviewed.out_sha256] = reviewed.review
     return found
 

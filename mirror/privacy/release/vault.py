@@ -7,7 +7,6 @@ what a removal request needs, and what a release must not contain.
 from __future__ import annotations
 
 import datetime
-import json
 import os
 import secrets
 from collections.abc import Iterable, Mapping
@@ -17,6 +16,7 @@ from typing import Final, Literal
 from mirror.errors import UsageError
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, write_bytes, write_json
+from mirror.schema.strict_json import decode_json
 
 VAULT: Final = "vault.json"
 PRIVATE_LOG: Final = "originals.jsonl"
@@ -102,6 +102,6 @@ def read_private_logs(folder: Path) -> list[OriginalRecord]:
     """Read all private logs of a vault."""
     found = []
     for path in sorted(folder.glob(f"*.{PRIVATE_LOG}")):
-        lines: list[Mapping[str, str]] = [json.loads(line) for line in path.read_text().splitlines()]
+        lines: list[Mapping[str, str]] = [decode_json(line) for line in path.read_text().splitlines()]
         found += [OriginalRecord.model_validate(line) for line in lines]
     return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +10,7 @@ from torch import Tensor
 from hybridworldsim.generation.network.checkpoints import read_weights
 from mirror.errors import UsageError
 from mirror.installation import install_command
+from mirror.schema.strict_json import decode_json
 from mirror.weights.errors import WeightsUnavailableError
 
 _CONFIG: Final = "config.json"
@@ -70,7 +70,7 @@ def load_autoencoder(folder: Path) -> DiffusersAutoencoder:
             "autoencoders of released models need diffusers", remedy=install_command("generation")
         ) from error
     try:
-        config = json.loads((folder / _CONFIG).read_text())
+        config = decode_json((folder / _CONFIG).read_text())
     except (OSError, ValueError) as error:
         raise WeightsUnavailableError(
             f"cannot be read ({error})", file=folder / _CONFIG, expected="the folder of an autoencoder"

@@ -40,8 +40,8 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     from mirror.schema.documents import NovelTraversal
 
     folder = tmp_path_factory.mktemp("tiny")
-    recordings = mirror.synth.write_recordings(folder / "recordings", "tiny", 0).recordings
-    rois = read_rois(folder / "recordings" / "rois.geojson")
+    recordings = mirror.synth.write_recordings(folder / "tiny", "tiny", 0).recordings
+    rois = read_rois(folder / "tiny" / "rois.geojson")
     assert not ingest_recordings(recordings, rois, folder / "dataset", IngestOptions()).failures
     make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")

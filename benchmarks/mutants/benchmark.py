@@ -4,8 +4,9 @@
 ``benchmarks/mutants/equivalent.toml`` lists the survivors that are equivalent to the source, each with its reason. The
 exit code is 1 if a survivor has no reason, if less than 85 % are killed, or if some have not run.
 
-The draw ranks all mutants by a hash of three lines: the line before, the line, and the changed line. Outcomes and
-reasons are stored under the same text, so that lines that move to another place or file keep theirs.
+The draw ranks all mutants by a hash of three lines: the line before, the line, and the changed line. Outcomes
+(``benchmarks/mutants/outcomes.jsonl``) and reasons are stored under the same text, so that lines that move to another
+place or file keep theirs. ``--fresh`` ignores the stored outcomes.
 
 Nothing runs in the checkout: every mutant gets a fresh copy of the tracked files and of the real recordings (of
 MIRROR_REAL_DATA). First the tests run without a mutant and must pass; this run records how long each test takes and
@@ -51,6 +52,7 @@ ROOMS: Final = {
     "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
 }
 _EQUIVALENT: Final = Path(__file__).parent / "equivalent.toml"
+_OUTCOMES: Final = Path(__file__).parent / "outcomes.jsonl"
 _BAR: Final = 0.85
 # A test may take ten times as long as without a mutant, plus this time for compiling kernels.
 _PATIENCE_S: Final = 120.0
@@ -67,11 +69,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--hours", type=float, default=4.0, help="processor time after which no new mutant is begun")
-    parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of copies and outcomes")
+    parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of the copies of the tree")
+    parser.add_argument("--fresh", action="store_true", help="delete the stored outcomes and run all mutants")
     parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
     parser.add_argument("--report", action="store_true", help="run nothing")
     options = parser.parse_args(argv)
     sample = draw(options.count, options.seed)
+    if options.fresh:
+        _OUTCOMES.unlink(missing_ok=True)
     run = _Run(options.state.resolve())
     reasons = _reasons()
     if not options.report:
@@ -103,8 +108,8 @@ class _Run:
 
     def __init__(self, state: Path) -> None:
         self.clean, self.work = state / "clean", state / "work"
-        self._state, self._file, self._record = state, state / "outcomes.jsonl", state / "tests.json"
-        lines = self._file.read_text().splitlines() if self._file.exists() else []
+        self._state, self._record = state, state / "tests.json"
+        lines = _OUTCOMES.read_text().splitlines() if _OUTCOMES.exists() else []
         self.outcomes: dict[str, dict[str, Any]] = {one["mutant"]: one for one in map(json.loads, lines)}
         self._tests: dict[str, list[dict[str, Any]]] = {}
 
@@ -180,7 +185,7 @@ class _Run:
         outcome = {"mutant": mutant.name, "file": mutant.file, "killed": code != 0, "cpu_s": round(_cpu_s() - begin, 1)}
         outcome |= {"by": by[:200] if code else None}
         self.outcomes[mutant.name] = outcome
-        with self._file.open("a") as out:
+        with _OUTCOMES.open("a") as out:
             out.write(json.dumps(outcome) + "\n")
         print("killed  " if code else "SURVIVED", mutant.file, mutant.name, flush=True)
 

@@ -98,6 +98,7 @@ def test_psnr_is_of_the_scored_pixels(dataset: Dataset, root: Path, folder: Path
     assert figure.n == len(rows)
     pooled = next(item for item in done.result.figures if item.metric == "psnr_pooled")
     assert (pooled.n, pooled.n_missing) == (figure.n, figure.n_missing)
+    assert pooled.reason is None
     assert done.result == read_result(tmp_path)
     assert read_result(tmp_path).hash == done.result.hash
 
@@ -141,6 +142,7 @@ def test_infinite_psnr_is_counted_and_not_averaged(root: Path, dataset: Dataset,
     assert figures["psnr"].n_inf == figures["psnr"].n > 0
     assert figures["ssim"].value == pytest.approx(1.0)
     assert figures["psnr_pooled"].value is None
+    assert figures["psnr_pooled"].reason == "all images are equal to the truth"
 
 
 def test_render_that_cannot_be_decoded_stops_the_scoring(root: Path, dataset: Dataset, tmp_path: Path) -> None:

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mirror.evaluation.figures import MIN_BLOCKS, Measure, compute_figures, linearise_mean, mean_weights
+from mirror.evaluation.figures import (
+    MIN_BLOCKS,
+    Measure,
+    compute_figures,
+    linearise_mean,
+    mean_weights,
+    weighted_interval,
+)
 from mirror.metrics.score import Score
 from mirror.protocols.views.view import RenderView
 from tests.evaluation.submissions import small
@@ -90,3 +97,15 @@ def test_intervals_resample_whole_blocks() -> None:
     few = compute_figures(protocol, MEASURE, "novel", views[: 2 * MIN_BLOCKS - 2], values[: 2 * MIN_BLOCKS - 2])[0]
     assert few.low is None
     assert few.interval_reason is not None
+
+
+def test_the_least_number_of_blocks_has_an_interval() -> None:
+    protocol = small(block=2)
+    views = [view("A", "A.x", frame) for frame in range(2 * MIN_BLOCKS)]
+    values = np.random.default_rng(1).normal(25.0, 2.0, len(views))
+    weights = np.full(len(views), 1 / len(views))
+    mean, interval = weighted_interval(protocol, views, values, weights)
+    assert mean == pytest.approx(values.mean())
+    assert interval.low < mean < interval.high
+    _, few = weighted_interval(protocol, views[:-2], values[:-2], weights[:-2])
+    assert math.isnan(few.low)

@@ -146,3 +146,14 @@ def test_tiny_motions_do_not_vanish() -> None:
         moved = moved @ Poses.exp(twist)
     assert np.allclose(moved.log(), 4 * twist, rtol=1e-12, atol=0)
     assert (quaternion_exp([1e-20, 0, 0])[1:] == [0.5e-20, 0, 0]).all()
+
+
+def test_one_matrix_without_a_batch_axis() -> None:
+    matrix = np.eye(4)
+    matrix[:3, 3] = 1.0, 2.0, 3.0
+    poses = Poses.from_matrix(matrix)
+    assert len(poses) == 1
+    np.testing.assert_array_equal(poses.translation, [[1.0, 2.0, 3.0]])
+    for shape in ((4,), (1, 1, 4, 4)):
+        with pytest.raises(UsageError, match="shape"):
+            Poses.from_matrix(np.ones(shape))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 from collections.abc import Iterator
 
@@ -151,6 +152,7 @@ def _ledger() -> Iterator[Edit]:
     yield of("LED002", cell("d0", "passes", 0, threshold=5.0), file)
     yield of("LED003", cell("d0", "passes", 0, mean_speed_mps=11.0), file)
     yield of("LED003", cell("d0", "passes", 0, overlap=1.2), file)
+    yield of("LED003", cell("d0", "passes", 0, closest_m=math.inf), file, "LED004")
     yield of("LED004", cell("d0", "passes", 0, closest_m=200.5), file)
     yield of(
         "LED005",

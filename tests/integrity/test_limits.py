@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from mirror.integrity import Cost, check
+from mirror.integrity.rules.ledger import counted_path
+from mirror.integrity.summary import summarise
 from tests.integrity.clean import Broken
 from tests.integrity.edit import A0
 
@@ -26,3 +31,16 @@ def test_an_image_at_the_entry_or_exit_is_of_the_pass(
     assert not finds(broken, "TIM009")
     broken.set("d0", "passes", accepted, **{column: stamp + outward})
     assert finds(broken, "TIM009")
+
+
+def test_points_nearer_than_the_least_step_do_not_count() -> None:
+    x, y = np.array([0.0, 1.0, 1.1, 1.0, 5.0, 5.0]), np.array([0.0, 0.0, 0.3, 1.0, 1.0, 4.0])
+    assert counted_path(x, y, np.full(6, 0.5)) == pytest.approx(1.0 + 1.0 + 4.0 + 3.0)
+
+
+def test_the_summary_spans_all_passes(clean: Path) -> None:
+    passes = pd.concat([pd.read_parquet(file) for file in sorted(clean.glob("drives/*/passes.parquet"))])
+    accepted = passes[passes["decision"] == "accepted"]
+    assert accepted["exit_ns"].nunique() > 1
+    summary = summarise(clean)
+    assert (summary.first_ns, summary.last_ns) == (accepted["entry_ns"].min(), accepted["exit_ns"].max())

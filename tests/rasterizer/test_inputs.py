@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import torch
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.cpu.blending.splats import pack_splats
 from hybridworldsim.rasterizer.cpu.blending.tiles import assign_tiles
-from hybridworldsim.rasterizer.limits import SIDE_MAX
+from hybridworldsim.rasterizer.inputs import check_inputs
+from hybridworldsim.rasterizer.limits import GAUSSIANS_MAX, SIDE_MAX, refuse_too_many
 from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 from mirror.errors import UsageError
 from tests.rasterizer.scenes import both_backends, cameras, one, scene, with_gradients
@@ -320,3 +322,19 @@ def test_rows_are_taken_and_spread_with_gradients():
     assert torch.equal(scatter_rows(take_rows(table, ids), ids, 6)[ids], table[ids])
     assert torch.autograd.gradcheck(lambda x: take_rows(x, ids), table)
     assert torch.autograd.gradcheck(lambda x: scatter_rows(x[:3], ids, 6), table)
+
+
+def test_the_largest_count_of_gaussians_is_accepted() -> None:
+    refuse_too_many(GAUSSIANS_MAX)
+    with pytest.raises(UsageError, match="Gaussians"):
+        refuse_too_many(GAUSSIANS_MAX + 1)
+
+
+def test_a_row_with_one_number_that_is_not_finite_is_found() -> None:
+    given = scene(6, seed=3)
+    given["means"] = given["means"].clone()
+    given["means"][2, 1] = math.nan
+    inputs = check_inputs(**given, sh_degree=None, backgrounds=None, render_mode="RGB", nonfinite="cull")
+    found = inputs.find_finite(0, 0)
+    assert found is not None
+    assert found.tolist() == [0, 1, 3, 4, 5]

@@ -78,3 +78,10 @@ def test_errors():
     ):
         with pytest.raises(UsageError):
             call()
+
+
+def test_few_against_many_needs_little_memory():
+    """The kernel of all 100,000 features among themselves would take 80 GB."""
+    draw = np.random.default_rng(2)
+    got = kid(draw.standard_normal((10, 2)), draw.standard_normal((100_000, 2)), subset_size=5, subsets=3)
+    assert np.isfinite(got.value)

@@ -181,3 +181,9 @@ def test_what_has_no_meaning_is_refused(scores, blocks, options):
 def test_methods_are_compared_on_the_same_images():
     with pytest.raises(UsageError, match="the same images"):
         paired_difference([1.0], [1.0, 2.0], [0, 1])
+
+
+def test_blocks_of_one_frame() -> None:
+    assert frame_blocks(["a", "a", "b", "a"], np.array([3, 1, 2, 3]), 1).tolist() == [1, 0, 2, 1]
+    with pytest.raises(UsageError, match="length > 0"):
+        frame_blocks(["a"], np.array([0]), 0)

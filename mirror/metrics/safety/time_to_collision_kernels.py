@@ -80,7 +80,7 @@ def _least_in_step(
 ) -> tuple[float, float]:
     """Least value below ``best`` within a step and its share of the step; (best, -1) where there is none."""
     count = max(math.ceil(duration / _SAMPLE_S), 1)
-    at, least_sample = -1.0, -1
+    at, least, least_sample = -1.0, math.inf, -1
     before = math.inf
     for sample in range(count + 1):
         share = sample / count
@@ -97,9 +97,12 @@ def _least_in_step(
             edge = time_to_collision_at(ego, agent, halves, row, other, finite)
             if edge < best:
                 best, at = edge, finite
-        if value < best:
-            best, at, least_sample = value, share, sample
+        if value < least:
+            least, least_sample = value, sample
         before = value
+    # The least sample may lie above an earlier step's value while the minimum beside it lies below.
+    if least < best:
+        best, at = least, least_sample / count
     if least_sample >= 0 and best > 0.0:
         low, high = max(least_sample - 1, 0) / count, min(least_sample + 1, count) / count
         best, at = _refine(ego, agent, halves, row, other, low, high, best, at)

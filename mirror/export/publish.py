@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,13 +23,16 @@ from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
-from mirror.schema.bundle import BUNDLE, Bundle
+from mirror.schema.bundle import BUNDLE, PUBLISHING, Bundle
 from mirror.schema.documents import FileEntry, SplitDocument
 from mirror.schema.files import read_json, sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 
 _LAYERS: Final = frozenset({"poses", "calibrations", "boxes", "masks", "redaction"})
 """Kinds of layers that are published; depth and points may contain what held-out images show."""
+
+_FOLDERS: Final = ("drives", "index", "rigs", "splits", "traversals")
+"""Folders of a dataset, in which a repeated call removes files."""
 
 _MAX_FILES_PER_FOLDER: Final = 10_000
 """Limit of the Hugging Face hub, which serves larger folders badly."""
@@ -59,7 +63,8 @@ def publish(root: Path, out: str, options: PublishOptions, *, progress: Progress
     """Write a bundle of a dataset without the images by which submissions are scored.
 
     Tables, splits, calibrations, boxes and masks are complete, so that hashes of splits and plans are those of the
-    dataset. An interrupted call to a local folder continues when it is repeated.
+    dataset. An interrupted call to a local folder continues when it is repeated; files of an earlier call that this one
+    does not publish are removed.
 
     Args:
         root: folder of the dataset.
@@ -98,6 +103,10 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     split = read_json(layout.split(options.split), SplitDocument)
     withheld = _list_withheld(dataset, split, options.protocols)
     names = [name for name in _list_files(layout.root) if name not in withheld]
+    # The folder counts as a bundle again once its new document is written.
+    write_bytes(out / PUBLISHING, b"")
+    (out / BUNDLE).unlink(missing_ok=True)
+    _remove_others(out, frozenset(names))
     progress.start("copying", len(names))
 
     def copy(name: str) -> None:
@@ -123,7 +132,21 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     files["README.md"] = FileEntry(bytes=len(sheet), sha256=sha256_bytes(sheet))
     bundle = bundle.model_copy(update={"files": dict(sorted(files.items()))})
     write_json(out / BUNDLE, bundle)
+    (out / PUBLISHING).unlink()
     return bundle
+
+
+def _remove_others(out: Path, names: frozenset[str]) -> None:
+    """Remove what an earlier call left in the dataset's folders and this one does not publish; other files stay."""
+    for top in _FOLDERS:
+        for folder, folders, files in os.walk(out / top, topdown=False):
+            for file in files:
+                path = Path(folder, file)
+                if path.relative_to(out).as_posix() not in names:
+                    path.unlink()
+            for name in folders:
+                with suppress(OSError):
+                    Path(folder, name).rmdir()
 
 
 def _list_withheld(dataset: Dataset, split: SplitDocument, protocols: Sequence[Protocol]) -> frozenset[str]:
@@ -195,7 +218,8 @@ def _hash_files(out: Path, progress: ProgressReporter) -> dict[str, FileEntry]:
     names = sorted(
         str(path.relative_to(out))
         for path in out.rglob("*")
-        if path.is_file() and not path.name.startswith(".") and path.name not in (BUNDLE, "README.md")
+        if path.is_file() and path.name not in (BUNDLE, "README.md")
+        if not any(part.startswith(".") for part in path.relative_to(out).parts)
     )
     progress.start("hashing", len(names))
 

@@ -10,6 +10,8 @@ from pydantic import Field, field_validator
 from mirror.schema.documents import Document, FileEntry
 
 BUNDLE: Final = "bundle.json"
+PUBLISHING: Final = ".publishing"
+"""Empty file that stands in the folder of a bundle until its document is written."""
 
 
 class Bundle(Document):

@@ -65,7 +65,7 @@ class _Signs:
 
 
 _KINDS: Final[Mapping[FolderKind, _Signs]] = {
-    FolderKind.BUNDLE: _Signs({"bundle.json": "mirror-bundle"}, sealed=True),
+    FolderKind.BUNDLE: _Signs({"bundle.json": "mirror-bundle"}, marks=(".publishing",), sealed=True),
     FolderKind.DATASET: _Signs({"dataset.json": "mirror"}, sealed=True),
     FolderKind.RECORDING: _Signs({"recording.json": "mirror-folder"}, sealed=True),
     FolderKind.RECORDINGS: _Signs({"synth.json": "mirror-synth"}),

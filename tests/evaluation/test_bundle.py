@@ -18,8 +18,9 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, publish
+from mirror.progress import NullProgress
 from mirror.protocols.views import plan_views
-from mirror.schema.bundle import Bundle
+from mirror.schema.bundle import PUBLISHING, Bundle
 from tests.evaluation.submissions import SPLIT, small
 
 BROKEN: set[str] = set()
@@ -165,6 +166,29 @@ def test_bytes_that_differ_from_the_hash_are_refused(bundle: Path, tmp_path: Pat
         (source / "bundle.json").write_text(json.dumps(document))
         with pytest.raises(SchemaError, match="leads out of the bundle"):
             fetch(str(source), tmp_path / "e")
+
+
+def test_an_interrupted_call_continues_and_a_stricter_one_removes(root: Path, tmp_path: Path) -> None:
+    class Interrupted(NullProgress):
+        def advance(self, count: int = 1) -> None:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "bundle"
+    with pytest.raises(KeyboardInterrupt):
+        publish(root, str(out), options(protocols=()), progress=Interrupted())
+    assert not (out / "bundle.json").exists()
+    loose = publish(root, str(out), options(protocols=()))
+    assert not (out / PUBLISHING).exists()
+    (out / ".git").mkdir()
+    (out / ".git" / "config").write_text("a repository of the host")
+    training = small(groups='[[groups]]\nname = "training"\nroles = ["train"]\n')
+    strict = publish(root, str(out), options(protocols=(training,)))
+    assert (out / ".git" / "config").exists()
+    assert set(strict.withheld) > set(loose.withheld)
+    assert not [name for name in strict.withheld if (out / name).exists()]
+    assert set(strict.files) < set(loose.files)
+    for name, entry in strict.files.items():
+        assert hashlib.sha256((out / name).read_bytes()).hexdigest() == entry.sha256
 
 
 def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:

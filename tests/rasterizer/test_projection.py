@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -31,9 +30,10 @@ def options(preset: str = "gsplat-1.5", antialiased: bool = False, **others: flo
 
 
 def default_view() -> Tensor:
+    """A pose without a zero in its rotation."""
     viewmat = torch.eye(4, dtype=torch.float64)
-    cos, sin = np.cos(0.3), np.sin(0.3)
-    viewmat[:3, :3] = torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    generator = torch.tensor([[0.0, -0.07, 0.3], [0.07, 0.0, -0.11], [-0.3, 0.11, 0.0]], dtype=torch.float64)
+    viewmat[:3, :3] = torch.linalg.matrix_exp(generator)
     viewmat[:3, 3] = torch.tensor([0.1, -0.2, 0.5])
     return viewmat
 

@@ -54,6 +54,8 @@ def test_psnr_is_of_the_scored_pixels(dataset: Dataset, root: Path, folder: Path
     assert len(rows) == len(done.plan.views)
     truth = GroundTruth(dataset, protocol, done.plan.layers)
     traversals: dict[str, list[float]] = {}
+    squares: list[float] = []
+    pixels: list[int] = []
     free = 0
     for view in done.plan.views:
         render = cv2.imread(str(folder / "noise4" / view.path))[..., ::-1].astype(np.float64)
@@ -90,6 +92,8 @@ def test_psnr_is_of_the_scored_pixels(dataset: Dataset, root: Path, folder: Path
         assert row_of["scored_px"] == scored.sum()
         image = truth.image(view).astype(np.float64)
         error = np.mean((render[scored] - image[scored]) ** 2)
+        squares.append(error * scored.sum())
+        pixels.append(scored.sum())
         assert row_of["psnr"] == pytest.approx(10 * math.log10(255**2 / error), abs=1e-9)
         traversals.setdefault(view.traversal_id, []).append(row_of["psnr"])
     assert 2 * free > len(rows)
@@ -99,6 +103,7 @@ def test_psnr_is_of_the_scored_pixels(dataset: Dataset, root: Path, folder: Path
     pooled = next(item for item in done.result.figures if item.metric == "psnr_pooled")
     assert (pooled.n, pooled.n_missing) == (figure.n, figure.n_missing)
     assert pooled.reason is None
+    assert pooled.value == pytest.approx(10 * math.log10(255**2 * sum(pixels) / sum(squares)), abs=1e-9)
     assert done.result == read_result(tmp_path)
     assert read_result(tmp_path).hash == done.result.hash
 

@@ -1,12 +1,14 @@
 """Changes single tokens in the source, runs the tests against each change, and lists the changes that no test detects.
 
-``python -m benchmarks mutants`` draws 300 mutants, runs those that have no outcome yet, and prints the survivors.
+``python -m benchmarks mutants`` runs those of 300 mutants that have no outcome yet, and prints the survivors.
 ``benchmarks/mutants/equivalent.toml`` lists the survivors that are equivalent to the source, each with its reason. The
 exit code is 1 if a survivor has no reason, if less than 85 % are killed, or if some have not run.
 
-The draw ranks all mutants by a hash of three lines: the line before, the line, and the changed line. Outcomes
-(``benchmarks/mutants/outcomes.jsonl``) and reasons are stored under the same text, so that lines that move to another
-place or file keep theirs. ``--fresh`` ignores the stored outcomes.
+The name of a mutant is three lines: the line before, the line, and the changed line. Outcomes
+(``benchmarks/mutants/outcomes.jsonl``) and reasons are stored under names, so that lines that move to another place or
+file keep theirs. ``--fresh`` ignores the stored outcomes. The names of the sample stand in
+``benchmarks/mutants/sample.txt``, one a line, so that new code does not change it. Mutants whose line the source no
+longer has count as gone; ``--draw`` replaces the sample by the mutants of the present source with the least hashes.
 
 Nothing runs in the checkout: every mutant gets a fresh copy of the tracked files and of the real recordings (of
 MIRROR_REAL_DATA). First the tests run without a mutant and must pass; this run records how long each test takes and
@@ -27,8 +29,9 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,6 +56,7 @@ ROOMS: Final = {
 }
 _EQUIVALENT: Final = Path(__file__).parent / "equivalent.toml"
 _OUTCOMES: Final = Path(__file__).parent / "outcomes.jsonl"
+_SAMPLE: Final = Path(__file__).parent / "sample.txt"
 _BAR: Final = 0.85
 # A test may take ten times as long as without a mutant, plus this time for compiling kernels.
 _PATIENCE_S: Final = 120.0
@@ -64,43 +68,57 @@ _TESTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "-p"
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Draw mutants, run them, and report."""
+    """Run the mutants of the sample, and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--draw", action="store_true", help="replace the sample by one of the present source")
+    parser.add_argument("--count", type=int, default=300, help="of --draw")
+    parser.add_argument("--seed", type=int, default=0, help="of --draw")
     parser.add_argument("--hours", type=float, default=4.0, help="processor time after which no new mutant is begun")
     parser.add_argument("--state", type=Path, default=OUT / "mutants", help="folder of the copies of the tree")
     parser.add_argument("--fresh", action="store_true", help="delete the stored outcomes and run all mutants")
     parser.add_argument("--again", action="store_true", help="run the survivors without a reason once more")
     parser.add_argument("--report", action="store_true", help="run nothing")
     options = parser.parse_args(argv)
-    sample = draw(options.count, options.seed)
+    if options.draw:
+        names = [mutant.name for mutant in draw(all_mutants(), options.count, options.seed)]
+        _SAMPLE.write_text("".join(f"{name}\n" for name in names))
+    sample = _SAMPLE.read_text().splitlines()
+    present = find(sample, all_mutants())
     if options.fresh:
         _OUTCOMES.unlink(missing_ok=True)
     run = _Run(options.state.resolve())
     reasons = _reasons()
     if not options.report:
         run.begin()
-        for mutant in sample:
+        for mutant in present:
             outcome = run.outcomes.get(mutant.name)
             survived = options.again and outcome is not None and not outcome["killed"] and mutant.name not in reasons
             if (outcome is None or survived) and run.hours() < options.hours:
                 run.try_mutant(mutant)
-    return _report(sample, run.outcomes, reasons)
+    return _report(present, len(sample) - len(present), run.outcomes, reasons)
 
 
-def draw(count: int, seed: int) -> list[Mutant]:
-    """The mutants with the smallest hashes, of all rooms together."""
-    texts = {path.relative_to(ROOT).as_posix(): path.read_text() for room in ROOMS for path in _sources(ROOT / room)}
-    every = [mutant for file, text in texts.items() for mutant in mutants(file, text)]
-    every.sort(key=lambda mutant: hashlib.sha256(f"{seed} {mutant.name}".encode()).digest())
-    chosen: list[Mutant] = []
-    for mutant in every:
-        if len(chosen) == count:
-            break
-        if compiles(mutant.applied(texts[mutant.file])):
-            chosen.append(mutant)
-    return chosen
+def all_mutants() -> list[Mutant]:
+    """The mutants of all rooms; of equal names, that of the first file."""
+    files = sorted({path.relative_to(ROOT).as_posix() for room in ROOMS for path in _sources(ROOT / room)})
+    found: dict[str, Mutant] = {}
+    for file in files:
+        for mutant in mutants(file, (ROOT / file).read_text()):
+            found.setdefault(mutant.name, mutant)
+    return list(found.values())
+
+
+def draw(every: Sequence[Mutant], count: int, seed: int) -> list[Mutant]:
+    """The mutants with the smallest hashes, without those that are not Python."""
+    ranked = sorted(every, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.name}".encode()).digest())
+    valid = (mutant for mutant in ranked if compiles(mutant.applied((ROOT / mutant.file).read_text())))
+    return list(islice(valid, count))
+
+
+def find(names: Iterable[str], every: Iterable[Mutant]) -> list[Mutant]:
+    """The mutants with these names that the source still has, in the order of the names."""
+    by_name = {mutant.name: mutant for mutant in every}
+    return [by_name[name] for name in names if name in by_name]
 
 
 class _Run:
@@ -287,9 +305,11 @@ def _reasons() -> dict[str, str]:
     }
 
 
-def _report(sample: Iterable[Mutant], outcomes: Mapping[str, Mapping[str, Any]], reasons: Mapping[str, str]) -> int:
+def _report(
+    present: Iterable[Mutant], gone: int, outcomes: Mapping[str, Mapping[str, Any]], reasons: Mapping[str, str]
+) -> int:
     counts: dict[str, Counter[str]] = {room: Counter() for room in (*ROOMS, "all")}
-    for mutant in sample:
+    for mutant in present:
         outcome = outcomes.get(mutant.name)
         state = "not run" if outcome is None else "killed" if outcome["killed"] else "survived"
         if state == "survived" and mutant.name in reasons:
@@ -305,7 +325,7 @@ def _report(sample: Iterable[Mutant], outcomes: Mapping[str, Mapping[str, Any]],
         print(f"| {room} | {count.total()} | {' | '.join(map(str, figures))} |")
     every = counts["all"]
     share = every["killed"] / max(every.total(), 1)
-    print(f"\nkilled: {share:.1%}, {_BAR:.0%} asked for")
+    print(f"\nkilled: {share:.1%}, {_BAR:.0%} asked for; gone: {gone}")
     return (
         ExitCode.DONE if share >= _BAR and every["killed"] + every["equivalent"] == every.total() else ExitCode.FINDINGS
     )

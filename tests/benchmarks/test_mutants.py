@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from benchmarks.mutants.benchmark import find
 from benchmarks.mutants.mutations import compiles, mutants
 
 SOURCE = '''
@@ -49,3 +50,12 @@ def test_a_mutant_keeps_its_name_where_its_lines_move() -> None:
     assert len(set(names)) == len(names)
     twice = [mutant.name for mutant in mutants("a.py", SOURCE + SOURCE)]
     assert len(set(twice)) == len(twice)
+
+
+def test_the_sample_is_found_by_name_and_new_code_does_not_change_it() -> None:
+    names = [mutant.name for mutant in mutants("a.py", SOURCE)]
+    sample = [names[4], names[0]]
+    present = list(mutants("b.py", "def other(c: int) -> int:\n    return c + 1\n" + SOURCE))
+    assert [mutant.name for mutant in find(sample, present)] == sample
+    gone = list(mutants("b.py", SOURCE.replace("Field(ge=0)", "Field()")))
+    assert [mutant.name for mutant in find(sample, gone)] == sample[:1]

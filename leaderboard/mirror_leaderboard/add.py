@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +26,7 @@ from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import Sources, require_plan, rescore
+from mirror_leaderboard.trust import today
 
 _MAX_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
@@ -43,6 +45,7 @@ def add_result(
     setting: str | None = None,
     sources: Sources | None = None,
     progress: ProgressReporter | None = None,
+    day: date | None = None,
 ) -> Path:
     """Validate a result and write its entry.
 
@@ -55,6 +58,7 @@ def add_result(
             are shown beside their truth; without, the entry stands in a table of unverified ones. None: the result is
             held against its own table of images alone.
         progress: receives the progress of the scoring.
+        day: day of the entry; None: today (UTC).
 
     Returns:
         The new entry's file.
@@ -74,7 +78,7 @@ def add_result(
     if sources is not None and sources.submission is not None:
         result = rescore(result, path, sources, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)
-        entry = entry.model_copy(update={"verified": True}).sealed()
+        entry = entry.model_copy(update={"verified": True})
     else:
         require_recomputed_means(result, path)
         if sources is not None:
@@ -90,7 +94,8 @@ def add_result(
         raise unwritable_error(board / "entries", error) from error
     if entry.verified and sources is not None and result.protocol.task == "reconstruction":
         pairs = copy_pairs(result, sources, board / IMAGE_FOLDER)
-        entry = entry.model_copy(update={"pairs": pairs}).sealed()
+        entry = entry.model_copy(update={"pairs": pairs})
+    entry = entry.model_copy(update={"added": day or today()}).sealed()
     out = board / "entries" / f"measured-{_slug(entry.dataset)}-{_slug(entry.method)}-{entry.result_hash[:12]}.json"
     write_json(out, entry)
     return out

@@ -1,4 +1,4 @@
-"""``mirror leaderboard``: build, add."""
+"""``mirror leaderboard``: build, add, sign, key, rotate."""
 
 from __future__ import annotations
 
@@ -32,6 +32,10 @@ _ADD_EXAMPLES = (
 _SIGN_EXAMPLES = (
     "mirror leaderboard sign --board demo/board --key organiser.key",
     "mirror leaderboard sign --key organiser.key",
+)
+_ROTATE_EXAMPLES = (
+    "mirror leaderboard rotate --key new.key",
+    "mirror leaderboard rotate --board demo/board --key new.key",
 )
 _KEY_EXAMPLES = ("mirror leaderboard key --out organiser.key", "mirror leaderboard key --out ~/organiser.key")
 _ADD_RENAMED = {"--dataset": "--dataset-name", "--truth": "[DATASET]"}
@@ -75,10 +79,23 @@ class Add:
 
 @dataclass(frozen=True, kw_only=True)
 class Sign:
-    """Sign the measured entries of a board with the organiser's key; the public key is written into the board."""
+    """Sign the measured entries of a board that have no valid signature; a board's first key is listed in keys.json."""
 
     key: Path
     """File of the organiser's private key."""
+    board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
+    """Folder of the board."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotate:
+    """Put a new organiser's key in the place of a lost or former one, and sign again what a listed key had signed.
+
+    The former public key stays in keys.json with the day on which it ended. Entries without a valid signature are left.
+    """
+
+    key: Path
+    """File of the new private key, from `mirror leaderboard key`."""
     board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
     """Folder of the board."""
 
@@ -97,6 +114,7 @@ def main(argv: Sequence[str]) -> int:
         "build": Subcommand("write the static site", _build),
         "add": Subcommand("put a result.json on the board", _add),
         "sign": Subcommand("sign the measured entries of a board", _sign),
+        "rotate": Subcommand("replace the organiser's key", _rotate),
         "key": Subcommand("make an organiser's key", _key),
     }
     try:
@@ -156,3 +174,15 @@ def _sign(argv: Sequence[str]) -> int:
         print(f"signed: {entry.method} {entry.version}, {entry.protocol}, {entry.dataset}")
     print(f"{len(signed)} entries were signed")
     return ExitCode.DONE
+
+
+def _rotate(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Rotate, argv, "mirror leaderboard rotate", examples=_ROTATE_EXAMPLES)
+    from mirror_leaderboard.trust import rotate_key
+
+    done = rotate_key(arguments.board, arguments.key)
+    print(f"key {done.former.id} ended on {done.former.until}; key {done.current.id} is in use")
+    print(f"{len(done.signed)} entries were signed again")
+    for entry in done.left:
+        print(f"left without a valid signature: {entry.method} {entry.version}, {entry.protocol}, {entry.dataset}")
+    return ExitCode.FINDINGS if done.left else ExitCode.DONE

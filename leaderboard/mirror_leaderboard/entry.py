@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -13,6 +14,7 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
+from mirror_leaderboard.keys import KeyId
 from mirror_leaderboard.measures import MEASURES
 
 ALL: Final = "all"
@@ -20,6 +22,9 @@ ALL: Final = "all"
 
 IMAGE_FOLDER: Final = "pictures"
 """Folder of images, in a board beside its folder of entries, and in the site."""
+
+_SIGNATURE: Final = ("key", "signed_on", "signature")
+"""Fields of a measured entry that its seal does not cover."""
 
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f<>]+$")]
@@ -154,8 +159,11 @@ class Measured(Document):
         pairs: renders beside their truth.
         notes: warnings of the evaluation.
         verified: whether the board's organiser scored the renders again. The hash of the content omits False.
-        seal: hash of all other fields but the signature, which reveals changes by hand.
-        signature: the organiser's signature of the seal, ed25519 in base64; None: the entry is a draft.
+        added: day on which the entry was added to the board; None: it is not known.
+        seal: hash of all fields above, which reveals changes by hand.
+        key: id of the organiser's key that signed the entry (`mirror_leaderboard.keys`).
+        signed_on: day of the signature.
+        signature: the organiser's signature of the seal and the day, ed25519 in base64; None: the entry is a draft.
     """
 
     kind: Literal["measured"] = "measured"
@@ -178,22 +186,25 @@ class Measured(Document):
     pairs: tuple[Pair, ...] = ()
     notes: tuple[Note, ...] = ()
     verified: bool = Field(default=False, exclude_if=lambda verified: not verified)
+    added: date | None = Field(default=None, exclude_if=lambda added: added is None)
     seal: Hash = "0" * 64
+    key: KeyId | None = Field(default=None, exclude_if=lambda key: key is None)
+    signed_on: date | None = Field(default=None, exclude_if=lambda day: day is None)
     signature: Signature | None = Field(default=None, exclude_if=lambda signature: signature is None)
 
     def sealed(self) -> Measured:
         """Return a copy with its seal, which nobody has signed."""
-        return self.model_copy(update={"seal": self.content_hash, "signature": None})
+        return self.model_copy(update={"seal": self.content_hash, **dict.fromkeys(_SIGNATURE)})
 
     @property
     def signed_content(self) -> bytes:
         """The bytes that the organiser signs."""
-        return f"mirror-leaderboard-entry {self.seal}".encode()
+        return f"mirror-leaderboard-entry {self.seal} {self.signed_on}".encode()
 
     @property
     def content_hash(self) -> str:
         """The correct value of the seal."""
-        plain = self.model_dump(mode="json", exclude={"seal", "signature"})
+        plain = self.model_dump(mode="json", exclude={"seal", *_SIGNATURE})
         return sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())
 
 

@@ -16,9 +16,6 @@ from mirror.schema.files import unwritable_error
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-PUBLIC_KEY: Final = "organiser.pub"
-"""File of a board with the organiser's public key: 32 bytes in base64."""
-
 KEY_BYTES: Final = 32
 
 
@@ -53,27 +50,15 @@ def read_private_key(path: Path) -> Ed25519PrivateKey:
     return key
 
 
-def read_public_key(path: Path) -> Ed25519PublicKey:
-    """Read the organiser's public key.
+def parse_public_key(text: str) -> Ed25519PublicKey:
+    """Parse a public key in base64.
 
     Raises:
-        UsageError: the file is missing or not a public key, or `cryptography` is not installed.
+        ValueError: it is not a public key.
+        UsageError: `cryptography` is not installed.
     """
-    data = _read_key(path, "the organiser's public key")
-    key: Ed25519PublicKey = _ed25519().Ed25519PublicKey.from_public_bytes(data)
+    key: Ed25519PublicKey = _ed25519().Ed25519PublicKey.from_public_bytes(base64.b64decode(text, validate=True))
     return key
-
-
-def write_public_key(path: Path, key: Ed25519PublicKey) -> None:
-    """Write a public key for a board.
-
-    Raises:
-        DatasetError: the file cannot be written.
-    """
-    try:
-        path.write_text(encode_public_key(key) + "\n")
-    except OSError as error:
-        raise unwritable_error(path, error) from error
 
 
 def encode_public_key(key: Ed25519PublicKey) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,13 @@ from mirror_leaderboard import add as add_module
 from mirror_leaderboard.add import add_result
 from mirror_leaderboard.boards import make_boards
 from mirror_leaderboard.entry import Measured, Reported, load_entries
+from mirror_leaderboard.keys import KEYS, OrganiserKeys, read_keys
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import Sources
-from mirror_leaderboard.signing import PUBLIC_KEY, new_key
+from mirror_leaderboard.signing import new_key
 from mirror_leaderboard.site.page import build
-from mirror_leaderboard.trust import require_trusted, sign_entries
+from mirror_leaderboard.trust import require_trusted, rotate_key, sign_entries
 from tests.evaluation.submissions import LEFT_HALF, SPLIT, small, write_renders
 from tests.leaderboard.conftest import REPORTED, measured
 
@@ -177,7 +179,7 @@ def test_unsigned_and_forged_rows_are_not_built(tmp_path: Path) -> None:
     (signed,) = load_entries(board / "entries")
     assert isinstance(signed, Measured)
     for signature in (None, signed.signature):
-        write_json(file, forged.model_copy(update={"signature": signature}))
+        write_json(file, signed.model_copy(update={**dict(forged), "signature": signature, "key": signed.key}))
         with pytest.raises(RefusedError, match=r"forged .* has (no signature|a signature of another)"):
             build([board], tmp_path / "site")
     write_json(file, signed.model_copy(update={"method": "renamed"}))
@@ -185,13 +187,88 @@ def test_unsigned_and_forged_rows_are_not_built(tmp_path: Path) -> None:
         build([board], tmp_path / "site")
     new_key(tmp_path / "other.key")
     write_json(file, forged)
-    with pytest.raises(UsageError, match="another organiser"):
+    with pytest.raises(UsageError, match="key in use"):
         sign_entries(board, tmp_path / "other.key")
     assert (tmp_path / "other.key").stat().st_mode & 0o777 == 0o600
     assert "Draft" in build([board], tmp_path / "draft", unsigned=True).read_text()
-    (board / PUBLIC_KEY).write_text("no key")
-    with pytest.raises(UsageError, match="base64"):
+    (board / KEYS).write_text("no key")
+    with pytest.raises(SchemaError, match="JSON"):
         build([board], tmp_path / "site")
+
+
+FIRST, SECOND, LATER = date(2026, 1, 1), date(2026, 2, 1), date(2026, 3, 1)
+
+
+@pytest.fixture
+def signed_board(tmp_path: Path) -> Path:
+    """A board whose entry `honest` was signed by `old.key` on the first day; `new.key` is beside it."""
+    board = tmp_path / "board"
+    write_json(board / "entries" / "measured-honest.json", measured("honest", 20.0, pairs=()))
+    for name in ("old.key", "new.key", "third.key"):
+        new_key(tmp_path / name)
+    sign_entries(board, tmp_path / "old.key", FIRST)
+    return board
+
+
+def test_rotation_signs_again_what_a_listed_key_signed_and_nothing_else(signed_board: Path, tmp_path: Path) -> None:
+    forged = measured("forged", 38.0, pairs=())
+    file = signed_board / "entries" / "measured-forged.json"
+    write_json(file, forged)
+    done = rotate_key(signed_board, tmp_path / "new.key", SECOND)
+    assert [entry.method for entry in done.signed] == ["honest"]
+    assert [entry.method for entry in done.left] == ["forged"]
+    with pytest.raises(RefusedError, match=r"forged .* has no signature"):
+        build([signed_board], tmp_path / "site")
+    file.unlink()
+    assert "honest" in build([signed_board], tmp_path / "site").read_text()
+    keys = read_keys(signed_board)
+    assert keys is not None and [(key.since, key.until) for key in keys.keys] == [(FIRST, SECOND), (SECOND, None)]
+    (entry,) = load_entries(signed_board / "entries")
+    assert isinstance(entry, Measured) and (entry.key, entry.signed_on) == (keys.current.id, SECOND)
+    # The same call again changes nothing; an interrupted one would continue.
+    assert rotate_key(signed_board, tmp_path / "new.key", LATER).signed == ()
+    assert read_keys(signed_board) == keys
+    with pytest.raises(UsageError, match="has ended"):
+        rotate_key(signed_board, tmp_path / "old.key", LATER)
+    with pytest.raises(UsageError, match="key in use"):
+        sign_entries(signed_board, tmp_path / "old.key", LATER)
+
+
+def test_signature_of_a_former_key_counts_between_its_dates_alone(signed_board: Path, tmp_path: Path) -> None:
+    (honest,) = load_entries(signed_board / "entries")
+    assert isinstance(honest, Measured)
+    other = tmp_path / "other"
+    write_json(other / "entries" / "measured-late.json", measured("late", 25.0, pairs=()))
+    sign_entries(other, tmp_path / "old.key", LATER)
+    (late,) = load_entries(other / "entries")
+    rotate_key(signed_board, tmp_path / "new.key", SECOND)
+    require_trusted(signed_board, [honest])
+    with pytest.raises(RefusedError, match="was signed on 2026-03-01; key"):
+        require_trusted(signed_board, [late])
+    assert isinstance(late, Measured)
+    with pytest.raises(RefusedError, match="another key or content"):
+        require_trusted(signed_board, [late.model_copy(update={"signed_on": FIRST})])
+    write_json(other / KEYS, OrganiserKeys(keys=read_keys(signed_board).keys[1:]))  # type: ignore[union-attr]
+    with pytest.raises(RefusedError, match="does not list"):
+        require_trusted(other, [late])
+
+
+def test_rotation_needs_a_new_key(signed_board: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="in use already"):
+        rotate_key(signed_board, tmp_path / "old.key")
+    (signed_board / KEYS).unlink()
+    with pytest.raises(UsageError, match="no key yet"):
+        rotate_key(signed_board, tmp_path / "new.key")
+
+
+def test_broken_list_of_keys_is_refused(signed_board: Path) -> None:
+    plain = json.loads((signed_board / KEYS).read_text())
+    (key,) = plain["keys"]
+    ended = {**key, "until": "2026-02-01"}
+    for keys in ([], [ended], [key, key], [{**key, "id": "0" * 16}], [{**key, "until": "2025-01-01"}]):
+        (signed_board / KEYS).write_text(json.dumps({"keys": keys}))
+        with pytest.raises(SchemaError):
+            read_keys(signed_board)
 
 
 def test_reported_row_without_review_is_not_built(tmp_path: Path) -> None:

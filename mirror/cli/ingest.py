@@ -100,6 +100,8 @@ class Arguments:
     """Read and hash every image, and refuse truncated and broken ones. --no-hash reads their headers only."""
     verify_images: bool = False
     """Decode every image, and refuse those that cannot be decoded."""
+    images: Literal["jpeg", "video"] = "jpeg"
+    """How frames of recorded videos are stored: as JPEG images, or as the recording's own compressed video."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads."""
     dry_run: bool = False
@@ -143,7 +145,10 @@ def main(argv: Sequence[str]) -> int:
         cleaning=stated_thresholds(arguments.cleaning),
         weather_plugin=arguments.weather_from,
         write=WriteOptions(
-            transfer="copy" if arguments.copy else "link", hashing=arguments.hash, decoding=arguments.verify_images
+            transfer="copy" if arguments.copy else "link",
+            hashing=arguments.hash,
+            decoding=arguments.verify_images,
+            videos=arguments.images,
         ),
         workers=arguments.workers,
         dry_run=arguments.dry_run,

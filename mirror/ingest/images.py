@@ -32,13 +32,14 @@ class PlacedImages:
     """The N images of one camera of a traversal.
 
     Attributes:
-        names: file names in the camera's folder, or absolute uris.
-        sizes: bytes of each.
-        sha256: digest of each, or None where hashing is off or the images lie elsewhere.
-        codec: ``jpeg`` or ``png``.
+        names: file names in the camera's folder, or absolute uris; the frames of one video have one name.
+        sizes: bytes of each; of a frame of a video, those of the video.
+        sha256: digest of each file, or None where hashing is off or the images lie elsewhere.
+        codec: ``jpeg``, ``png`` or ``video``.
         width_px: (N,) of each, as its header says.
         height_px: (N,) of each.
         linked: how many are hard links to the recording's own files.
+        video_pts: (N,) time stamps of the frames of videos; None: the images are not in videos.
     """
 
     names: list[str]
@@ -48,6 +49,12 @@ class PlacedImages:
     width_px: Int64
     height_px: Int64
     linked: int
+    video_pts: Int64 | None = None
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of all files."""
+        return sum(self.sizes) if self.video_pts is None else sum(dict(zip(self.names, self.sizes)).values())
 
 
 def refer_to_images(stream: ReferencedStream, selected: Int64, advance: Callable[[int], None]) -> PlacedImages:

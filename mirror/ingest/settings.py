@@ -95,4 +95,7 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
         "hashing": options.write.hashing,
         "weather_plugin": options.weather_plugin,
     }
+    if options.write.videos != "jpeg":
+        # Absent for the default, so that datasets of earlier versions keep their hash.
+        decisive["videos"] = options.write.videos
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -21,10 +22,12 @@ from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_size
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, build_pose_table
 from mirror.ingest.trigger import Pass
+from mirror.ingest.videos import place_videos
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
 from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import ImageStream, ReferencedStream
+from mirror.recordings.video import CompressedStream
 from mirror.schema.documents import ImageTotals, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
@@ -38,11 +41,13 @@ class WriteOptions:
         transfer: hard links where possible, or copies.
         hashing: read and hash every image.
         decoding: decode every image.
+        videos: what becomes of the frames of a recorded video: images, or the compressed video of the stretch.
     """
 
     transfer: Transfer = "link"
     hashing: bool = True
     decoding: bool = False
+    videos: Literal["jpeg", "video"] = "jpeg"
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,16 @@ def _write(
     def place(stream: ImageStream, indices: Int64, stamps: Int64, folder: Path) -> PlacedImages:
         if isinstance(stream, ReferencedStream):
             return refer_to_images(stream, indices, advance)
+        if options.videos == "video" and isinstance(stream, CompressedStream):
+            return place_videos(
+                stream,
+                indices,
+                stamps,
+                folder,
+                hashing=options.hashing,
+                decoding=options.decoding,
+                advance=advance,
+            )
         return place_images(
             stream,
             indices,
@@ -185,7 +200,7 @@ def _write(
         files[f"{table.name}.parquet"] = encode_table(rows, table)
         write_bytes(folder / f"{table.name}.parquet", files[f"{table.name}.parquet"])
     count = sum(len(one_camera.names) for one_camera in placed.values())
-    total = sum(sum(one_camera.sizes) for one_camera in placed.values())
+    total = sum(one_camera.bytes for one_camera in placed.values())
     seal(folder, files, derived_from=derived_from, images=ImageTotals(count=count, bytes=total))
     linked = sum(one_camera.linked for one_camera in placed.values())
     return _with_lost_images(WriteReport(name, count, total, linked, reused=False), drive, number)
@@ -299,7 +314,7 @@ def _image_table(
                     "byte_offset": np.zeros(count, np.int64),
                     "byte_length": np.array(here.sizes, np.int64),
                     "codec": pa.array([here.codec] * count, pa.string()),
-                    "video_pts": pa.nulls(count, pa.int64()),
+                    "video_pts": pa.nulls(count, pa.int64()) if here.video_pts is None else here.video_pts,
                     "sha256": pa.array(here.sha256, pa.binary(32)),
                     "privacy": pa.array(["raw"] * count, pa.string()),
                 }

@@ -35,7 +35,7 @@ from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigIn
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import WEEK_S, unix_from_gps_week
-from mirror.recordings.video import VideoStream
+from mirror.recordings.video import CopiedVideo, VideoStream
 
 # The dataset's two cars, by the id of their device.
 _VEHICLES: Final = {"b0c9d2329ad1606b": "Toyota RAV4", "99c94dc769b5d96e": "Honda Civic"}
@@ -281,6 +281,17 @@ class _SegmentedStream:
 
     def path(self, index: int) -> None:
         return
+
+    def copy_video(self, indices: Int64, folder: Path, name: str) -> list[CopiedVideo]:
+        copies: list[CopiedVideo] = []
+        start = 0
+        for number, part in enumerate(self.parts):
+            end = start + len(part.pts)
+            within = indices[(indices >= start) & (indices < end)] - start
+            if len(within):
+                copies += part.copy_video(within, folder, f"{name}_{number}" if copies else name)
+            start = end
+        return copies
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         start = 0

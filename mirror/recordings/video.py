@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +28,35 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream as Stream
 
 JPEG_QUALITY: Final = 95
+
+
+@runtime_checkable
+class CompressedStream(Protocol):
+    """An image stream that can hand over its compressed video, so that no frame is decoded."""
+
+    def copy_video(self, indices: Int64, folder: Path, name: str) -> list[CopiedVideo]:
+        """Write the compressed frames into mp4 files.
+
+        Args:
+            indices: (N,) ascending indices into the stream.
+            folder: where the files are written; it exists.
+            name: stem of the first file's name; further files get a number.
+
+        Returns:
+            The files. Together they hold the N frames in their order.
+
+        Raises:
+            RecordingError: the video is broken, or cannot be copied.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class CopiedVideo:
+    """A file with compressed frames: ``pts`` (N,) are the time stamps of the requested frames, in their order."""
+
+    file: Path
+    pts: Int64
 
 
 @dataclass
@@ -74,6 +103,13 @@ class VideoStream:
         """None: no file holds a single frame."""
         return
 
+    def copy_video(self, indices: Int64, folder: Path, name: str) -> list[CopiedVideo]:
+        """Write the compressed frames into one mp4 file; see `CompressedStream`."""
+        from mirror.recordings.remux import copy_frames
+
+        target = folder / f"{name}.mp4"
+        return [CopiedVideo(target, copy_frames(self.file, self.pts[indices], target))]
+
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, JPEG bytes)`` for ascending indices.
 
@@ -85,10 +121,10 @@ class VideoStream:
         requested = {int(self.pts[index]): index for index in indices}
         if not requested:
             return
-        with _open_video(self.file) as (container, stream):
+        with open_video(self.file) as (container, stream):
             frames = (
                 _decode_by_time(container, stream, requested)
-                if _has_time_stamps(stream)
+                if has_time_stamps(stream)
                 else _decode_by_number(container, stream, requested)
             )
             try:
@@ -104,7 +140,7 @@ class VideoStream:
                     yield requested.pop(pts), data.tobytes()
                     if not requested:
                         return
-            except _av_error_type() as error:
+            except av_error_type() as error:
                 raise self._missing_error(min(requested), str(error)) from error
         if requested:
             raise self._missing_error(min(requested), "the video has no such frame, or ends before it")
@@ -131,10 +167,10 @@ def read_video_stamps(file: Path) -> tuple[Int64, Fraction]:
     Raises:
         RecordingError: the file is broken, or is a raw stream, which has no time stamps.
     """
-    with _open_video(file) as (container, stream):
+    with open_video(file) as (container, stream):
         try:
             stamps = [packet.pts for packet in container.demux(stream) if packet.size]
-        except _av_error_type() as error:
+        except av_error_type() as error:
             raise _broken_error(file, error) from error
         time_base = stream.time_base
     if not stamps or None in stamps or time_base is None:
@@ -163,7 +199,12 @@ def to_unix_stamps(pts: Int64, time_base: Fraction, start_ns: int) -> Int64:
 
 
 @contextmanager
-def _open_video(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
+def open_video(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
+    """Open a video for demuxing and decoding.
+
+    Raises:
+        RecordingError: PyAV is not installed, or the file is no video.
+    """
     try:
         import av
     except ImportError as error:
@@ -193,13 +234,15 @@ def _broken_error(file: Path, reason: object) -> RecordingError:
     )
 
 
-def _av_error_type() -> type[Exception]:
+def av_error_type() -> type[Exception]:
+    """The type of PyAV's errors, which is imported only where it is needed."""
     import av
 
     return av.FFmpegError
 
 
-def _has_time_stamps(stream: Stream) -> bool:
+def has_time_stamps(stream: Stream) -> bool:
+    """Whether the packets of a video have time stamps; those of a raw stream have none."""
     return len(stream.index_entries) > 0 or stream.start_time is not None
 
 

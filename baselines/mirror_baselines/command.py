@@ -24,12 +24,13 @@ _EXAMPLES = (
 class Arguments:
     """Write the submission of a floor, a baseline that every method must beat. `mirror evaluate` scores it.
 
-    nearest_frame submits the recorded image with the nearest camera, mean_color the mean colour of the camera.
+    nearest_frame submits the recorded image with the nearest camera, grey_frame its luma in all channels, mean_color
+    the mean colour of the camera.
     """
 
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset."""
-    method: Literal["nearest_frame", "mean_color"]
+    method: Literal["nearest_frame", "grey_frame", "mean_color"]
     """The floor."""
     split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""

@@ -14,7 +14,7 @@ from mirror.schema.files import sha256_bytes
 from mirror_leaderboard.entry import ALL, Entry, Figure, Measured, Reported
 from mirror_leaderboard.measures import MEASURES, Measure
 
-FLOOR: Final = ("nearest_frame", "mean_color")
+FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
 UNVERIFIED: Final = {"unverified:": "the renders were not scored again"}

@@ -95,3 +95,13 @@ def following_acceleration(u: int, road_users: Users, v: float, gap: float, spee
 def stopping_acceleration(u: int, road_users: Users, v: float, gap: float) -> float:
     """Acceleration towards a stop line."""
     return following_acceleration(u, road_users, v, gap + STANDSTILL_M, 0.0) if gap > -STANDSTILL_M else -_HARDEST_MPS2
+
+
+@inner_njit
+def advance_along(s: float, v: float, a: float, wish: float, tick_s: float) -> tuple[float, float, float]:
+    """Length, speed and acceleration after a tick; the acceleration changes gradually, the speed is never negative."""
+    a_new = min(max(wish, a - 12.0 * tick_s), a + 4.0 * tick_s)
+    v_new = v + 0.5 * (a + a_new) * tick_s
+    if v_new <= 0.0:
+        return s + 0.5 * v * tick_s, 0.0, 0.0
+    return s + tick_s * (v + tick_s * (2.0 * a + a_new) / 6.0), v_new, a_new

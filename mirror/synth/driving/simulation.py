@@ -8,7 +8,15 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
-from mirror.synth.driving.following import Users, Ways, free_acceleration, inner_njit, pace_at, stopping_acceleration
+from mirror.synth.driving.following import (
+    Users,
+    Ways,
+    advance_along,
+    free_acceleration,
+    inner_njit,
+    pace_at,
+    stopping_acceleration,
+)
 from mirror.synth.driving.yielding import FAR, Meetings, State, limit_position, yield_at_meeting
 
 TICK_S: Final = 0.1
@@ -180,15 +188,8 @@ def _wait_at_halt(
 
 @inner_njit
 def _advance(u: int, now: State) -> None:
-    """Advance a user by one tick; the acceleration changes gradually, and the speed is never negative."""
-    a_new = min(max(now.wish[u], now.a[u] - 12.0 * TICK_S), now.a[u] + 4.0 * TICK_S)
-    v_new = now.v[u] + 0.5 * (now.a[u] + a_new) * TICK_S
-    if v_new <= 0.0:
-        now.s[u] += 0.5 * now.v[u] * TICK_S
-        now.v[u], now.a[u] = 0.0, 0.0
-    else:
-        now.s[u] += TICK_S * (now.v[u] + TICK_S * (2.0 * now.a[u] + a_new) / 6.0)
-        now.v[u], now.a[u] = v_new, a_new
+    """Advance a user by one tick."""
+    now.s[u], now.v[u], now.a[u] = advance_along(now.s[u], now.v[u], now.a[u], now.wish[u], TICK_S)
     now.waited[u] = now.waited[u] + TICK_S if now.v[u] < 0.2 else 0.0
     now.shut_before[u] = now.shut[u]
     now.stop_before[u] = min(now.stop[u], now.shut[u])

@@ -397,6 +397,20 @@ def test_a_file_of_equal_size_with_other_bytes_is_refused(tmp_path: Path) -> Non
         mirror.open(tmp_path).table("images")
 
 
+def test_a_file_of_another_size_in_an_archive_is_refused(tmp_path: Path) -> None:
+    """Files that are not local are not hashed; their size must be that of the manifest."""
+    _two_drives(tmp_path / "dataset")
+    with zipfile.ZipFile(tmp_path / "dataset.zip", "w") as archive:
+        for path in (tmp_path / "dataset").rglob("*"):
+            if path.is_file():
+                more = b"\0" if path.parent.name == "images" and path.name == "a.parquet" else b""
+                archive.writestr(str(path.relative_to(tmp_path / "dataset")), more + path.read_bytes())
+    other = mirror.open(f"zip::{tmp_path}/dataset.zip")
+    assert other.table("ego_poses").num_rows
+    with pytest.raises(DatasetError, match="has changed"):
+        other.table("images")
+
+
 def test_files_that_were_closed_are_held_against_the_manifest_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

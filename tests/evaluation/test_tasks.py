@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,11 @@ from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import split_into_clips
-from mirror.evaluation.scorers.editing_accuracy import target_hull
+from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy, target_hull
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
+from mirror.geometry.box_projection import project_boxes
+from mirror.geometry.poses import Poses
 from mirror.methods import registry
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
@@ -33,6 +36,7 @@ from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, make_hidden_document
 from mirror.protocols.views import RenderView, plan_views
+from mirror.protocols.views.view import to_pose_numbers
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
@@ -205,7 +209,7 @@ def test_clips_have_consecutive_frames_of_one_camera() -> None:
 def test_without_weights_distances_are_unavailable(dataset: Dataset, root: Path, tmp_path: Path, monkeypatch) -> None:
     for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "nothing"))
-    protocol = small(task="generation", metrics=FID + FVD.replace("9", "400"))
+    protocol = small(task="generation", metrics=FVD.replace("9", "400") + FID)
     write_renders(dataset, protocol, tmp_path / "s")
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
@@ -242,6 +246,43 @@ def test_editing_accuracy_of_painted_boxes(dataset: Dataset, root: Path, tmp_pat
         assert off < exact - 0.15
 
 
+def test_vehicles_in_front_of_the_target_are_not_counted(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    protocol = load_protocol("editing-accuracy")
+    write_renders(dataset, protocol, tmp_path / "s")
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert done.inputs is not None
+    checked = 0
+    for job in (scored.job for scored in done.scored):
+        view = job.views[0]
+        boxes = done.inputs.truth.recorded_frame_and_image(view)[0].boxes("world")
+        camera_SE3_box = view.pose.inverse() @ boxes.pose
+        distance_m = np.linalg.norm(camera_SE3_box.translation, axis=1)
+        projected = project_boxes(view.lens, camera_SE3_box, boxes.size_m)
+        others = np.array(boxes.track_id) != view.edits[0].track_id
+        near = np.flatnonzero(projected.visible & (distance_m > 5.0) & others)
+        if not len(near) or checked == 4:
+            continue
+        checked += 1
+        first = near[np.argmin(distance_m[near])]
+        occluder = polygon_mask(projected.hull(int(first)), view.width_px, view.height_px)
+        counted = {}
+        for share in (1.2, 0.7):
+            target = Poses(camera_SE3_box.rotation[[first]], camera_SE3_box.translation[[first]] * share)
+            size_m = (3.0, 3.0, 3.0)
+            edit = view.edits[0].model_copy(
+                update={"world_SE3_target": to_pose_numbers(view.pose @ target), "size_m": size_m}
+            )
+            moved = view.model_copy(update={"edits": (edit,)})
+            hull = polygon_mask(target_hull(moved, edit), view.width_px, view.height_px)
+            values = EditingAccuracy().score(replace(job, views=(moved, job.views[1])), done.inputs)
+            visible = hull & done.inputs.scored_mask(view)
+            visible &= ~occluder if share > 1.0 else True
+            counted[share] = values["target_px"], int(visible.sum()), int(hull.sum())
+        assert counted[0.7][0] == counted[0.7][1] > 0
+        assert counted[1.2][0] == counted[1.2][1] < counted[1.2][2]
+    assert checked == 4
+
+
 def test_diff_grabcut_finds_the_changed_region_in_noise() -> None:
     rng = np.random.default_rng(3)
     street = np.clip(rng.normal(110, 5, (120, 200, 3)) + np.linspace(-40, 40, 200)[:, None], 0, 255)
@@ -268,6 +309,71 @@ def test_file_extractor_reads_masks(tmp_path: Path) -> None:
     counted = np.ones((9, 16), np.bool_)
     region = make_extractor(f"file:{tmp_path}").extract(image, image, counted, "renders/left/a.png")
     np.testing.assert_array_equal(region, mask > 0)
+
+
+def write_sam(folder: Path, height: int, width: int) -> None:
+    """Networks with the inputs of Segment Anything; the better of two masks is positive within the prompt."""
+    onnx = pytest.importorskip("onnx")
+    node, scale = onnx.helper.make_node, 1024 / max(height, width)
+
+    def value(name: str, shape: list[int]) -> Any:
+        return onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+
+    def save(name: str, nodes: list[Any], inputs: list[Any], outputs: list[Any], **constants: Any) -> None:
+        arrays = [onnx.numpy_helper.from_array(np.asarray(array), key) for key, array in constants.items()]
+        graph = onnx.helper.make_graph(nodes, name, inputs, outputs, arrays)
+        model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
+        onnx.save(model, str(folder / f"{name}.onnx"))
+
+    image, embeddings = value("image", [1, 3, 1024, 1024]), value("image_embeddings", [1, 3, 1024, 1024])
+    save("encoder", [node("Identity", ["image"], ["image_embeddings"])], [image], [embeddings])
+    prompt = [value("point_coords", [1, 2, 2]), value("point_labels", [1, 2])]
+    rest = [value("mask_input", [1, 1, 256, 256]), value("has_mask_input", [1]), value("orig_im_size", [2])]
+    rows, columns = np.mgrid[:height, :width].astype(np.float32) + 0.5
+    save(
+        "decoder",
+        [
+            node("Reshape", ["point_coords", "four"], ["flat"]),
+            node("Div", ["flat", "scale"], ["pixels"]),
+            node("Split", ["pixels"], ["left", "top", "right", "bottom"], axis=0),
+            node("Sub", ["x", "left"], ["a"]),
+            node("Sub", ["right", "x"], ["b"]),
+            node("Sub", ["y", "top"], ["c"]),
+            node("Sub", ["bottom", "y"], ["d"]),
+            node("Min", ["a", "b", "c", "d"], ["within"]),
+            node("Neg", ["within"], ["beyond"]),
+            node("Concat", ["beyond", "within"], ["masks"], axis=1),
+            node("Identity", ["quality"], ["scores"]),
+        ],
+        [embeddings, *prompt, *rest],
+        [value("masks", [1, 2, height, width]), value("scores", [1, 2])],
+        four=np.array([4], np.int64),
+        scale=np.array([scale], np.float32),
+        x=columns[None, None],
+        y=rows[None, None],
+        quality=np.array([[0.1, 0.9]], np.float32),
+    )
+
+
+def test_the_sam_extractor_prompts_with_the_differing_rectangle(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    height, width = 90, 160
+    with pytest.raises(UsageError, match=r"encoder\.onnx"):
+        make_extractor(f"onnx-sam:{tmp_path}")
+    write_sam(tmp_path, height, width)
+    background = np.full((height, width, 3), 90, np.uint8)
+    edited = background.copy()
+    edited[20:60, 40:75] = (210, 30, 60)
+    edited[50:70, 60:120] = (210, 30, 60)
+    counted = np.ones((height, width), np.bool_)
+    counted[:, 100:] = False
+    differing = DiffGrabCut().extract(edited, background, counted, "a")
+    rows, columns = np.flatnonzero(differing.any(axis=1)), np.flatnonzero(differing.any(axis=0))
+    wanted = np.zeros((height, width), np.bool_)
+    wanted[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    extractor = make_extractor(f"onnx-sam:{tmp_path}")
+    np.testing.assert_array_equal(extractor.extract(edited, background, counted, "a"), wanted & counted)
+    assert not extractor.extract(background, background, counted, "a").any()
 
 
 def boxes_of(dataset: Dataset, traversal: str, sigma_m: float) -> dict[str, object]:

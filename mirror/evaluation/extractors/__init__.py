@@ -7,7 +7,7 @@ from typing import Final
 from mirror.errors import UsageError
 from mirror.evaluation.extractors.extractor import Extractor
 
-__all__ = ["EXTRACTORS", "Extractor", "extractor_of"]
+__all__ = ["EXTRACTORS", "Extractor", "make_extractor"]
 
 EXTRACTORS: Final = {
     "diff-grabcut": "diff-grabcut, the region that differs from the background, refined by GrabCut; needs no weights",

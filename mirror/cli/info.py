@@ -24,7 +24,10 @@ _EXAMPLES = ("mirror info demo/dataset", "mirror info demo/block/dataset --json"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Describe a dataset, or a recording that one of the readers recognises. No image is opened."""
+    """Describe a dataset, or a recording that one of the readers recognises. No image is opened.
+
+    A format such as nuScenes keeps several drives in one folder: for the folder they are listed, FOLDER/NAME is one.
+    """
 
     path: Annotated[tyro.conf.Positional[Path], help_text(metavar="DATASET|RECORDING")]
     """Folder of a dataset, or a recording."""
@@ -44,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror info", examples=_EXAMPLES)
     path = arguments.path
-    if not path.exists():
+    if not path.exists() and not _is_drive_of_folder(path, arguments.reader):
         raise DatasetError("there is no file or folder at this path", file=path, expected="a dataset or a recording")
     if (path / "dataset.json").is_file():
         from mirror.integrity.summary import summarise as summarise_dataset
@@ -54,9 +57,13 @@ def main(argv: Sequence[str]) -> int:
         kind = "dataset"
     else:
         from mirror.recordings.boundary import reader_errors
-        from mirror.recordings.registry import open_recording
+        from mirror.recordings.registry import list_drives, open_recording
         from mirror.recordings.summary import summarise as summarise_recording
 
+        with reader_errors(path):
+            drives = list_drives(path, arguments.reader) or []
+        if len(drives) > 1:
+            return _print_drives(path, drives, as_json=arguments.json)
         options = reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns)
         with reader_errors(path):
             recording = summarise_recording(open_recording(path, arguments.reader, options))
@@ -69,6 +76,27 @@ def main(argv: Sequence[str]) -> int:
     print(f"{arguments.path} is a {kind}")
     for name, text in lines:
         print(f"  {name:<{width}}  {text}")
+    return ExitCode.DONE
+
+
+def _is_drive_of_folder(path: Path, reader: str | None) -> bool:
+    from mirror.recordings.registry import is_drive_of_folder
+
+    return is_drive_of_folder(path, reader)
+
+
+def _print_drives(path: Path, drives: Sequence[Path], *, as_json: bool) -> int:
+    """List the drives of a folder whose format keeps several in it."""
+    names = [drive.relative_to(path).as_posix() for drive in drives]
+    if as_json:
+        print(json.dumps({"path": str(path), "kind": "drives", "drives": names}))
+        return ExitCode.DONE
+    print(f"{path} holds {len(names)} drives")
+    for name in names[:_LISTED]:
+        print(f"  {name}")
+    if len(names) > _LISTED:
+        print(f"  ... and {len(names) - _LISTED} more")
+    print(f"`mirror info {drives[0]}` describes one, `mirror ingest {path}` takes all.")
     return ExitCode.DONE
 
 

@@ -158,7 +158,7 @@ def build_pass_table(
         if drive.info.light is not None:
             light.append(drive.info.light)
             light_source.append("metadata")
-        elif drive.info.frame is None:
+        elif drive.info.frame is None and drive.info.has_date:
             light.append(light_label(float(solar_elevation_deg(one.entry_ns, *one.entry))))
             light_source.append("solar_elevation")
         else:

@@ -10,6 +10,7 @@ import numpy as np
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import (
+    TangentFrame,
     ecef_R_enu,
     ecef_to_geodetic,
     geodetic_to_ecef,
@@ -134,6 +135,31 @@ def track_from_ecef(
     return Track(
         timestamp_ns, longitude_deg=lon, latitude_deg=lat, height_m=height, rotation=enu, sigma_m=sigma_m, file=file
     )
+
+
+def track_from_tangent(
+    timestamp_ns: Int64,
+    position_m: Float64,
+    rotation: Float64 | None,
+    frame: TangentFrame,
+    *,
+    file: Path | None = None,
+) -> Track:
+    """Make a WGS 84 track from poses in an east-north-up tangent frame.
+
+    Args:
+        timestamp_ns: (N,) Unix time, UTC.
+        position_m: (N, 3) east, north and up of the frame's origin.
+        rotation: (N, 4) ``frame_SE3_ego``, or None.
+        frame: the place where the frame touches the ellipsoid, or lies above it.
+        file: the file that the poses come from.
+    """
+    lon, lat, height = frame.to_geodetic(position_m)
+    enu = None
+    if rotation is not None:
+        turn = quaternion_from_matrix(frame.world_R_enu(np.nan_to_num(lon), np.nan_to_num(lat)))
+        enu = quaternion_multiply(quaternion_inverse(turn), rotation)
+    return Track(timestamp_ns, longitude_deg=lon, latitude_deg=lat, height_m=height, rotation=enu, file=file)
 
 
 def to_ego_track(body: Track, ego_SE3_body: Poses) -> Track:

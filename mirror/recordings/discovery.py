@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mirror.errors import RecordingError
 from mirror.recordings.boundary import reader_errors
-from mirror.recordings.registry import load_readers
+from mirror.recordings.registry import list_drives, load_readers
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class FoundRecordings:
 
 
 def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRecordings:
-    """Replace each folder of recordings by the recordings that lie directly in it.
+    """Replace each folder of recordings by the recordings that lie directly in it, or that its format keeps in it.
 
     A path that a reader recognises is a recording, whatever it contains. A path without a recording in it also counts
     as one: opening it then reports what is wrong with it. Names that begin with a dot are ignored.
@@ -42,11 +42,23 @@ def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRe
             children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
         is_recording = {child: _is_recording(child, reader) for child in children}
         if not any(is_recording.values()):
-            recordings[path] = None
+            recordings.update(dict.fromkeys(_drives(path, reader)))
             continue
-        recordings.update(dict.fromkeys(child for child, yes in is_recording.items() if yes))
+        for child, yes in is_recording.items():
+            if yes:
+                recordings.update(dict.fromkeys(_drives(child, reader)))
         passed_over.update(dict.fromkeys(child for child, yes in is_recording.items() if not yes))
     return FoundRecordings(tuple(recordings), tuple(passed_over))
+
+
+def _drives(path: Path, reader: str | None) -> list[Path]:
+    """The drives of a folder that holds several; else the path itself."""
+    try:
+        with reader_errors(path):
+            return list_drives(path, reader) or [path]
+    except RecordingError:
+        # Opening the folder reports the fault.
+        return [path]
 
 
 def _is_recording(path: Path, reader: str | None) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from mirror.errors import RecordingError
@@ -50,6 +51,33 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
     if not target.is_relative_to(root.resolve()):
         raise _outside_error(name, file, place)
     return path
+
+
+def require_files_inside(root: Path, names: Sequence[str], *, file: Path) -> list[Path]:
+    """Paths of many files that a recording names; see `require_inside`. Each folder is followed once.
+
+    Args:
+        root: the recording's folder.
+        names: relative paths with forward slashes.
+        file: the file that holds the names, for the message.
+
+    Raises:
+        RecordingError: as `require_inside`; the name is the place.
+    """
+    followed: set[str] = set()
+    prefix = f"{root}{os.sep}"
+    paths = []
+    for name in names:
+        folder, _, last = name.rpartition("/")
+        plain = last not in ("", ".", "..") and not any(letter in name for letter in "\\\0:")
+        if plain and folder and folder not in followed:
+            require_inside(root, folder, file=file, place=name)
+            followed.add(folder)
+        path = prefix + name
+        if not plain or name.startswith("/") or os.path.islink(path):  # noqa: PTH114
+            require_inside(root, name, file=file, place=name)
+        paths.append(Path(path))
+    return paths
 
 
 def _outside_error(name: str, file: Path, place: str) -> RecordingError:

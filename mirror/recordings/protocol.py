@@ -41,6 +41,7 @@ class DriveInfo:
         weather: ``clear``, ``clouds``, ``rain``, ``snow`` or ``fog``; None: the source does not state it.
         light: ``day``, ``dusk`` or ``night``; None: it is computed from the sun.
         licence: licence of the recording; None: the source does not state it.
+        has_date: False: the stamps count from an arbitrary date, so the sun at that date says nothing about the light.
     """
 
     drive_id: str
@@ -54,6 +55,7 @@ class DriveInfo:
     weather: str | None = None
     light: str | None = None
     licence: str | None = None
+    has_date: bool = True
 
 
 @dataclass(frozen=True)
@@ -286,5 +288,18 @@ class Reader(Protocol):
 
         Raises:
             RecordingError: naming the file, the place, what was expected and the remedy; also for unknown options.
+        """
+        ...
+
+
+@runtime_checkable
+class CollectionReader(Reader, Protocol):
+    """A format that keeps several drives in one folder. A drive has the path ``FOLDER/NAME``, which need not exist."""
+
+    def drives(self, path: Path) -> Sequence[str]:
+        """Names of the drives of a folder that the reader recognises; `open` takes ``path / name``.
+
+        Raises:
+            RecordingError: the folder's tables cannot be read.
         """
         ...

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mirror.errors import RecordingError
 from mirror.recordings.paths import not_a_file_error
-from mirror.recordings.protocol import ENTRY_POINT_GROUP, Reader, Recording
+from mirror.recordings.protocol import ENTRY_POINT_GROUP, CollectionReader, Reader, Recording
 
 
 def load_readers(name: str | None = None) -> dict[str, Reader]:
@@ -59,7 +59,7 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     """Open a recording with a named reader, or with the one that recognises it.
 
     Args:
-        path: a file or folder.
+        path: a file or folder, or ``FOLDER/NAME`` for a drive of a folder that holds several.
         reader: name of a reader; None: the one that recognises the path.
         options: options of that reader.
 
@@ -67,16 +67,17 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
         RecordingError: the path does not exist, no reader or several readers recognise it, or the reader refuses it.
     """
     path = Path(path)
-    if not path.exists():
+    if not path.exists() and not is_drive_of_folder(path, reader):
         raise RecordingError("there is no file or folder at this path", file=path, expected="a recording")
-    if not (path.is_file() or path.is_dir()):
+    if path.exists() and not (path.is_file() or path.is_dir()):
         raise not_a_file_error(path)
     known = load_readers(reader)
     if reader is not None:
         if reader not in known:
             raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(load_readers())}")
         return known[reader].open(path, options or {})
-    matching = [name for name, candidate in known.items() if candidate.recognises(path)]
+    holder = path if path.exists() else path.parent
+    matching = [name for name, candidate in known.items() if candidate.recognises(holder)]
     if len(matching) != 1:
         listed = matching or list(known)
         raise RecordingError(
@@ -86,6 +87,31 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
             remedy=f"name the reader: --reader {listed[0]} (or {', '.join(listed[1:])})",
         )
     return known[matching[0]].open(path, options or {})
+
+
+def is_drive_of_folder(path: Path, reader: str | None = None) -> bool:
+    """Whether a path that does not exist may name a drive of the folder above it.
+
+    Args:
+        path: the path.
+        reader: name of a reader; None: any.
+    """
+    readers = load_readers(reader).values()
+    return path.parent.is_dir() and any(
+        isinstance(candidate, CollectionReader) and candidate.recognises(path.parent) for candidate in readers
+    )
+
+
+def list_drives(path: Path, reader: str | None = None) -> list[Path] | None:
+    """Paths of the drives of a folder that holds several; None: no reader recognises it as such a folder.
+
+    Raises:
+        RecordingError: the folder's tables cannot be read.
+    """
+    for candidate in load_readers(reader).values():
+        if isinstance(candidate, CollectionReader) and candidate.recognises(path):
+            return [path / name for name in candidate.drives(path)]
+    return None
 
 
 def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Path) -> None:

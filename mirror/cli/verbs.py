@@ -24,6 +24,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "check": ("data", "check a dataset against the integrity rules"),
     "dataset": ("data", "publish a dataset without held-out images, or fetch a published one"),
     "report": ("data", "write an HTML report of a dataset"),
+    "export": ("data", "write a scene for COLMAP, nerfstudio, gsplat, nuScenes or KITTI"),
     "deidentify": ("data", "remove faces, number plates and metadata from the images of a dataset"),
     "release": ("data", "check, review, build or withdraw a public release of a de-identified dataset"),
     "weights": ("data", "list files of weights, or fetch those that packages contain"),

@@ -29,6 +29,7 @@ OUTPUTS = {
     "reconstruct": "reconstruct there --split s --out {url}",
     "render": "render there there --split s --out {url}",
     "render with a model": "render there {url} --split s --out out",
+    "export": "export colmap there --out {url}",
     "export-ply": "export-ply there there --out {url}/x.ply",
     "export-ply with a model": "export-ply there {url} --out x.ply",
     "compare": "compare {url} there",

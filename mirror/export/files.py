@@ -1,0 +1,86 @@
+"""Placing of images and other files in an export: hard links where possible, else copies; never opened for writing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+import cv2
+
+from mirror.arrays import UInt8
+from mirror.dataset.store import Store
+from mirror.errors import DatasetError
+from mirror.export.scene import ExportImage
+from mirror.schema.files import write_bytes
+
+_JPEG_QUALITY: Final = 95
+
+
+def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) -> None:
+    """Place an image in an export. A complete file of an earlier call stays.
+
+    The bytes are those of the dataset where the format allows it. A frame of a video becomes a PNG file; an undistorted
+    JPEG file is encoded again with quality 95, so that the names in all tables stay the same.
+
+    Args:
+        store: the dataset's files.
+        item: the image.
+        target: file to write; PNG if it ends in ``.png``, whatever the recorded codec.
+        copy: never make a hard link.
+
+    Raises:
+        DatasetError: the image cannot be read, or the file cannot be written.
+    """
+    image = item.image
+    encoded = image.codec in ("jpeg", "png") and image.video_pts is None
+    if item.is_resampled or not encoded or target.suffix != item.suffix:
+        if not target.is_file():
+            pixels = item.raster.image(image.decode()) if item.is_resampled else image.decode()
+            write_bytes(target, encode_image(pixels, target.suffix))
+        return
+    if target.is_file() and target.stat().st_size == image.byte_length:
+        return
+    if not copy and _link(store, item, target):
+        return
+    write_bytes(target, image.read())
+
+
+def encode_image(pixels: UInt8, suffix: str) -> bytes:
+    """Encode pixels (H, W, 3) RGB or (H, W) grey as ``.jpg`` (quality 95) or ``.png``."""
+    ordered = pixels[..., ::-1] if pixels.ndim == 3 else pixels
+    done, data = cv2.imencode(suffix, ordered, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix == ".jpg" else [])
+    if not done:
+        raise DatasetError("the image cannot be encoded", expected="pixels (H, W, 3) or (H, W)")
+    return data.tobytes()
+
+
+def _link(store: Store, item: ExportImage, target: Path) -> bool:
+    """Link to an image that is a whole local file; returns whether that was possible."""
+    image = item.image
+    if store.folder is None or "://" in image.uri or image.uri.startswith("/") or image.byte_offset != 0:
+        return False
+
+    def make(source: Path) -> bool:
+        if source.stat().st_size != image.byte_length:
+            return False
+        temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            temporary.unlink(missing_ok=True)
+            os.link(source, temporary)
+            temporary.replace(target)
+        except FileNotFoundError:
+            raise
+        except OSError:
+            return False
+        finally:
+            # Renaming a link to another link of the same file leaves both.
+            temporary.unlink(missing_ok=True)
+        return True
+
+    try:
+        return store.read_stable(image.uri, make)
+    except FileNotFoundError:
+        # `Image.read` raises the error that names camera and time.
+        return False

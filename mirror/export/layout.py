@@ -1,0 +1,69 @@
+"""What a format has to state: its files, its cameras, and what it keeps of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from mirror.export.lenses import LensMap
+from mirror.export.scene import ExportImage, ExportScene
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A field that a format keeps.
+
+    Attributes:
+        field: the field of the dataset.
+        place: where it stands in the format.
+        tolerance: largest difference after a round trip, with its unit; ``exact``: none.
+    """
+
+    field: str
+    place: str
+    tolerance: str
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a format has written besides images and masks.
+
+    Attributes:
+        files: paths of the files.
+        boxes: number of boxes in them.
+        points: number of points in them.
+        notes: decisions that the user should know.
+    """
+
+    files: tuple[Path, ...]
+    boxes: int = 0
+    points: int = 0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ExportLayout:
+    """One format.
+
+    Attributes:
+        name: the word of the command line.
+        title: the format in words, with its version.
+        lens_of: its camera models.
+        image_path: path of an image below the export's folder.
+        mask_path: path of an image's mask below that folder; None: the format has no masks.
+        needs_all_masks: whether every image must have a mask as soon as one has.
+        write: writes all other files into a folder.
+        kept: fields that it keeps.
+        lost: fields that it cannot hold.
+    """
+
+    name: str
+    title: str
+    lens_of: LensMap
+    image_path: Callable[[ExportImage], str]
+    mask_path: Callable[[ExportImage], str] | None
+    needs_all_masks: bool
+    write: Callable[[ExportScene, Path], Written]
+    kept: tuple[Kept, ...]
+    lost: tuple[str, ...]

@@ -1,0 +1,238 @@
+"""Writing of an export: images first, then tables, the manifest last; an interrupted call continues when repeated."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.images.decoding import usable_cores
+from mirror.errors import UsageError
+from mirror.export.document import MANIFEST, UNFINISHED, ExportDocument, ExportRequest
+from mirror.export.files import encode_image, place_image
+from mirror.export.layout import ExportLayout, Written
+from mirror.export.lenses import require_lenses
+from mirror.export.scene import ExportImage, ExportScene, select_scene
+from mirror.pools import thread_pool
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.documents import FileEntry
+from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
+from mirror.schema.folders import FolderKind, require_output_folder
+
+LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti")
+"""The formats; each is a module of this package."""
+
+_IMAGES: Final = "images.csv"
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Settings of an export.
+
+    Attributes:
+        scene: id of the scene; None: the only one.
+        split: split whose roles are exported; traversals without a role are left out. None: all traversals.
+        undistort: resample the images of distorted lenses to pinhole cameras.
+        copies: copy images, never make hard links.
+    """
+
+    scene: str | None = None
+    split: str | None = None
+    undistort: bool = False
+    copies: bool = False
+
+
+def find_layout(name: str) -> ExportLayout:
+    """The format of a name.
+
+    Raises:
+        UsageError: there is no such format.
+    """
+    if name not in LAYOUTS:
+        raise UsageError(f"no export format {name!r}", expected=f"one of {', '.join(LAYOUTS)}")
+    layout: ExportLayout = import_module(f"mirror.export.{name}").LAYOUT
+    return layout
+
+
+def export(
+    dataset: Dataset,
+    layout: str,
+    out: Path,
+    options: ExportOptions | None = None,
+    *,
+    progress: ProgressReporter | None = None,
+) -> ExportDocument:
+    """Export a scene in another format.
+
+    Images are those of the index: where a redaction layer exists, its images. Images that a published dataset
+    withholds are left out and counted. Points come from training traversals only if a split is chosen.
+
+    Args:
+        dataset: the view to export; its layers of poses, calibrations, boxes and points are used.
+        layout: name of the format, one of `LAYOUTS`.
+        out: new folder, or the folder of the same export that was interrupted.
+        options: see `ExportOptions`.
+        progress: receives the progress.
+
+    Returns:
+        The document of the export, which is written last.
+
+    Raises:
+        UsageError: the format or the scene is unknown, a lens has no model in the format, a layer must be chosen, a
+            package is missing, or `out` is another export or a folder of another kind.
+        DatasetError: an image cannot be read, or a file cannot be written.
+    """
+    chosen, reporter = options or ExportOptions(), progress or NullProgress()
+    form = find_layout(layout)
+    existing = require_output_folder(out, FolderKind.EXPORT)
+    scene = select_scene(dataset, chosen.scene, chosen.split, undistort=chosen.undistort)
+    request = _request(scene, layout, chosen)
+    if existing is not None:
+        complete = _continued(out, request)
+        if complete is not None:
+            return complete
+    require_lenses(layout, scene.images, form.lens_of)
+    write_json(out / UNFINISHED, request)
+    _place_images(scene, form, out, copy=chosen.copies, progress=reporter)
+    masks = _write_masks(scene, form, out, reporter)
+    reporter.start("tables", 1)
+    written = form.write(scene, out)
+    files = [*written.files, *_write_lists(scene, form, out)]
+    document = _document(scene, form, request, written, masks, files, out)
+    write_json(out / MANIFEST, document)
+    (out / UNFINISHED).unlink()
+    reporter.advance(1)
+    return document
+
+
+def _request(scene: ExportScene, layout: str, options: ExportOptions) -> ExportRequest:
+    layers = scene.dataset.layers
+    return ExportRequest(
+        layout=layout,
+        index_sha256=scene.dataset.index_sha256,
+        scene=scene.scene["scene_id"],
+        traversals=tuple(scene.traversals),
+        cameras=tuple(scene.dataset.cameras()),
+        split=options.split,
+        poses=layers.poses,
+        calibrations=layers.calibrations,
+        boxes=layers.boxes,
+        points=layers.points,
+        undistort=options.undistort,
+        copies=options.copies,
+    )
+
+
+def _continued(out: Path, request: ExportRequest) -> ExportDocument | None:
+    """The document of a complete export of the same request; None: the export has to be continued.
+
+    Raises:
+        UsageError: the folder has the export of another request.
+    """
+    document = read_json(out / MANIFEST, ExportDocument) if (out / MANIFEST).is_file() else None
+    found = document.request if document is not None else read_json(out / UNFINISHED, ExportRequest)
+    if found != request:
+        different = [name for name in ExportRequest.model_fields if getattr(found, name) != getattr(request, name)]
+        raise UsageError(
+            f"the folder has an export with another {', '.join(different)}", file=out, place="--out",
+            expected="a new folder, or the same export again", remedy="name another folder with --out",
+        )  # fmt: skip
+    return document
+
+
+def _place_images(scene: ExportScene, form: ExportLayout, out: Path, *, copy: bool, progress: ProgressReporter) -> None:
+    store = scene.dataset.store
+    progress.start("images", len(scene.images))
+
+    def place(item: ExportImage) -> None:
+        place_image(store, item, out / form.image_path(item), copy=copy)
+        progress.advance(1)
+
+    _on_threads(scene.images, place)
+
+
+def _write_masks(scene: ExportScene, form: ExportLayout, out: Path, progress: ProgressReporter) -> int:
+    """Write the masks of the images that have one; returns their number."""
+    path_of = form.mask_path
+    if path_of is None:
+        return 0
+    progress.start("masks", len(scene.images))
+    unmasked: list[ExportImage] = []
+
+    def write(item: ExportImage) -> None:
+        valid = item.valid_pixels()
+        if valid is None:
+            unmasked.append(item)
+        else:
+            write_bytes(out / path_of(item), encode_image(valid, ".png"))
+        progress.advance(1)
+
+    _on_threads(scene.images, write)
+    count = len(scene.images) - len(unmasked)
+    if count and form.needs_all_masks:
+        for item in unmasked:
+            white = np.full((item.lens.height_px, item.lens.width_px), 255, np.uint8)
+            write_bytes(out / path_of(item), encode_image(white, ".png"))
+        return len(scene.images)
+    return count
+
+
+def _on_threads(images: Sequence[ExportImage], work: Callable[[ExportImage], None]) -> None:
+    with thread_pool(usable_cores()) as pool:
+        list(pool.map(work, images))
+
+
+def _write_lists(scene: ExportScene, form: ExportLayout, out: Path) -> list[Path]:
+    """Write ``images.csv``, which states the origin of each image, and lists of the images of each role."""
+    sink = io.StringIO()
+    rows = csv.writer(sink, lineterminator="\n")
+    rows.writerow(
+        ["file", "scene_id", "traversal_id", "drive_id", "frame_index", "camera", "timestamp_ns", "role",
+         "light", "weather", "privacy"]
+    )  # fmt: skip
+    for item in scene.images:
+        traversal = scene.traversals[item.frame.traversal_id]
+        rows.writerow(
+            [form.image_path(item), item.frame.scene_id, item.frame.traversal_id, item.drive_id,
+             item.frame.frame_index, item.image.camera, item.image.timestamp_ns, item.role or "",
+             traversal["light"], traversal["weather"], item.image.privacy]
+        )  # fmt: skip
+    write_bytes(out / _IMAGES, sink.getvalue().encode())
+    files = [out / _IMAGES]
+    for role in sorted({item.role for item in scene.images if item.role is not None}):
+        names = [Path(form.image_path(item)) for item in scene.images if item.role == role]
+        lines = [name.relative_to("images").as_posix() if name.parts[0] == "images" else str(name) for name in names]
+        write_bytes(out / "splits" / f"{role}.txt", ("\n".join(lines) + "\n").encode())
+        files.append(out / "splits" / f"{role}.txt")
+    return files
+
+
+def _document(
+    scene: ExportScene, form: ExportLayout, request: ExportRequest, written: Written, masks: int,
+    files: Sequence[Path], out: Path,
+) -> ExportDocument:  # fmt: skip
+    entries = {}
+    for path in sorted(files):
+        data = path.read_bytes()
+        entries[path.relative_to(out).as_posix()] = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+    x, y, z = scene.origin_m.tolist()
+    return ExportDocument(
+        request=request,
+        origin_m=(x, y, z),
+        images=len(scene.images),
+        masks=masks,
+        points=written.points,
+        boxes=written.boxes,
+        withheld=scene.withheld,
+        without_frame=scene.without_frame,
+        lost=form.lost,
+        notes=written.notes,
+        files=entries,
+    )

@@ -56,6 +56,37 @@ def test_each_tile_has_the_gaussians_that_reach_it_in_depth_order(longest):
     assert (listed & (greatest < 1.0 / 255.0)).sum() <= 0.1 * listed.sum()
 
 
+@pytest.mark.parametrize("longest", [4.0, 30.0, 300.0])
+def test_no_tile_is_listed_that_the_ellipse_misses(longest):
+    """A row of tiles lists those between the leftmost and the rightmost place of the ellipse on the row's pixels."""
+    means, factors, opacities, depths = ellipses(400, longest, seed=2)
+    order = np.argsort(depths).astype(np.int32)
+    single = means.astype(np.float32)
+    splats = pack_splats(
+        single, (means - single).astype(np.float32), factors, opacities.astype(np.float32),
+        np.zeros((400, 3), np.float32), np.full((400, 2), 1 << 20, np.int32), TILES_X, TILES_Y,
+    )  # fmt: skip
+    tiles = assign_tiles(splats, order, TILES_X, np.ones(TILES_X * TILES_Y, np.bool_))
+    listed = np.zeros((400, TILES_Y, TILES_X), dtype=bool)
+    for tile in range(TILES_X * TILES_Y):
+        ids = tiles.ids[tiles.tile_starts[tile] : tiles.tile_starts[tile + 1]]
+        listed[ids, tile // TILES_X, tile % TILES_X] = True
+    slack_px = 0.05
+    level = 2.0 * np.log(np.maximum(opacities * 255.0, 1.0))[:, None]
+    f11, f12, f22 = (column[:, None] for column in factors.T)
+    for row in range(TILES_Y):
+        dy = np.linspace(16 * row + 0.5 - slack_px, 16 * row + 15.5 + slack_px, 1001) - means[:, 1:]
+        rest = level - (f22 * dy) ** 2
+        half = np.sqrt(np.maximum(rest, 0.0)) / f11
+        left = np.where(rest >= 0.0, means[:, :1] - f12 / f11 * dy - half, np.inf).min(axis=1)
+        right = np.where(rest >= 0.0, means[:, :1] - f12 / f11 * dy + half, -np.inf).max(axis=1)
+        first_px, last_px = 16 * np.arange(TILES_X) + 0.5, 16 * np.arange(TILES_X) + 15.5
+        reached = (left[:, None] <= last_px + slack_px) & (right[:, None] >= first_px - slack_px)
+        # All tiles of a box that is one tile wide or high are listed.
+        large = (listed.any(axis=1).sum(axis=1) > 1) & (listed.any(axis=2).sum(axis=1) > 1)
+        assert not (listed[large, row] & ~reached[large]).any()
+
+
 def test_turns_number_the_pairs_of_each_gaussian():
     means, factors, opacities, depths = ellipses(300, 20.0, seed=1)
     order = np.argsort(depths).astype(np.int32)

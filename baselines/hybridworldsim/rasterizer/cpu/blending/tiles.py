@@ -170,7 +170,7 @@ def _list_tiles(
                 at_right, at_left = min(max(right, low_y), high_y), min(max(-right, low_y), high_y)
                 x_right = math.sqrt(max(square - steep * at_right * at_right, 0.0)) * wide - slope * at_right
                 x_left = -math.sqrt(max(square - steep * at_left * at_left, 0.0)) * wide - slope * at_left
-                from_x = (mean_x + x_left - (0.5 + _SLACK_PX)) * (1.0 / TILE_PX)
+                from_x = (mean_x + x_left + (0.5 - _SLACK_PX)) * (1.0 / TILE_PX)
                 to_x = (mean_x + x_right - (0.5 - _SLACK_PX)) * (1.0 / TILE_PX) + 1.0
                 first_x: Any = max(x0, int(min(max(from_x, 0.0), 1e6)))
                 last_x: Any = min(x1, int(min(max(to_x, 0.0), 1e6)))

@@ -47,6 +47,28 @@ def test_drives_count_before_the_traversals_that_stops_make_of_one(fleet: Path) 
     assert other.traversals > 2
 
 
+def test_drives_that_share_only_their_last_street_are_proposed_there(tmp_path: Path) -> None:
+    """One comes along the street, one from the north; both go on along the last 300 m."""
+    seconds = np.arange(0.0, 150.0, 0.1)
+    metres = 8.0 * seconds
+    write_csv(tmp_path / "fleet" / "along.csv", seconds, metres)
+    joined = 900.0
+    drive = write_csv(tmp_path / "fleet" / "across.csv", seconds + 3600.0, np.maximum(metres, joined))
+    header, *rows = drive.read_text().splitlines()
+    north_deg = np.maximum(joined - metres, 0.0) / 111_000.0
+    moved = [
+        f"{time},{lon},{float(lat) + north:.9f}"
+        for (time, lon, lat), north in zip((row.split(",") for row in rows), north_deg)
+    ]
+    drive.write_text("\n".join([header, *moved]) + "\n")
+    best = propose_rois(sorted((tmp_path / "fleet").glob("*.csv")), count=1).ranked[0]
+    assert (best.drives, best.traversals) == (2, 2)
+    lon, lat = street(np.array([joined - 60.0, 1200.0]))
+    longitude_deg, latitude_deg = best.roi.longitude_deg or 0.0, best.roi.latitude_deg or 0.0
+    assert min(lon) <= longitude_deg <= max(lon)
+    assert min(lat) - 60.0 / 111_000.0 <= latitude_deg <= max(lat) + 60.0 / 111_000.0
+
+
 def test_it_prints_drives_and_traversals(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rois", "propose", *map(str, sorted(fleet.iterdir())), "--count", "1"]) == 0
     header, row = capsys.readouterr().out.splitlines()[:2]

@@ -122,7 +122,7 @@ def _reconstruction() -> Preset:
     return Preset("reconstruction", sites, traversals=5, width_px=480, image_hz=1.0)
 
 
-def _paper() -> Preset:
+def _ten_scenes() -> tuple[Site, ...]:
     scenes = (
         (places.GUANGZHOU_URBAN, 24.0, 13.0, _URBAN),
         (places.KARLSRUHE_CAMPUS, -61.0, 10.0, _CAMPUS),
@@ -135,11 +135,10 @@ def _paper() -> Preset:
         (places.WUHAN_CAMPUS, 140.0, 10.0, _CAMPUS),
         (places.GUANGZHOU_HIGHWAY, -22.0, 22.0, _HIGHWAY),
     )
-    sites = tuple(
+    return tuple(
         Site(roi, yaw_deg, fastest_mps, make_recipes(routes, _SEVEN, 14, 3 * number))
         for number, (roi, yaw_deg, fastest_mps, routes) in enumerate(scenes)
     )
-    return Preset("paper", sites, traversals=14, width_px=960, image_hz=10.0, pose_hz=100.0, on_demand=True)
 
 
 _TINY: Final = places.with_radius(places.GUANGZHOU_URBAN, 62.0)
@@ -170,12 +169,14 @@ PRESETS: Final = {
         Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, image_hz=0.5),
         _reconstruction(),
         _benchmark(),
-        _paper(),
+        Preset("annotation", _ten_scenes(), traversals=3, width_px=192, image_hz=0.25),
+        Preset("paper", _ten_scenes(), traversals=14, width_px=960, image_hz=10.0, pose_hz=100.0, on_demand=True),
     )
 }
 """All presets, by name. ``tiny`` is for tests, ``quick`` and ``demo`` are for demonstrations, ``block`` and
-``reconstruction`` have one and three blocks of a street, ``benchmark`` has four kinds of scene in six conditions, and
-``paper`` is as large as the paper's dataset: ten scenes in six cities, seven vehicle types, images on demand."""
+``reconstruction`` have one and three blocks of a street, ``benchmark`` has four kinds of scene in six conditions,
+``annotation`` has small images of ten scenes in six cities, to train detectors, and ``paper`` is as large as the
+paper's dataset: ten scenes in six cities, seven vehicle types, images on demand."""
 
 
 def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:

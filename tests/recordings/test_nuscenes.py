@@ -290,3 +290,4 @@ def test_words_of_a_description() -> None:
     assert _describe("Rain, many peds, night") == ("night", "rain")
     assert _describe("After rain, no rain, parked") == (None, None)
     assert _describe("Train station, knight") == (None, None)
+    assert _describe("dusk, fog") == ("dusk", "fog")

@@ -28,9 +28,8 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import TangentFrame
-from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
-from mirror.recordings.coordinates import is_invalid_rotation, track_from_tangent
+from mirror.recordings.coordinates import track_from_tangent
 from mirror.recordings.dgp_datum import entry_errors
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import require_files_inside, to_identifier
@@ -38,8 +37,9 @@ from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageS
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
 from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, SensorData, Tables, open_tables
+from mirror.recordings.readers.rotations import mark_rotations
 from mirror.recordings.registry import refuse_options
-from mirror.recordings.row_faults import RowFaults
+from mirror.recordings.weather import WEATHER
 
 _VERSION: Final = re.compile(r"v\d+\.\d+(-\w+)?")
 _KNOWN_VERSION: Final = "v1."
@@ -259,21 +259,18 @@ class NuscenesRecording:
         stamps_us, rotation, translation = poses.timestamp_us[rows], poses.rotation[rows], poses.translation[rows]
         file = self.tables.folder / "ego_pose.json"
 
-        def error(row: int) -> RecordingError:
-            return RecordingError(
-                f"{rotation[row].tolist()} at {stamps_us[row]} us is no rotation, or the stamp is none",
-                file=file,
-                place=f"scene {self.scene['name']}",
-                expected="Unix microseconds and a unit quaternion, scalar first",
-                remedy=REMEDY,
-            )
+        def place(row: int) -> str:
+            return f"scene {self.scene['name']}, {stamps_us[row]} us"
 
-        faults = RowFaults(len(rows))
+        faults, unit = mark_rotations(rotation, file=file, place=place)
         bad_time = np.abs(stamps_us) > _LAST_US
-        faults.add(bad_time, "time", error)
-        bad = is_invalid_rotation(rotation)
-        faults.add(bad, "rotation", error)
-        unit = quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), rotation))
+        faults.add(
+            bad_time,
+            "time",
+            lambda row: RecordingError(
+                "the stamp is none", file=file, place=place(row), expected="Unix microseconds", remedy=REMEDY
+            ),
+        )
         stamps = np.where(bad_time, 0, stamps_us) * 1_000
         has_height = bool(translation[:, 2].any())
         if self._frame is None:
@@ -359,11 +356,15 @@ class NuscenesRecording:
 _LAST_US: Final = 9_000_000_000_000_000
 _NIGHT: Final = re.compile(r"\bnight\b", re.IGNORECASE)
 _RAIN: Final = re.compile(r"(?<!after )(?<!no )\brain(?:y|ing)?\b", re.IGNORECASE)
+_LIGHT: Final = ("day", "dusk", "night")
 
 
 def _describe(description: str) -> tuple[str | None, str | None]:
-    """Light and weather in the words of a description; None where it does not state them."""
-    return (
-        "night" if _NIGHT.search(description) else None,
-        "rain" if _RAIN.search(description) else None,
-    )
+    """Light and weather in the words of a description; None where it does not state them.
+
+    A phrase between commas may be one of MIRROR's words; the dataset's own descriptions mention night and rain.
+    """
+    phrases = [phrase.strip().lower() for phrase in description.split(",")]
+    light = next((phrase for phrase in phrases if phrase in _LIGHT), "night" if _NIGHT.search(description) else None)
+    weather = next((phrase for phrase in phrases if phrase in WEATHER), "rain" if _RAIN.search(description) else None)
+    return light, weather

@@ -15,6 +15,7 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_normalise, rotate
 from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.readers.nuscenes_tables import REMEDY, Annotations
+from mirror.recordings.readers.rotations import require_poses
 from mirror.schema.tables import BOXES
 
 # The devkit's limits: a neighbour may be 1.5 s away, two neighbours 3 s apart.
@@ -48,20 +49,14 @@ def make_boxes(
     Raises:
         RecordingError: a box has no rotation, or no pose is valid.
     """
-    bad = is_invalid_rotation(annotations.rotation) | ~np.isfinite(annotations.translation).all(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise RecordingError(
-            f"{annotations.rotation[row].tolist()} is no rotation",
-            file=file,
-            place=f"instance {instances[0][int(annotations.instance[row])]} at {annotations.timestamp_us[row]} us",
-            expected="a unit quaternion, scalar first",
-            remedy=REMEDY,
-        )
-    map_SE3_box = Poses(quaternion_normalise(annotations.rotation), annotations.translation)
+    names, categories = instances
+
+    def place(row: int) -> str:
+        return f"instance {names[int(annotations.instance[row])]} at {annotations.timestamp_us[row]} us"
+
+    map_SE3_box = require_poses(annotations.rotation, annotations.translation, file=file, place=place)
     map_SE3_ego = _ego_at(annotations.timestamp_us, pose_us, rotation, translation, file)
     velocity = rotate(quaternion_inverse(map_SE3_ego.rotation), velocities(annotations))
-    names, categories = instances
     columns = {
         "timestamp_ns": annotations.timestamp_us * 1_000,
         "track_id": [names[index] for index in annotations.instance.tolist()],

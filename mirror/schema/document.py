@@ -9,8 +9,10 @@ from pathlib import Path
 import pyarrow as pa
 from pydantic import BaseModel
 
-from mirror.schema import documents
+from mirror.schema import behaviours, documents, scenario
 from mirror.schema.files import write_bytes
+from mirror.schema.road_map import RoadMapHeader
+from mirror.schema.rollout_tables import ROLLOUT
 from mirror.schema.tables import INDEX_BY_SCENE, INDEX_GLOBAL, LAYERS, PASSES, RECORDED, Table
 from mirror.schema.version import SCHEMA_VERSION
 
@@ -32,6 +34,26 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.Manifest,
     documents.FileEntry,
     documents.ImageTotals,
+)
+
+_SCENARIO: Sequence[type[BaseModel]] = (
+    scenario.Scenario,
+    scenario.EgoPlan,
+    scenario.LaneStart,
+    scenario.PoseStart,
+    scenario.RecordedStart,
+    scenario.Route,
+    scenario.ScenarioAgent,
+    behaviours.Trigger,
+    behaviours.Replay,
+    behaviours.Idm,
+    behaviours.CutIn,
+    behaviours.HardBrake,
+    behaviours.CrossingPedestrian,
+    behaviours.OncomingOvertake,
+    behaviours.PullOut,
+    behaviours.StoppedQueue,
+    behaviours.Attack,
 )
 
 
@@ -56,6 +78,25 @@ def schema_page() -> str:
         lines += _table_lines(table)
     lines += ["## JSON documents", ""]
     for model in _DOCUMENTS:
+        lines += _model_lines(model)
+    lines += [
+        "## Rollouts",
+        "",
+        "A rollout is a folder of its own, outside every dataset. `run.json` is written last.",
+        "",
+    ]
+    for table in ROLLOUT:
+        lines += _table_lines(table)
+    lines += _model_lines(RoadMapHeader)
+    lines += [
+        "## Scenarios",
+        "",
+        f"A scenario is a TOML file. Shipped: {', '.join(f'`{name}`' for name in scenario.scenario_names())}.",
+        "",
+        " ".join((behaviours.__doc__ or "").partition("\n\n")[2].split()),
+        "",
+    ]
+    for model in _SCENARIO:
         lines += _model_lines(model)
     return "\n".join(lines).rstrip() + "\n"
 

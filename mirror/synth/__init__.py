@@ -5,6 +5,7 @@ from __future__ import annotations
 from mirror.synth.errors import Errors
 from mirror.synth.fleet import PRESETS
 from mirror.synth.light.condition import Condition, Effects
+from mirror.synth.maps import street_map
 from mirror.synth.writing import SynthReport, write_recordings
 
-__all__ = ["PRESETS", "Condition", "Effects", "Errors", "SynthReport", "write_recordings"]
+__all__ = ["PRESETS", "Condition", "Effects", "Errors", "SynthReport", "street_map", "write_recordings"]

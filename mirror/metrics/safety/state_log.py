@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
+from mirror.schema.road_features import SIGNAL_STATES
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +31,13 @@ class StateLog:
         ids: N distinct names.
         categories: N categories, such as ``car`` and ``pedestrian``.
         rear_axle_to_center_m: distance from the ego's rear axle forward to the centre of its box.
+        signals: ids of S signals of the map.
+        signal_states: (T, S) their states: indices into `mirror.schema.road_map.SIGNAL_STATES`; None: there are none.
 
     Raises:
         UsageError: shapes do not agree, stamps do not increase, the ego is absent at a stamp, a size is not positive,
-            or the state of a present actor is not finite; the actor and the stamp are named.
+            the state of a present actor is not finite, or a signal's state is unknown; the actor and the stamp are
+            named.
     """
 
     stamps_ns: Int64
@@ -47,6 +52,8 @@ class StateLog:
     ids: tuple[str, ...]
     categories: tuple[str, ...]
     rear_axle_to_center_m: float
+    signals: tuple[str, ...] = ()
+    signal_states: npt.NDArray[np.int8] | None = None
 
     def __post_init__(self) -> None:
         stamps, actors = self._shape()
@@ -72,6 +79,12 @@ class StateLog:
             raise UsageError("the ego (actor 0) is absent", place=f"stamp {self.stamps_ns[absent[0]]}")
         if not np.isfinite(self.rear_axle_to_center_m):
             raise UsageError(f"rear_axle_to_center_m is {self.rear_axle_to_center_m}", expected="a finite number")
+        shown = self.shown_signals
+        if shown.shape != (stamps, len(self.signals)) or (shown.size and not 0 <= shown.min() <= shown.max() < 4):
+            raise UsageError(
+                f"signal_states has shape {shown.shape}",
+                expected=f"({stamps}, {len(self.signals)}) indices of the states {', '.join(SIGNAL_STATES)}",
+            )
 
     def _shape(self) -> tuple[int, int]:
         stamps = np.asarray(self.stamps_ns)
@@ -96,6 +109,11 @@ class StateLog:
                 f"{name} has shape {values.shape} and type {values.dtype}", expected=f"{shape} {np.dtype(kind)}"
             )
         return values
+
+    @property
+    def shown_signals(self) -> npt.NDArray[np.int8]:
+        """(T, S) states of the signals: ``signal_states``, or an empty array."""
+        return np.zeros((len(self.stamps_ns), 0), np.int8) if self.signal_states is None else self.signal_states
 
     @property
     def times_s(self) -> Float64:

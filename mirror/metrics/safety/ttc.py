@@ -38,7 +38,7 @@ def time_to_collision(log: StateLog) -> Float64:
     Returns:
         (T, N) seconds; 0 where the boxes touch, inf where they never will, for absent agents and for the ego.
     """
-    from mirror.metrics.safety.time_to_collision_kernels import times_to_collision
+    from mirror.metrics.safety.ttc_kernels import times_to_collision
 
     states, halves, present = log.kernel_arrays()
     found: Float64 = times_to_collision(states, halves, present)
@@ -58,7 +58,7 @@ def least_time_to_collision(log: StateLog, *, horizon_s: float = 3.0) -> LeastTi
     Raises:
         UsageError: the horizon is not positive.
     """
-    from mirror.metrics.safety.time_to_collision_kernels import least_times_to_collision
+    from mirror.metrics.safety.ttc_kernels import least_times_to_collision
 
     if not horizon_s > 0.0:
         raise UsageError(f"horizon_s is {horizon_s}", expected="a positive number of seconds")

@@ -21,6 +21,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "info": ("data", "describe a dataset or a recording"),
     "split": ("data", "freeze a train / held-out split, checked for leaks"),
     "stats": ("data", "print the dataset-table row and distributions, draw plots"),
+    "sql": ("data", "query the tables of a dataset with SQL"),
     "check": ("data", "check a dataset against the integrity rules"),
     "dataset": ("data", "publish a dataset without held-out images, or fetch a published one"),
     "report": ("data", "write an HTML report of a dataset"),

@@ -272,6 +272,28 @@ class Dataset:
         _check("table", name, TABLES)
         return count_rows(self._catalog, self.filters, name)
 
+    def sql(self, query: str) -> pa.Table:
+        """Run an SQL query over the index tables with DuckDB; the views are named after the tables.
+
+        In a view with filters, each table has the rows of the view. A query reads nothing but these tables and writes
+        nothing.
+
+        Args:
+            query: one SELECT statement. Geometry is WKB; the functions of DuckDB's extension ``spatial`` are there if
+                it is installed.
+
+        Raises:
+            UsageError: DuckDB is not installed, the query is not a SELECT statement, or it is invalid.
+
+        Example:
+            >>> dataset = mirror.open("dataset")
+            >>> dataset.sql("SELECT light, count(*) AS n FROM traversals GROUP BY light ORDER BY light").to_pylist()
+            [{'light': 'day', 'n': 1}, {'light': 'dusk', 'n': 1}, {'light': 'night', 'n': 1}]
+        """
+        from mirror.dataset.sql import run_sql
+
+        return run_sql(self, query)
+
     def points(self) -> Points:
         """Read the points of the chosen layer, of all traversals in the view that have it.
 

@@ -37,6 +37,7 @@ DATASET_FIRST = (
     "render",
     "report",
     "split",
+    "sql",
     "stats",
     "submission check",
     "submission hidden",

@@ -18,6 +18,7 @@ OUTPUTS = {
     "synth": "synth --out {url} --preset tiny",
     "demo": "demo --out {url}",
     "split": "split {url} name",
+    "sql": "sql there select --out {url}/x.csv",
     "stats": "stats there --plots {url}",
     "report": "report there --out {url}",
     "submission new": "submission new there --protocol p --split s --out {url}",

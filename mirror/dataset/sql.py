@@ -1,0 +1,136 @@
+"""SQL over the index with DuckDB. A query reads the dataset's tables and nothing else, and writes nothing.
+
+Four things hold a query in: it must be one SELECT statement; external access is off, with the index's own files as the
+only exception; extensions are neither installed nor loaded; the configuration is locked before the query is run.
+
+Source: https://duckdb.org/docs/operations_manual/securing_duckdb/overview
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import pyarrow as pa
+
+from mirror.dataset.query.catalog import GLOBAL, TABLES
+from mirror.dataset.query.filters import Filters
+from mirror.errors import UsageError
+from mirror.installation import install_command
+
+if TYPE_CHECKING:
+    import duckdb
+
+    from mirror.dataset.dataset import Dataset
+
+_EXPECTED: Final = "one SELECT statement (WITH, DESCRIBE and SUMMARIZE count as one)"
+
+
+def run_sql(dataset: Dataset, query: str) -> pa.Table:
+    """Run a query; see `Dataset.sql`."""
+    try:
+        import duckdb
+    except ImportError as error:
+        raise UsageError("SQL needs DuckDB", remedy=install_command("sql")) from error
+    connection = duckdb.connect(":memory:", config={"autoinstall_known_extensions": "false"})
+    try:
+        try:
+            _require_select(connection, query)
+            files = _make_views(connection, dataset, _named_tables(query))
+            _lock(connection, files)
+            return connection.sql(query).to_arrow_table()
+        except duckdb.Error as error:
+            raise UsageError(
+                str(error).strip(), place="the query", expected=f"a query of {', '.join(sorted(TABLES))}",
+                remedy="docs/schema.md lists the columns of each table",
+            ) from error  # fmt: skip
+    finally:
+        connection.close()
+
+
+def has_spatial_functions() -> bool:
+    """Whether DuckDB's extension ``spatial`` is installed here; it is never downloaded."""
+    import duckdb
+
+    connection = duckdb.connect(":memory:", config={"autoinstall_known_extensions": "false"})
+    try:
+        return _load_spatial(connection)
+    finally:
+        connection.close()
+
+
+def _require_select(connection: duckdb.DuckDBPyConnection, query: str) -> None:
+    kinds = [str(statement.type).rpartition(".")[2] for statement in connection.extract_statements(query)]
+    if kinds not in (["SELECT"], ["EXPLAIN"]):
+        raise UsageError(
+            f"the query has {' and '.join(kinds) or 'no statement'}",
+            place="the query",
+            expected=_EXPECTED,
+        )
+
+
+def _named_tables(query: str) -> list[str]:
+    """The tables of the dataset whose names are words of a query."""
+    words = {word.lower() for word in re.findall(r"\w+", query)}
+    return sorted(words & set(TABLES))
+
+
+def _make_views(connection: duckdb.DuckDBPyConnection, dataset: Dataset, names: list[str]) -> list[str]:
+    """Make a view of each table; returns the files that they read.
+
+    A whole local dataset is read from its Parquet files, so that only the needed columns and row groups are. Of a
+    part of a dataset, or of a remote one, the named tables are read into memory first.
+    """
+    spatial = _load_spatial(connection)
+    if not spatial:
+        connection.execute("SET enable_geoparquet_conversion = false")
+    files: list[str] = []
+    for name in names:
+        paths = _files(dataset, name) if dataset.filters == Filters() and dataset.store.folder is not None else None
+        if paths:
+            listed = ", ".join(_quoted(path) for path in paths)
+            connection.execute(f'CREATE VIEW "{name}" AS SELECT * FROM read_parquet([{listed}])')
+            files += paths
+        else:
+            connection.register(name, _plain(dataset.table(name)))
+    return files
+
+
+def _files(dataset: Dataset, name: str) -> list[str]:
+    """The Parquet files of a table in the state that the view opened."""
+    relative = [f"index/{name}.parquet"] if name in GLOBAL else dict.fromkeys(dataset.catalog.row_groups(name).path)
+    return [str(dataset.store.read_stable(path, Path.resolve)) for path in relative]
+
+
+def _plain(table: pa.Table) -> pa.Table:
+    """A table with strings in place of dictionaries, as DuckDB reads them from Parquet."""
+    fields = [
+        field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
+        for field in table.schema
+    ]
+    return table.cast(pa.schema(fields))
+
+
+def _lock(connection: duckdb.DuckDBPyConnection, files: list[str]) -> None:
+    connection.execute("SET temp_directory = ''")
+    # Else names of tables would also be looked up among the variables of this program.
+    connection.execute("SET python_enable_replacements = false")
+    connection.execute(f"SET allowed_paths = [{', '.join(_quoted(path) for path in files)}]")
+    for setting in ("enable_external_access", "autoload_known_extensions", "allow_community_extensions"):
+        connection.execute(f"SET {setting} = false")
+    connection.execute("SET lock_configuration = true")
+
+
+def _load_spatial(connection: duckdb.DuckDBPyConnection) -> bool:
+    import duckdb
+
+    try:
+        connection.execute("LOAD spatial")
+    except duckdb.Error:
+        return False
+    return True
+
+
+def _quoted(path: str) -> str:
+    return "'" + path.replace("'", "''") + "'"

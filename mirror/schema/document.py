@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 from pydantic import BaseModel
 
-from mirror.schema import behaviours, documents, scenario
+from mirror.schema import behaviours, documents, rollout, scenario
 from mirror.schema.files import write_bytes
 from mirror.schema.road_map import RoadMapHeader
 from mirror.schema.rollout_tables import ROLLOUT
@@ -82,12 +82,14 @@ def schema_page() -> str:
     lines += [
         "## Rollouts",
         "",
-        "A rollout is a folder of its own, outside every dataset. `run.json` is written last.",
+        "A rollout is a folder of its own, outside every dataset: `states.parquet`, `scenario.toml`, `map.parquet`,"
+        " images and videos if they were asked for, and `run.json`, which is written last.",
         "",
     ]
     for table in ROLLOUT:
         lines += _table_lines(table)
     lines += _model_lines(RoadMapHeader)
+    lines += _model_lines(rollout.Rollout)
     lines += [
         "## Scenarios",
         "",

@@ -57,7 +57,8 @@ def main(argv: Sequence[str]) -> int:
         kind = "dataset"
     else:
         from mirror.recordings.boundary import reader_errors
-        from mirror.recordings.registry import list_drives, open_recording
+        from mirror.recordings.protocol import ConfiguredReader
+        from mirror.recordings.registry import find_reader, list_drives
         from mirror.recordings.summary import summarise as summarise_recording
 
         with reader_errors(path):
@@ -66,7 +67,11 @@ def main(argv: Sequence[str]) -> int:
             return _print_drives(path, drives, as_json=arguments.json)
         options = reader_options(arguments.option, tz=arguments.tz, columns=arguments.columns)
         with reader_errors(path):
-            recording = summarise_recording(open_recording(path, arguments.reader, options))
+            reader = find_reader(path, arguments.reader)
+            if isinstance(reader, ConfiguredReader) and (text := reader.propose_configuration(path, options)):
+                print(json.dumps({"path": str(path), "configuration": text}) if arguments.json else text.rstrip())
+                return ExitCode.DONE
+            recording = summarise_recording(reader.open(path, options))
         plain, lines = recording.to_dict(), _recording_lines(recording)
         kind = "recording"
     if arguments.json:

@@ -293,6 +293,19 @@ class Reader(Protocol):
 
 
 @runtime_checkable
+class ConfiguredReader(Reader, Protocol):
+    """A format whose recordings need a configuration that a person completes, such as the topics of a log."""
+
+    def propose_configuration(self, path: Path, options: Mapping[str, str]) -> str | None:
+        """Return a proposal as text, which begins with a comment that says where to save it; None: there is one.
+
+        Raises:
+            RecordingError: the recording cannot be read.
+        """
+        ...
+
+
+@runtime_checkable
 class CollectionReader(Reader, Protocol):
     """A format that keeps several drives in one folder. A drive has the path ``FOLDER/NAME``, which need not exist."""
 

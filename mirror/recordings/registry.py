@@ -66,6 +66,19 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     Raises:
         RecordingError: the path does not exist, no reader or several readers recognise it, or the reader refuses it.
     """
+    return find_reader(path, reader).open(Path(path), options or {})
+
+
+def find_reader(path: str | Path, reader: str | None = None) -> Reader:
+    """Find the reader of a recording.
+
+    Args:
+        path: as in `open_recording`.
+        reader: name of a reader; None: the one that recognises the path.
+
+    Raises:
+        RecordingError: the path does not exist, or no reader or several readers recognise it.
+    """
     path = Path(path)
     if not path.exists() and not is_drive_of_folder(path, reader):
         raise RecordingError("there is no file or folder at this path", file=path, expected="a recording")
@@ -75,7 +88,7 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
     if reader is not None:
         if reader not in known:
             raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(load_readers())}")
-        return known[reader].open(path, options or {})
+        return known[reader]
     holder = path if path.exists() else path.parent
     matching = [name for name, candidate in known.items() if candidate.recognises(holder)]
     if len(matching) != 1:
@@ -86,7 +99,7 @@ def open_recording(path: str | Path, reader: str | None = None, options: Mapping
             expected="; ".join(f"{name}: {known[name].expects}" for name in listed),
             remedy=f"name the reader: --reader {listed[0]} (or {', '.join(listed[1:])})",
         )
-    return known[matching[0]].open(path, options or {})
+    return known[matching[0]]
 
 
 def is_drive_of_folder(path: Path, reader: str | None = None) -> bool:
@@ -103,14 +116,17 @@ def is_drive_of_folder(path: Path, reader: str | None = None) -> bool:
 
 
 def list_drives(path: Path, reader: str | None = None) -> list[Path] | None:
-    """Paths of the drives of a folder that holds several; None: no reader recognises it as such a folder.
+    """Paths of the drives of a folder that may hold several; None: no reader recognises it as such a folder.
+
+    A folder with one drive is its path.
 
     Raises:
         RecordingError: the folder's tables cannot be read.
     """
     for candidate in load_readers(reader).values():
         if isinstance(candidate, CollectionReader) and candidate.recognises(path):
-            return [path / name for name in candidate.drives(path)]
+            names = candidate.drives(path)
+            return [path / name for name in names] if len(names) > 1 else [path]
     return None
 
 

@@ -195,6 +195,17 @@ def dgp(root: Path) -> Base:
     return Base("dgp", path, roi)
 
 
+def mcap(root: Path) -> Base:
+    """A log of ROS 2 messages with its topics file."""
+    from tests.recordings.message_logs.writer import TOPICS, drive, messages, write_mcap
+
+    path = root / "monday"
+    path.mkdir(parents=True)
+    write_mcap(path / "monday_0.mcap", messages(drive(12.0)))
+    (path / "topics.toml").write_text(TOPICS)
+    return Base("mcap", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=200.0))
+
+
 def real_boreas(root: Path, real_data: Path) -> Base:
     """20 s of a real sequence, without images."""
     path = root / "boreas-2021-08-05-13-34"
@@ -232,4 +243,5 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "boreas": boreas,
     "dgp": dgp,
     "comma2k19": comma2k19,
+    "mcap": mcap,
 }

@@ -47,6 +47,7 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
         "rgb/": frozenset({SHOTS}),
     },
     "comma2k19": {"": frozenset({POSES})},
+    "mcap": {"": ALL},
 }
 KEYS = {
     POSES: ("timestamp_ns",),
@@ -172,6 +173,7 @@ def pose_files(base: Base) -> list[str]:
         "csv": ["track.csv"],
         "boreas": ["camera_poses.csv"],
         "dgp": [],
+        "mcap": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }
     return names[base.reader]

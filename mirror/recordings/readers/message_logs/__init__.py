@@ -1,0 +1,1 @@
+"""Logs of messages by topic: MCAP files and rosbag2 databases."""

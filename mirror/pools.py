@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from types import FrameType
 from typing import Any, Final, ParamSpec, TypeVar
@@ -126,6 +127,8 @@ def undisturbed() -> Iterator[None]:
 
 @contextmanager
 def _held_back() -> Iterator[None]:
+    # Starting it unblocks SIGINT, so that the process that is started next would hear it.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -12,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MOST_S = 5.0
+NEVER_S = 240.0
+# A signal of a terminal, of `kill -INT`, and of a scheduler.
+SIGNALS = ((signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True))
 MIRROR = (sys.executable, "-m", "mirror.cli.main")
 # The interpreter's own first instants are nobody's to answer for: the clock runs once the command hears signals.
 _MARKED = """
@@ -93,6 +97,25 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
             os.killpg(running.pid, signal.SIGKILL)
     hit = hit and not (running.returncode == 0 and taken_s < 1.0)
     return Ended(running.returncode, taken_s, stdout.decode(), stderr.decode(), hit)
+
+
+def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> None:
+    """Interrupt a command at three random instants; each run continues the one before."""
+    instants, hits = random.Random(seed), 0
+    for number, group in SIGNALS:
+        ended = interrupt(words, instants.uniform(0.0, longest_s), number, group=group)
+        hits += ended.hit
+        if ended.hit:
+            ended.require_stopped()
+    assert hits
+
+
+def finish(words: Sequence[str | Path]) -> float:
+    """Run a command to its end, and return the duration in seconds."""
+    begin = time.monotonic()
+    ended = interrupt(words, NEVER_S)
+    assert not ended.hit and ended.code == 0, ended
+    return time.monotonic() - begin
 
 
 def _alive(group: int) -> bool:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -15,11 +13,7 @@ import pytest
 from mirror.dataset.dataset import Dataset
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
 from tests.ingest.recordings import tree
-from tests.interruptions import MIRROR, MOST_S, hear_again, interrupt
-
-NEVER_S = 240.0
-# A signal of a terminal, of `kill -INT`, and of a scheduler.
-SIGNALS = ((signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, True))
+from tests.interruptions import MIRROR, MOST_S, finish, hear_again, interrupt, stop_thrice
 
 
 @pytest.fixture(scope="module")
@@ -27,25 +21,6 @@ def renders(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stops") / "renders"
     write_renders(dataset, small(every=1, width=240), folder)
     return folder
-
-
-def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> None:
-    """Interrupt a command at three random instants; each run continues the one before."""
-    instants, hits = random.Random(seed), 0
-    for number, group in SIGNALS:
-        ended = interrupt(words, instants.uniform(0.0, longest_s), number, group=group)
-        hits += ended.hit
-        if ended.hit:
-            ended.require_stopped()
-    assert hits
-
-
-def finish(words: Sequence[str | Path]) -> float:
-    """Run a command to its end, and return the duration in seconds."""
-    begin = time.monotonic()
-    ended = interrupt(words, NEVER_S)
-    assert not ended.hit and ended.code == 0, ended
-    return time.monotonic() - begin
 
 
 def test_evaluate_stops_and_continues(renders: Path, root: Path, tmp_path: Path) -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from mirror.errors import UsageError
 from mirror.guarded import Failure, GuardedPool
@@ -36,3 +40,19 @@ def test_items_fail_alone_and_workers_are_kept() -> None:
         assert [one.status for one in failures] == ["crashed", "failed", "hung"]
         assert "code 9" in failures[0].problem and "seven" in failures[1].problem
         assert dict(pool.map([])) == {}
+
+
+def is_held_back(make: int) -> Callable[[int], bool]:
+    return lambda item: signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_no_worker_hears_ctrl_c_not_even_the_first_of_a_process() -> None:
+    """The first process that `multiprocessing` starts is preceded by its own tracker of resources."""
+    code = (
+        "from mirror.guarded import GuardedPool\n"
+        "from tests.privacy.test_guarded import is_held_back\n"
+        "with GuardedPool(is_held_back, (0,), workers=2, timeout_s=60.0) as pool:\n"
+        "    assert sorted(pool.map([0, 1])) == [(0, True), (1, True)]\n"
+    )
+    root = Path(__file__).parents[2]
+    subprocess.run([sys.executable, "-c", code], cwd=root, check=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -32,11 +32,13 @@ class ScoringOutcome:
         scored: scored jobs, in the order of the jobs.
         failed: problems of the other jobs, by job name.
         reused: number of jobs whose values were read from the log.
+        hash: hash of everything that the values depend on.
     """
 
     scored: tuple[ScoredJob, ...]
     failed: dict[str, str]
     reused: int
+    hash: str
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,6 @@ class _JobOutcome:
     key: str
     values: Values | None
     error: str | None
-    reused: bool
 
 
 class ScoreLog:
@@ -104,16 +105,26 @@ def score_jobs(
         DatasetError: the truth cannot be read, or a worker process died.
     """
     found: dict[str, _JobOutcome] = {}
-    with closing(_run(jobs, inputs, log, workers)) as coming:
+    rest = []
+    for job in jobs:
+        logged = log.known.get(job.name)
+        if logged is not None and logged[0] == job_key(job, inputs):
+            found[job.name] = _JobOutcome(job.name, *logged, None)
+        else:
+            rest.append(job)
+    reused = len(found)
+    advance(reused)
+    with closing(_run(rest, inputs, workers)) as coming:
         for done in coming:
             for one in done:
                 found[one.name] = one
-                if one.values is not None and not one.reused:
+                if one.values is not None:
                     log.add(one.name, one.key, one.values)
             advance(len(done))
     scored = tuple(ScoredJob(job, values) for job in jobs if (values := found[job.name].values) is not None)
     failed = {name: one.error for name, one in found.items() if one.error is not None}
-    return ScoringOutcome(scored, failed, sum(one.reused for one in found.values()))
+    keys = [[job.name, found[job.name].key] for job in jobs]
+    return ScoringOutcome(scored, failed, reused, hashlib.sha256(json.dumps(keys).encode()).hexdigest())
 
 
 def job_key(job: Job, inputs: ScoringInputs) -> str:
@@ -136,20 +147,17 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _run(
-    jobs: Sequence[Job], inputs: ScoringInputs, log: ScoreLog, workers: int
-) -> Generator[list[_JobOutcome], None, None]:
+def _run(jobs: Sequence[Job], inputs: ScoringInputs, workers: int) -> Generator[list[_JobOutcome], None, None]:
     chunks = [jobs[start : start + _CHUNK] for start in range(0, len(jobs), _CHUNK)]
-    logged = [(chunk, {job.name: log.known[job.name] for job in chunk if job.name in log.known}) for chunk in chunks]
     if workers == 1 or len(chunks) < 2:
-        for chunk, known in logged:
-            yield _score_chunk(chunk, known, inputs)
+        for chunk in chunks:
+            yield _score_chunk(chunk, inputs)
         return
     waiting: set[Future[list[_JobOutcome]]] = set()
     try:
         with process_pool(workers, _start_worker, inputs) as pool:
-            for chunk, known in logged:
-                waiting.add(pool.submit(_score_chunk_in_worker, chunk, known))
+            for chunk in chunks:
+                waiting.add(pool.submit(_score_chunk_in_worker, chunk))
                 if len(waiting) >= 2 * workers:
                     ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                     yield from (future.result() for future in ready)
@@ -174,26 +182,20 @@ def _start_worker(inputs: ScoringInputs) -> None:
     _worker_inputs[:] = [inputs]
 
 
-def _score_chunk_in_worker(jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]]) -> list[_JobOutcome]:
-    return _score_chunk(jobs, known, _worker_inputs[0])
+def _score_chunk_in_worker(jobs: Sequence[Job]) -> list[_JobOutcome]:
+    return _score_chunk(jobs, _worker_inputs[0])
 
 
-def _score_chunk(
-    jobs: Sequence[Job], known: Mapping[str, tuple[str, dict[str, Any]]], inputs: ScoringInputs
-) -> list[_JobOutcome]:
+def _score_chunk(jobs: Sequence[Job], inputs: ScoringInputs) -> list[_JobOutcome]:
     scorer = load_scorer(inputs.protocol.task)
     done = []
     for job in jobs:
         try:
-            key = job_key(job, inputs)
-            if job.name in known and known[job.name][0] == key:
-                done.append(_JobOutcome(job.name, key, known[job.name][1], None, reused=True))
-            else:
-                done.append(_JobOutcome(job.name, key, scorer.score(job, inputs), None, reused=False))
+            done.append(_JobOutcome(job.name, job_key(job, inputs), scorer.score(job, inputs), None))
         except DatasetError:
             raise
         except MirrorError as error:
-            done.append(_JobOutcome(job.name, "", None, str(error), reused=False))
+            done.append(_JobOutcome(job.name, "", None, str(error)))
     return done
 
 

@@ -13,11 +13,6 @@ from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
-from mirror.metrics.images.affine import psnr_affine
-from mirror.metrics.images.colour_correction import psnr_cc
-from mirror.metrics.images.invariant import psnr_invariant
-from mirror.metrics.images.psnr import psnr
-from mirror.metrics.images.ssim import ssim
 from mirror.metrics.score import EMPTY_MASK, Score
 from mirror.protocols.document import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, PsnrInvariant, Ssim, metric_name
 from mirror.protocols.views.plan import Plan
@@ -123,6 +118,13 @@ def find_score(values: Values, name: str) -> Score:
 def _score(
     metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: ScoringInputs
 ) -> tuple[Score, dict[str, float | int | str | None]]:
+    # Imported late: a run that finds every image scored needs no compiled kernel.
+    from mirror.metrics.images.affine import psnr_affine
+    from mirror.metrics.images.colour_correction import psnr_cc
+    from mirror.metrics.images.invariant import psnr_invariant
+    from mirror.metrics.images.psnr import psnr
+    from mirror.metrics.images.ssim import ssim
+
     if not scored.any():
         return EMPTY_MASK, {}
     # Metrics without a mask are faster.

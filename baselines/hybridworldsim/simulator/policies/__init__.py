@@ -1,0 +1,1 @@
+"""Policies: what drives the ego vehicle. Entry points of the group `mirror.policies` add others."""

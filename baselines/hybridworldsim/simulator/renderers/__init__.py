@@ -1,0 +1,1 @@
+"""Renderers: the images of a rig at one instant of a rollout."""

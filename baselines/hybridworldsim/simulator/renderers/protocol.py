@@ -1,0 +1,143 @@
+"""The interface of a renderer, and what all renderers share: cameras, poses and the motion of bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.bodies import body_of_size
+from hybridworldsim.simulator.agents.states import Agent
+from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.street.ground import Ground
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import UInt8
+from mirror.errors import UsageError
+from mirror.geometry import Poses
+from mirror.geometry.cameras import undistorted
+from mirror.synth.road_users.body import Body, Placement, RoadUser
+
+_BASE_SHARE: Final = 0.6
+_TRACK_SHARE: Final = 0.8
+
+
+class CameraRenderer(Protocol):
+    """Renders the cameras of the ego vehicle.
+
+    Attributes:
+        name: name of the renderer.
+        rendered: number of images rendered so far.
+    """
+
+    name: str
+    rendered: int
+
+    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
+        """Render images (H, W, 3), RGB, of some cameras, all at one instant."""
+        ...
+
+
+def rig_cameras(
+    street: Street, names: Sequence[str], width_px: int | None, height_px: int | None = None
+) -> dict[str, CameraSpec]:
+    """Return the cameras of a street's rig as pinholes of one size.
+
+    Args:
+        street: the street.
+        names: names of the cameras.
+        width_px: width of the images; None: the size of the recorded images.
+        height_px: height of the images; None: in proportion.
+
+    Raises:
+        UsageError: the rig has no camera of a name, or the size is not positive.
+    """
+    if (width_px is not None and width_px < 1) or (height_px is not None and height_px < 1):
+        raise UsageError(f"images of {width_px} x {height_px} px", expected="at least 1 x 1 px")
+    specs = {}
+    for name in names:
+        if name not in street.rig:
+            raise UsageError(f"the rig has no camera {name!r}", expected=f"of {', '.join(street.rig)}")
+        member = street.rig[name]
+        camera = undistorted(member.camera)
+        if width_px is not None:
+            height = height_px or max(round(camera.height_px * width_px / camera.width_px), 1)
+            camera = camera.resized(width_px, height)
+        specs[name] = CameraSpec(camera, member.ego_SE3_camera)
+    return specs
+
+
+def ego_pose(street: Street, snapshot: Snapshot) -> Poses:
+    """Return ``world_SE3_ego`` of the ego on the ground."""
+    ego, vehicle = snapshot.ego, snapshot.vehicle
+    return street.ground.world_SE3_ego(
+        ego.x_m, ego.y_m, ego.yaw_rad, vehicle.wheelbase_m, _TRACK_SHARE * vehicle.width_m
+    )
+
+
+@dataclass(eq=False)
+class LiveMotion:
+    """The motion of an agent's body: its present placement, which `place_agents` sets.
+
+    Attributes:
+        placement: the placement; far below the ground while the agent is absent.
+    """
+
+    placement: Placement = field(default_factory=lambda: _ABSENT)
+
+    def at(self, time_s: float) -> Placement:
+        """Return the present placement, whatever the time."""
+        return self.placement
+
+
+_ABSENT: Final = Placement(0.0, 0.0, -1e4, 0.0)
+_FAR_M: Final = 1e6
+
+
+class LiveUsers:
+    """The agents as road users of the synthetic street: one object for a rollout, whose motions read live states.
+
+    Args:
+        agents: the agents.
+        ground: the ground on which they stand.
+    """
+
+    def __init__(self, agents: Sequence[Agent], ground: Ground) -> None:
+        self._ground = ground
+        self.motions = [LiveMotion() for _ in agents]
+        bodies = [body_of(agent) for agent in agents]
+        self.users = tuple(
+            RoadUser(agent.agent_id, body, motion)
+            for agent, body, motion in zip(agents, bodies, self.motions, strict=True)
+        )
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Move all bodies to their places at an instant."""
+        states = snapshot.states
+        for number, motion in enumerate(self.motions):
+            if not states.present[number]:
+                motion.placement = Placement(_FAR_M, _FAR_M, 0.0, 0.0)
+                continue
+            length, width, _ = snapshot.agents[number].size_m
+            place = self._ground.place(
+                float(states.x_m[number]),
+                float(states.y_m[number]),
+                float(states.yaw_rad[number]),
+                _BASE_SHARE * length,
+                _TRACK_SHARE * width,
+            )
+            speed = float(np.hypot(states.vx_mps[number], states.vy_mps[number]))
+            motion.placement = Placement(
+                place.x_m, place.y_m, place.z_m, place.yaw_rad, place.pitch_rad, place.roll_rad, speed,
+                float(states.along_m[number]),
+            )  # fmt: skip
+
+
+def body_of(agent: Agent) -> Body:
+    """Return the body of an agent."""
+    if agent.body is not None:
+        return agent.body
+    length, width, height = (round(size, 2) for size in agent.size_m)
+    return body_of_size(agent.category, (length, width, height))

@@ -1,0 +1,197 @@
+"""A rollout of a scenario on a street, step by step, without images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.casting import Stage, cast_agents
+from hybridworldsim.simulator.agents.groups import AllAgents
+from hybridworldsim.simulator.ego.tracker import TrajectoryTracker
+from hybridworldsim.simulator.ego.trajectory import Trajectory
+from hybridworldsim.simulator.ego.vehicle import Controls
+from hybridworldsim.simulator.policies.protocol import (
+    ROUTE_POINTS,
+    ROUTE_STEP_M,
+    Action,
+    CameraSpec,
+    Observation,
+    ObservationSpec,
+    PlannedTrajectory,
+    PrivilegedState,
+)
+from hybridworldsim.simulator.street.route import RoutePlan, plan_route
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot, StateRecorder, World, state_log
+from mirror.arrays import Float64, UInt8
+from mirror.errors import UsageError
+from mirror.metrics.safety import find_collisions
+from mirror.schema.scenario import RecordedStart, Scenario
+
+Ending = Literal["duration", "collision", "route_end", "left_street"]
+"""Why a rollout ended: its time is over; the ego touched an agent; it came to the end of its route; it left the part of
+the street that can be rendered."""
+_STREET_MARGIN_M: Final = 60.0
+
+
+@dataclass(eq=False)
+class Simulation:
+    """A running rollout.
+
+    Attributes:
+        street: the street.
+        scenario: the scenario.
+        route: the ego's route.
+        seed: seed of the rollout.
+        world: the world.
+        recorder: the states so far.
+        stops_at_collision: whether a contact of the ego ends the rollout.
+        recorded: recorded trajectory of the ego in the times of the rollout; None: the ego does not start on it.
+    """
+
+    street: Street
+    scenario: Scenario
+    route: RoutePlan
+    seed: int
+    world: World
+    recorder: StateRecorder
+    stops_at_collision: bool = True
+    recorded: Trajectory | None = None
+
+    def __post_init__(self) -> None:
+        self._tracker = TrajectoryTracker(self.street.vehicle, self.step_s)
+        self._controls = Controls(0.0, 0.0)
+        self._trajectory: Trajectory | None = None
+
+    @property
+    def step_s(self) -> float:
+        """Duration of a step."""
+        return 1.0 / self.scenario.rate_hz
+
+    @property
+    def now(self) -> Snapshot:
+        """The present state."""
+        return self.world.now
+
+    def advance(self, action: Action) -> Ending | None:
+        """Advance by one step; returns why the rollout ends, or None.
+
+        Raises:
+            UsageError: the action is not valid; the state is that before it.
+        """
+        now = self.now
+        if isinstance(action, Controls):
+            self._controls, self._trajectory = action, None
+        elif isinstance(action, PlannedTrajectory):
+            self._trajectory = action.in_world(now.ego, now.time_s)
+        elif action is not None:
+            raise UsageError(f"an action of type {type(action).__name__}", expected="Controls, PlannedTrajectory, None")
+        if self._trajectory is not None:
+            self._controls = self._tracker.track(now.ego, self._trajectory, now.time_s)
+        self.recorder.add(self.world.advance(self._controls))
+        return self._ending()
+
+    def observe(self, images: Mapping[str, UInt8], *, privileged: bool = False) -> Observation:
+        """Return the observation of the present state."""
+        now, ego = self.now, self.now.ego
+        cos, sin = np.cos(ego.yaw_rad), np.sin(ego.yaw_rad)
+        ahead = self.route_ahead(ROUTE_STEP_M * ROUTE_POINTS, ROUTE_STEP_M) - (ego.x_m, ego.y_m)
+        route = np.column_stack([ahead @ (cos, sin), ahead @ (-sin, cos)])
+        local = replace(ego, x_m=0.0, y_m=0.0, yaw_rad=0.0)
+        return Observation(now.stamp_ns, images, local, route, self._exact_state() if privileged else None)
+
+    def _exact_state(self) -> PrivilegedState:
+        now, way = self.now, self.route.way
+        along = way.nearest_m(np.array([now.ego.x_m, now.ego.y_m]))
+        closed = [
+            halt.along_m
+            for halt in self.route.halts
+            if halt.along_m > along and now.signals.get(halt.signal_id, "green") != "green"
+        ]
+        return PrivilegedState(
+            now.time_s, now.ego, now.boxes().states, way.points, way.pace_mps, min(closed, default=math.inf),
+            self.recorded,
+        )  # fmt: skip
+
+    def progress_m(self) -> float:
+        """Length along the route that the ego has come since the start."""
+        ego = self.now.ego
+        return self.route.way.nearest_m(np.array([ego.x_m, ego.y_m])) - self.route.begin_m
+
+    def observation_spec(self, cameras: Mapping[str, CameraSpec]) -> ObservationSpec:
+        """Return the specification of observations with given cameras."""
+        return ObservationSpec(cameras, self.street.vehicle, self.step_s)
+
+    def route_ahead(self, reach_m: float, step_m: float) -> Float64:
+        """Return points (K, 2) of the route from the place beside the ego on, in the world."""
+        ego, way = self.now.ego, self.route.way
+        along = way.nearest_m(np.array([ego.x_m, ego.y_m])) + np.arange(0.0, reach_m, step_m)
+        return np.array([way.at(min(place, way.length_m)) for place in along])
+
+    def _ending(self) -> Ending | None:
+        now = self.now
+        if self.stops_at_collision and find_collisions(state_log(self.recorder.snapshots[-2:])):
+            return "collision"
+        if now.step >= self.scenario.steps:
+            return "duration"
+        ego = np.array([now.ego.x_m, now.ego.y_m])
+        if self.route.way.nearest_m(ego) >= self.route.way.length_m - 1.0:
+            return "route_end"
+        if np.hypot(*(ego - np.array(self.street.middle_m))) > self.street.radius_m + _STREET_MARGIN_M:
+            return "left_street"
+        return None
+
+
+def start_simulation(
+    street: Street, scenario: Scenario, seed: int | None = None, *, stops_at_collision: bool = True
+) -> Simulation:
+    """Start a rollout.
+
+    Args:
+        street: the street.
+        scenario: the scenario.
+        seed: seed of the rollout; None: that of the scenario.
+        stops_at_collision: whether a contact of the ego ends the rollout.
+
+    Raises:
+        UsageError: the scenario does not fit on the street.
+    """
+    chosen = scenario.seed if seed is None else seed
+    ego, route, recording, start_s = plan_route(street, scenario.ego)
+    if not isinstance(scenario.ego.start, RecordedStart):
+        street = replace(street, clock_s=_clock_of_green(street, route))
+    stage = Stage(street, scenario, ego, route, recording, start_s, chosen)
+    agents = AllAgents(cast_agents(stage))
+    start_ns = street.recordings[recording].start_ns + round(start_s * 1e9)
+    world = World(street.vehicle, ego, agents, start_ns, 1.0 / scenario.rate_hz, street.signals)
+    recorder = StateRecorder()
+    recorder.add(world.now)
+    touching = find_collisions(recorder.log())
+    if touching:
+        raise UsageError(
+            f"agent {touching[0].agent!r} starts in the ego vehicle", place=f"scenario {scenario.name!r}",
+            expected="agents that do not touch the ego at the start", remedy="change its place ahead of the ego",
+        )  # fmt: skip
+    recorded = None
+    if isinstance(scenario.ego.start, RecordedStart):
+        source = street.recordings[recording]
+        recorded = Trajectory(source.times_s - start_s, source.poses)
+    return Simulation(street, scenario, route, chosen, world, recorder, stops_at_collision, recorded)
+
+
+def _clock_of_green(street: Street, route: RoutePlan) -> float:
+    """Time of the signals' clock at which the first signal ahead on the route turns green; 0: there is none."""
+    ahead = [halt for halt in route.halts if halt.along_m > route.begin_m]
+    signal = street.road_map.signals.get(ahead[0].signal_id) if ahead else None
+    if signal is None or not signal.phases:
+        return 0.0
+    before = 0.0
+    for state, duration in signal.phases:
+        if state == "green":
+            break
+        before += duration
+    return signal.offset_s + before

@@ -1,0 +1,79 @@
+"""The ground under road users: its height, and the attitude of a vehicle that stands on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mirror.arrays import Float64
+from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
+from mirror.synth.road_users.body import Placement
+
+HeightField = Callable[[npt.ArrayLike, npt.ArrayLike], Float64]
+_NEIGHBOURS = 6
+_SOFTENING_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The ground of a street.
+
+    Attributes:
+        height_m: heights (N,) at positions x (N,) and y (N,).
+    """
+
+    height_m: HeightField
+
+    def place(self, x_m: float, y_m: float, yaw_rad: float, base_m: float, track_m: float) -> Placement:
+        """Return the placement of a body on the ground.
+
+        Args:
+            x_m: position of its middle.
+            y_m: position of its middle.
+            yaw_rad: heading.
+            base_m: distance of the points along the heading at which it touches the ground.
+            track_m: distance of these points across the heading.
+        """
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        along, aside = 0.5 * base_m, 0.5 * track_m
+        x = np.array([x_m + along * cos, x_m - along * cos, x_m - aside * sin, x_m + aside * sin, x_m])
+        y = np.array([y_m + along * sin, y_m - along * sin, y_m + aside * cos, y_m - aside * cos, y_m])
+        front, rear, left, right, middle = np.asarray(self.height_m(x, y)).tolist()
+        return Placement(x_m, y_m, middle, yaw_rad, math.atan2(front - rear, base_m), math.atan2(left - right, track_m))
+
+    def world_SE3_ego(  # noqa: N802
+        self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float
+    ) -> Poses:
+        """Return the pose of the ego frame, whose origin is on the ground below the rear axle."""
+        reach = 0.5 * wheelbase_m
+        middle = self.place(
+            x_m + reach * math.cos(yaw_rad), y_m + reach * math.sin(yaw_rad), yaw_rad, wheelbase_m, track_m
+        )
+        height = float(np.asarray(self.height_m(np.array([x_m]), np.array([y_m])))[0])
+        rotation = quaternion_from_heading_pitch_roll(
+            np.array([90.0 - math.degrees(yaw_rad)]),
+            np.array([math.degrees(middle.pitch_rad)]),
+            np.array([math.degrees(middle.roll_rad)]),
+        )
+        return Poses(rotation, np.array([[x_m, y_m, height]]))
+
+
+def ground_of_points(points_m: Float64) -> Ground:
+    """Return the ground through points (N, 3), weighted by the inverse square of their distances."""
+    from scipy.spatial import cKDTree
+
+    tree, heights = cKDTree(points_m[:, :2]), points_m[:, 2]
+    count = min(_NEIGHBOURS, len(points_m))
+
+    def height_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        distance, nearest = tree.query(np.column_stack([np.ravel(x_m), np.ravel(y_m)]), k=count)
+        distance, nearest = distance.reshape(-1, count), nearest.reshape(-1, count)
+        weight = 1.0 / (distance**2 + _SOFTENING_M**2)
+        mean: Float64 = (weight * heights[nearest]).sum(axis=1) / weight.sum(axis=1)
+        return mean
+
+    return Ground(height_m)

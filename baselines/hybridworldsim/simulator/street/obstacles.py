@@ -1,0 +1,74 @@
+"""Where an agent cannot start: in a wall, or off the drivable area."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hybridworldsim.simulator.street.street import Street
+from mirror.arrays import Float64
+from mirror.errors import UsageError
+from mirror.metrics.safety import inside_area
+
+_ABOVE_M: Final = 80.0
+_TOLERANCE_M: Final = 0.5
+_ON_FOOT: Final = frozenset({"pedestrian", "cyclist", "bicycle"})
+_HOLLOW_M: Final = 0.4
+
+
+def corners_of(box: Float64) -> Float64:
+    """Return the corners (4, 2) of a box (x, y, yaw, half length, half width)."""
+    x, y, yaw, length, width = box.tolist()
+    ahead, left = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
+    signs = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
+    return np.array([np.array([x, y]) + a * length * ahead + b * width * left for a, b in signs])
+
+
+def check_free(street: Street, agent_id: str, category: str, box: Float64) -> None:
+    """Refuse an agent that starts in a wall or off the drivable area.
+
+    In a synthetic street every fixed object counts as a wall. Elsewhere only the drivable area is known, where
+    vehicles have to start.
+
+    Raises:
+        UsageError: the agent cannot start there.
+    """
+    place = f"agent {agent_id!r}"
+    corners = corners_of(box)
+    if category not in _ON_FOOT:
+        margin = box.copy()
+        margin[3:] -= _TOLERANCE_M
+        if not inside_area(corners_of(margin), street.road_map.drivable_rings).all():
+            raise UsageError(
+                f"it starts off the drivable area, at ({box[0]:.1f}, {box[1]:.1f})", place=place,
+                expected="all corners on the drivable area", remedy="change its offset or its place ahead of the ego",
+            )  # fmt: skip
+    if street.drive is not None and (label := _wall_at(street, np.concatenate([corners, box[None, :2]]))):
+        raise UsageError(
+            f"it starts in a {label}, at ({box[0]:.1f}, {box[1]:.1f})", place=place,
+            expected="a free place", remedy="change its offset or its place ahead of the ego",
+        )  # fmt: skip
+
+
+def _wall_at(street: Street, points: Float64) -> str | None:
+    """Name of the fixed object that stands over one of the points (N, 2), up to the height of a person."""
+    from mirror.synth.model import Label
+    from mirror.synth.truth.casting import cast_rays
+
+    if street.drive is None:
+        return None
+    model = street.drive.world.model
+    solid = (Label.BUILDING, Label.WALL)
+    for x, y in points:
+        ground = float(np.asarray(street.ground.height_m(np.array([x]), np.array([y])))[0])
+        origin = np.array([x, y, ground + _ABOVE_M])
+        distance, index = cast_rays(model, origin, np.array([[0.0, 0.0, -1.0]]))
+        if index[0] < 0 or distance[0] > _ABOVE_M - _HOLLOW_M:
+            continue
+        faces = model.faces
+        label = int(faces["label"][index[0]] if index[0] < len(faces) else model.rounds["label"][index[0] - len(faces)])
+        if label in solid:
+            return Label(label).name.lower()
+    return None

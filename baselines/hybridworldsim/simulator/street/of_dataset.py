@@ -1,0 +1,129 @@
+"""The street of a scene of a dataset: its rig, its recorded traversals, and a map that is fitted to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.replay import RecordedTrack
+from hybridworldsim.simulator.agents.states import Agent
+from hybridworldsim.simulator.ego.vehicle import VehicleParameters
+from hybridworldsim.simulator.street.fitted_map import fit_road_map
+from hybridworldsim.simulator.street.ground import ground_of_points
+from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
+from mirror.arrays import Float64
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame
+from mirror.errors import DatasetError, UsageError
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.schema.road_map import RoadMap, read_road_map
+
+_EDGE_M = 5.0
+
+
+def street_of_dataset(
+    dataset: Dataset, *, scene: str | None = None, traversals: list[str] | None = None, road_map: Path | None = None
+) -> Street:
+    """Open a scene of a dataset as a street.
+
+    Args:
+        dataset: the dataset.
+        scene: the scene; None: the dataset has only one.
+        traversals: traversals to read; None: all of the scene.
+        road_map: file of the scene's map; None: a map is fitted to the driven lines.
+
+    Raises:
+        UsageError: the scene is unknown or has to be named, or the map is of another scene.
+        DatasetError: the scene has no images.
+    """
+    scenes = dataset.scenes()
+    if scene is None and len(scenes) != 1:
+        raise UsageError(f"the dataset has {len(scenes)} scenes", place="--scene", expected=f"of {', '.join(scenes)}")
+    chosen = dataset.where(scene=scene or scenes[0])
+    if traversals:
+        chosen = chosen.where(traversal=traversals)
+    by_traversal: dict[str, list[Frame]] = {}
+    for frame in chosen.frames():
+        by_traversal.setdefault(frame.traversal_id, []).append(frame)
+    if not by_traversal:
+        raise DatasetError("the scene has no images", place=scene or scenes[0])
+    lights = {
+        row["traversal_id"]: row for row in chosen.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
+    }
+    recordings = {
+        name: _recording(name, frames, str(lights[name]["light"]), str(lights[name]["weather"]))
+        for name, frames in sorted(by_traversal.items())
+    }
+    tracks = [frames[0].track[1] for frames in by_traversal.values()]
+    fitted = _map_of(road_map, scene or scenes[0], [track.translation for track in tracks])
+    driven = np.concatenate([track.translation for track in tracks])
+    places = np.concatenate([_centers(frames) for frames in by_traversal.values()])
+    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    first = next(iter(by_traversal.values()))[0]
+    rig = {
+        name: RigCamera(image.camera_model, image.calibration.ego_SE3_camera) for name, image in first.images.items()
+    }
+    return Street(
+        scene_id=scene or scenes[0],
+        road_map=fitted,
+        ground=ground_of_points(driven),
+        vehicle=VehicleParameters(),
+        rig=rig,
+        recordings=recordings,
+        middle_m=(float(middle[0]), float(middle[1])),
+        radius_m=float(np.hypot(*(places - middle).T).max()) + _EDGE_M,
+    )
+
+
+def _map_of(path: Path | None, scene: str, lines: list[Float64]) -> RoadMap:
+    if path is None:
+        return fit_road_map(scene, None, lines)
+    road_map = read_road_map(path)
+    if road_map.scene_id != scene:
+        raise UsageError(f"a map of scene {road_map.scene_id}", file=path, expected=f"a map of {scene}")
+    return road_map
+
+
+def _centers(frames: list[Frame]) -> Float64:
+    return np.array([frame.world_SE3_ego.translation[0, :2] for frame in frames])
+
+
+def _recording(traversal_id: str, frames: list[Frame], light: str, weather: str) -> Recording:
+    stamps, poses = frames[0].track
+    start = frames[0].timestamp_ns
+    inside = (stamps >= start) & (stamps <= frames[-1].timestamp_ns)
+    states = np.column_stack([poses.translation[inside, :2], _yaws(poses)[inside]])
+    return Recording(
+        traversal_id,
+        start,
+        1e-9 * (stamps[inside] - start).astype(np.float64),
+        states,
+        tuple(_tracks(frames, start)),
+        light,
+        weather,
+    )
+
+
+def _tracks(frames: list[Frame], start_ns: int) -> list[RecordedTrack]:
+    rows: dict[str, list[tuple[float, float, float, float]]] = {}
+    agents: dict[str, Agent] = {}
+    for frame in frames:
+        boxes = frame.boxes("world")
+        yaws = _yaws(boxes.pose) if len(boxes) else np.zeros(0)
+        for number, track in enumerate(boxes.track_id):
+            x, y = boxes.pose.translation[number, :2].tolist()
+            rows.setdefault(track, []).append(((boxes.timestamp_ns - start_ns) * 1e-9, x, y, float(yaws[number])))
+            length, width, height = boxes.size_m[number].tolist()
+            agents[track] = Agent(track, boxes.category[number], (length, width, height))
+    tracks = []
+    for track, states in rows.items():
+        numbers = np.array(sorted(set(states)))
+        kept = np.concatenate([[True], np.diff(numbers[:, 0]) > 0.0])
+        tracks.append(RecordedTrack(agents[track], numbers[kept, 0], numbers[kept, 1:]))
+    return tracks
+
+
+def _yaws(poses: Poses) -> Float64:
+    forward = matrix_from_quaternion(poses.rotation)[:, :, 0]
+    return np.arctan2(forward[:, 1], forward[:, 0])

@@ -1,0 +1,97 @@
+"""A street to drive in: its map, ground and rig, and what was recorded in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.replay import RecordedTrack
+from hybridworldsim.simulator.ego.vehicle import VehicleParameters
+from hybridworldsim.simulator.street.ground import Ground
+from mirror.arrays import Bool, Float64
+from mirror.geometry import Poses
+from mirror.geometry.cameras import Camera
+from mirror.schema.road_features import SignalState
+from mirror.schema.road_map import RoadMap
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """One camera of the ego vehicle.
+
+    Attributes:
+        camera: its lens and raster.
+        ego_SE3_camera: its mounting.
+    """
+
+    camera: Camera
+    ego_SE3_camera: Poses
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recorded traversal of the street.
+
+    Attributes:
+        traversal_id: its id.
+        start_ns: Unix time of its beginning.
+        times_s: (T,) times since then.
+        poses: (T, 3) x, y of the rear axle, and yaw.
+        tracks: the recorded road users.
+        light: light condition.
+        weather: weather condition.
+    """
+
+    traversal_id: str
+    start_ns: int
+    times_s: Float64
+    poses: Float64
+    tracks: tuple[RecordedTrack, ...]
+    light: str
+    weather: str
+
+
+@dataclass(frozen=True, eq=False)
+class Street:
+    """A street to drive in.
+
+    Attributes:
+        scene_id: the scene.
+        road_map: its map.
+        ground: its ground.
+        vehicle: the ego vehicle.
+        rig: its cameras by name.
+        recordings: recorded traversals, by id; at least one.
+        middle_m: (x, y) middle of the part that can be rendered.
+        radius_m: radius of that part.
+        clock_s: time of the signals' clock at the start of a rollout.
+        drive: the drive of the synthetic street that gives the exact world; None: the exact world is not known.
+    """
+
+    scene_id: str
+    road_map: RoadMap
+    ground: Ground
+    vehicle: VehicleParameters
+    rig: Mapping[str, RigCamera]
+    recordings: Mapping[str, Recording]
+    middle_m: tuple[float, float]
+    radius_m: float
+    clock_s: float = 0.0
+    drive: SynthDrive | None = field(default=None, repr=False)
+
+    def signals(self, time_s: float) -> dict[str, SignalState]:
+        """Return the states of the signals whose phases are known, by id, at a time since the start."""
+        states = {
+            name: signal.state_at(self.clock_s + time_s) for name, signal in sorted(self.road_map.signals.items())
+        }
+        return {name: state for name, state in states.items() if state is not None}
+
+    def is_inside(self, points_m: Float64) -> Bool:
+        """Return which points (N, 2) lie in the part that can be rendered."""
+        return np.hypot(*(points_m - np.array(self.middle_m)).T) <= self.radius_m

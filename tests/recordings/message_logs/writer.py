@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,9 +30,9 @@ from tests.ingest.recordings import LAT, LON, START_NS
 
 Encoding = Literal["ros2", "protobuf", "json"]
 FRAME = TangentFrame(LON, LAT, 500.0)
-EGO_SE3_ANTENNA = Poses([[1.0, 0.0, 0.0, 0.0]], [[0.4, 0.1, 1.7]])
-EGO_SE3_IMU = Poses([[0.9, 0.1, -0.2, 0.3]], [[0.2, -0.3, 0.5]])
-EGO_SE3_CAMERA = Poses([[0.5, -0.5, 0.5, -0.5]], [[1.6, 0.05, 1.5]])
+EGO_SE3_ANTENNA = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.4, 0.1, 1.7]]))
+EGO_SE3_IMU = Poses(np.array([[0.9, 0.1, -0.2, 0.3]]), np.array([[0.2, -0.3, 0.5]]))
+EGO_SE3_CAMERA = Poses(np.array([[0.5, -0.5, 0.5, -0.5]]), np.array([[1.6, 0.05, 1.5]]))
 K = (50.0, 0.0, 31.5, 0.0, 51.0, 23.5, 0.0, 0.0, 1.0)
 LENS = (-0.2, 0.05, 0.001, -0.002, 0.01)
 TOPICS = """
@@ -206,7 +206,7 @@ def _camera(stamp: int) -> Any:
 
 def write_mcap(
     path: Path,
-    written: list[Out],
+    written: Iterable[Out],
     *,
     encoding: Encoding = "ros2",
     compression: CompressionType = CompressionType.ZSTD,
@@ -234,7 +234,7 @@ def write_mcap(
                 channels[message.topic] = _register(writer, message, encoding)
             channel, encode = channels[message.topic]
             writer.add_message(channel, message.stamp, encode(message.value), message.stamp)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -260,7 +260,7 @@ def _register(writer: Writer, message: Out, encoding: Encoding) -> tuple[int, An
     def encode_protobuf(value: Any) -> bytes:
         filled = kind()
         _fill(filled, convert(value, json_time=False))
-        return filled.SerializeToString()
+        return bytes(filled.SerializeToString())
 
     return writer.register_channel(message.topic, "protobuf", schema), encode_protobuf
 

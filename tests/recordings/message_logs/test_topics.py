@@ -19,6 +19,8 @@ from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
 
 def test_from_the_proposal_to_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_mcap(tmp_path / "monday.mcap", messages(ONE))
+    # As in `mirror info LOG > LOG.toml`.
+    (tmp_path / "monday.toml").touch()
     assert main(["info", str(log)]) == ExitCode.DONE
     proposal = capsys.readouterr().out
     assert proposal.startswith(f"# Save as {tmp_path / 'monday.toml'}\n")

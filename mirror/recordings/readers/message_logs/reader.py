@@ -83,7 +83,9 @@ class _LogReader(ABC):
         if "topics" in options:
             return Path(options["topics"])
         beside = _beside(path)
-        return find_file(beside.parent, beside.name)
+        file = find_file(beside.parent, beside.name)
+        # `mirror info LOG > LOG.toml`: the shell makes the file before the proposal is written.
+        return None if file is None or not file.stat().st_size else file
 
 
 def _beside(path: Path) -> Path:

@@ -66,6 +66,11 @@ class Board:
         words = [self.protocol, self.title, "" if self.hashes is None else sha256_bytes(evidence.encode())[:8]]
         return "-".join(re.sub("[^a-z0-9]", "-", word.lower()) for word in words if word)
 
+    @property
+    def is_older(self) -> bool:
+        """Whether the entries were measured by another version of the protocol than today's."""
+        return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
+
     @cached_property
     def ranked_by(self) -> Column:
         """The column that the rows are sorted by."""
@@ -80,12 +85,18 @@ class Board:
 
 
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
-    """Group entries into boards, in the order of protocols; boards of measured entries come first."""
+    """Group entries into boards, in the order of protocols; the tables of papers come first."""
     groups: dict[_Key, list[Entry]] = {}
     for entry in entries:
         groups.setdefault(_board_key(entry), []).append(entry)
     order = {name: place for place, name in enumerate(_protocol_order())}
-    keys = sorted(groups, key=lambda key: (order[key[0]], key[3] is None, key[1], key[2] or "", key[3] or (), key[4]))
+
+    def sort_key(key: _Key) -> tuple[object, ...]:
+        protocol, title, split, hashes, options = key
+        is_older = hashes is not None and hashes[0] != load_protocol(protocol).hash
+        return order[protocol], hashes is not None, is_older, title, split or "", hashes or (), options
+
+    keys = sorted(groups, key=sort_key)
     return [_make_board(key, groups[key]) for key in keys]
 
 

@@ -85,6 +85,8 @@ class Paper(Document):
         table: number of the table.
         label: label of the table in the paper's LaTeX source.
         row: name of the method in the table.
+        url: address of the paper.
+        date: year and month of the paper, and its day if it is known.
         about: description of the figures, in the words of the table.
     """
 
@@ -92,6 +94,8 @@ class Paper(Document):
     table: int = Field(ge=1)
     label: str
     row: str
+    url: Link
+    date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}(-\d{2})?$")]
     about: Note
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 import mirror
 from mirror.arrays import UInt8
+from mirror.evaluation.report import cover
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.protocols.png import decode_render, max_png_bytes
@@ -26,6 +27,8 @@ _JPEG_QUALITY: Final = 80
 
 def copy_pairs(result: Result, sources: Sources, out: Path) -> tuple[Pair, ...]:
     """Copy a few renders and their truth; a plan determines the views, so that methods can be compared.
+
+    Pixels outside the lens are grey in both, since nothing was recorded there.
 
     Args:
         result: result that was scored from the submission.
@@ -49,8 +52,9 @@ def copy_pairs(result: Result, sources: Sources, out: Path) -> tuple[Pair, ...]:
             render=f"{folder}/{number}-{result.hash[:12]}.jpg",
             truth=f"{folder}/{number}-recorded.jpg",
         )
+        outside = truth.outside_lens(view)
         for name, pixels in ((pair.render, render), (pair.truth, truth.image(view))):
-            write_bytes(out / name, _encode_jpeg(pixels))
+            write_bytes(out / name, _encode_jpeg(cover(pixels, outside)))
         pairs.append(pair)
     return tuple(pairs)
 

@@ -28,6 +28,8 @@ from mirror.version import __version__
 _WIDTH_PX: Final = 480
 _EXAMPLES_EACH: Final = 2
 _FULL_ERROR: Final = 64.0
+_GREY: Final = 96
+"""Level of pixels that are not compared."""
 _LEVELS: Final[Sequence[tuple[Level, str]]] = (
     ("scene", "By scene"),
     ("traversal", "By traversal"),
@@ -84,8 +86,14 @@ def error_map(render: UInt8, truth: UInt8, scored: Bool) -> UInt8:
     difference = np.abs(render.astype(np.int16) - truth).mean(axis=2)
     level = np.minimum(difference * (255.0 / _FULL_ERROR), 255.0).astype(np.uint8)
     coloured = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_HOT), np.uint8)[..., ::-1].copy()
-    coloured[~scored] = 96
-    return coloured
+    return cover(coloured, ~scored)
+
+
+def cover(image: UInt8, hidden: Bool) -> UInt8:
+    """Return an image (H, W, 3) whose pixels in a mask (H, W) are grey."""
+    covered = image.copy()
+    covered[hidden] = _GREY
+    return covered
 
 
 def _format_header(result: Result) -> str:
@@ -164,7 +172,12 @@ def _select_ranks(count: int) -> dict[str, range]:
 
 def _format_triple(title: str, view: RenderView, inputs: ScoringInputs) -> str:
     render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
-    images = (("render", render), ("truth", truth), ("error", error_map(render, truth, scored)))
+    outside = inputs.truth.outside_lens(view)
+    images = (
+        ("render", cover(render, outside)),
+        ("truth", cover(truth, outside)),
+        ("error", error_map(render, truth, scored)),
+    )
     figures = ""
     for name, image in images:
         inlined = inline_image(image, f"{name} of {view.path}", _WIDTH_PX)

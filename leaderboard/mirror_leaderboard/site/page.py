@@ -1,4 +1,4 @@
-"""The page of the leaderboard: boards by protocol, plots, sliders and a guide; it needs no network access."""
+"""The page of the leaderboard: a tab for each board of a protocol, plots, sliders, a guide; no network access."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
 from mirror_leaderboard.boards import Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
+from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.site.downloads import csv_file, encode_csv, encode_entry, entry_file
 from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
-from mirror_leaderboard.site.tables import board_table
+from mirror_leaderboard.site.tables import board_table, format_notes, group_title
 from mirror_leaderboard.trust import require_trusted
 
 _TITLE: Final = "MIRROR leaderboard"
@@ -42,8 +44,8 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
     Args:
         entries: the entries to show.
         image_folders: folders with the entries' images.
-        out: folder of the site: new, empty, or written by an earlier run. Its page and images are replaced; other files
-            stay.
+        out: folder of the site: new, empty, or written by an earlier run. Its page, images, tables and entries are
+            replaced; other files stay.
         draft: whether the page says that nobody signed its entries.
 
     Returns:
@@ -57,6 +59,10 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
     write_bytes(out / _MARK, b"`mirror leaderboard build` writes this folder.\n")
     boards = make_boards(entries)
     _copy_images(image_files(boards), image_folders, out / IMAGE_FOLDER)
+    for board in boards:
+        write_bytes(out / csv_file(board), encode_csv(board))
+    for entry in entries:
+        write_bytes(out / entry_file(entry), encode_entry(entry))
     page = out / "index.html"
     write_bytes(page, _format_page(boards, entries, draft=draft).encode())
     return page
@@ -91,12 +97,28 @@ def _format_page(boards: Sequence[Board], entries: Sequence[Entry], *, draft: bo
 
 def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     about = " ".join(load_protocol(protocol).description.split())
-    tables = "".join(f"{_format_heading(board)}{board_table(board)}{board_slider(board)}" for board in boards)
+    notes: dict[str, int] = {}
+    panels = "".join(_format_panel(board, notes) for board in boards)
     return (
         f'<section id="{escape(protocol)}"><h2>{escape(protocol)}</h2>'
         f"<details><summary>What the protocol scores</summary><p>{escape(about)}</p></details>"
-        f"{tables}{time_quality_plot(boards, entries)}</section>"
+        f'<div class="tabs">{panels}</div>{format_notes(notes)}{time_quality_plot(boards, entries)}</section>'
     )
+
+
+def _format_panel(board: Board, notes: dict[str, int]) -> str:
+    """Format a board. The script shows one panel of a section at a time; without it all are shown."""
+    kind = "reported" if board.hashes is None else "measured"
+    label = ", ".join([board.title, *(["older version"] if board.is_older else []), *map(_tab_word, board.options)])
+    return (
+        f'<div class="panel" id="{board.id}" data-tab="{escape(label)}" data-kind="{kind}">'
+        f"{_format_heading(board)}{board_table(board, notes)}{board_slider(board)}</div>"
+    )
+
+
+def _tab_word(option: tuple[str, str]) -> str:
+    """Name an option of a board in its tab: hashes of hidden truth are left to the heading."""
+    return {"unverified:": "unverified", "hidden truth": f"truth {option[1][:4]}"}.get(option[0], " ".join(option))
 
 
 def _format_heading(board: Board) -> str:
@@ -104,10 +126,12 @@ def _format_heading(board: Board) -> str:
     if board.split is not None and board.hashes is not None:
         hashes = zip(("protocol", "data"), board.hashes)
         codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
-        older = "" if load_protocol(board.protocol).hash == board.hashes[0] else " · an older version of the protocol"
+        older = " · an older version of the protocol" if board.is_older else ""
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
         evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
-    return f'<h3 id="{board.id}">{escape(board.title)}{evidence}</h3>'
+    ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"
+    download = f' <small>ranked by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
+    return f"<h3>{escape(board.title)}{evidence}{download}</h3>"
 
 
 def _copy_images(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:

@@ -1,4 +1,48 @@
 "use strict";
+for (const tabs of document.querySelectorAll(".tabs")) {
+  const panels = [...tabs.querySelectorAll(".panel")];
+  if (panels.length < 2) continue;
+  const list = document.createElement("div");
+  list.setAttribute("role", "tablist");
+  list.setAttribute("aria-label", "Datasets");
+  const buttons = panels.map((panel) => {
+    const button = document.createElement("button");
+    const kind = document.createElement("small");
+    kind.textContent = panel.dataset.kind;
+    button.type = "button";
+    button.append(panel.dataset.tab, " ", kind);
+    button.setAttribute("role", "tab");
+    button.setAttribute("aria-controls", panel.id);
+    panel.setAttribute("role", "tabpanel");
+    panel.setAttribute("aria-label", panel.dataset.tab);
+    list.append(button);
+    return button;
+  });
+  const select = (chosen) => buttons.forEach((button, place) => {
+    button.setAttribute("aria-selected", place === chosen);
+    button.tabIndex = place === chosen ? 0 : -1;
+    panels[place].hidden = place !== chosen;
+  });
+  buttons.forEach((button, place) => {
+    button.addEventListener("click", () => select(place));
+    button.addEventListener("keydown", (event) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+      if (step === undefined) return;
+      const next = (place + step + panels.length) % panels.length;
+      select(next);
+      buttons[next].focus();
+      event.preventDefault();
+    });
+  });
+  const follow = () => {
+    const place = panels.findIndex((panel) => "#" + panel.id === location.hash);
+    if (place >= 0) { select(place); panels[place].scrollIntoView(); }
+  };
+  tabs.prepend(list);
+  select(0);
+  follow();
+  addEventListener("hashchange", follow);
+}
 for (const table of document.querySelectorAll("table.board")) {
   const heads = [...table.querySelectorAll("thead th")].filter((head) => head.querySelector("button"));
   const body = table.tBodies[0];

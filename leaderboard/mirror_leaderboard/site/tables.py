@@ -12,6 +12,7 @@ from typing import Final
 from mirror_leaderboard.boards import FLOOR, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.site.downloads import entry_file
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
 _GROUPS: Final = {
@@ -23,23 +24,33 @@ _GROUPS: Final = {
 }
 
 
-_MAX_COLUMNS: Final = 9
+_NO_INTERVAL: Final = "no interval: "
+
+_MAX_COLUMNS: Final = 10
 """The number of columns that fits a window of 1280 px."""
 
 
-def board_table(board: Board) -> str:
-    """Format the table of a board and the notes of its rows; many groups are split into tables that fit a window."""
-    notes: dict[str, int] = {}
+def board_table(board: Board, notes: dict[str, int]) -> str:
+    """Format the table of a board; many groups are split into tables that fit a window.
+
+    Args:
+        board: the board.
+        notes: numbers of the footnotes of its section; new ones are added.
+    """
     parts = _split_columns(board.columns)
-    tables = "".join(_format_table(board, part, notes, named=len(parts) > 1) for part in parts)
+    return "".join(_format_table(board, part, notes, named=len(parts) > 1) for part in parts)
+
+
+def format_notes(notes: dict[str, int]) -> str:
+    """Format the footnotes of a section, each once; empty if there are none."""
     items = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return tables + (f'<ol class="notes">{items}</ol>' if notes else "")
+    return f'<ol class="notes">{items}</ol>' if notes else ""
 
 
 def _split_columns(columns: Sequence[Column]) -> list[list[Column]]:
     """Split columns into parts of similar width, each with whole groups."""
     groups = [list(members) for _, members in groupby(columns, key=lambda column: column[0])]
-    each = max(_MAX_COLUMNS // max(map(len, groups)), 1)
+    each = len(groups) if len(columns) <= _MAX_COLUMNS else max(_MAX_COLUMNS // max(map(len, groups)), 1)
     each = ceil(len(groups) / ceil(len(groups) / each))
     return [list(chain(*groups[start : start + each])) for start in range(0, len(groups), each)]
 
@@ -135,11 +146,15 @@ def _format_cell(entry: Entry, column: Column, board: Board, best: float | None,
 
 
 def _list_remarks(figure: Figure) -> Iterator[str]:
-    measure = MEASURES[figure.metric]
-    if figure.note:
-        yield f"{measure.title}: {figure.note}"
+    """List the remarks on a figure. Why there is no interval is one footnote for all metrics."""
+    title = MEASURES[figure.metric].title
+    remark, mark, reason = (figure.note or "").partition(_NO_INTERVAL)
+    if remark := remark.removesuffix("; "):
+        yield f"{title}: {remark}"
+    if reason:
+        yield mark + reason
     if figure.n_infinite:
-        yield f"{measure.title}: {figure.n_infinite:,} equal to the truth (infinite, left out of the mean)"
+        yield f"{title}: {figure.n_infinite:,} equal to the truth (infinite, left out of the mean)"
 
 
 def _format_details(entry: Entry, column: Column, board: Board) -> str:
@@ -165,14 +180,17 @@ def _format_marks(notes: Sequence[str], known: dict[str, int]) -> str:
 
 
 def _format_source(entry: Entry) -> str:
+    link = f'<a href="{escape(entry_file(entry))}">entry</a>'
     if isinstance(entry, Reported):
         paper = entry.paper
+        title = f'<a href="{escape(paper.url)}" rel="nofollow noopener">{escape(paper.title)}</a>'
         return (
-            f'<span class="tag reported">reported</span><small>{escape(paper.title)}, Table {paper.table}, '
-            f"“{escape(paper.row)}”</small>"
+            f'<span class="tag reported">reported</span> <time datetime="{paper.date}">{paper.date}</time>'
+            f"<small>{title}, Table {paper.table}, “{escape(paper.row)}” · {link}</small>"
         )
     code = f'<code title="{entry.result_hash}">{entry.result_hash[:8]}</code>'
-    return f'<span class="tag measured">measured</span><small>result {code}</small>'
+    day = "" if entry.added is None else f' <time datetime="{entry.added}">{entry.added}</time>'
+    return f'<span class="tag measured">measured</span>{day}<small>result {code} · {link}</small>'
 
 
 def _opens_group(columns: Sequence[Column], column: Column) -> bool:

@@ -63,6 +63,11 @@ class GroundTruth:
         frame, image = self.recorded_frame_and_image(view)
         return compute_scored_mask(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
 
+    def outside_lens(self, view: RenderView) -> Bool:
+        """Compute the mask (H, W) of pixels outside the lens's field of view, which are black in `image`."""
+        _, image = self.recorded_frame_and_image(view)
+        return cached_raster(image.camera_model, self._protocol.pixels).outside_lens
+
     def image_hash(self, view: RenderView) -> str:
         """A hash that changes when the true image changes; the image is not decoded."""
         if self._hidden is not None:

@@ -1,0 +1,92 @@
+"""Files beside the page: the table of each board as CSV, and each entry as JSON with its signature."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from mirror_leaderboard.boards import Board, find_figure
+from mirror_leaderboard.entry import Entry, Measured
+from mirror_leaderboard.measures import MEASURES
+
+CSV_FOLDER: Final = "csv"
+ENTRY_FOLDER: Final = "rows"
+"""Not `entries`, which marks a folder as a board."""
+
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+"""First characters with which spreadsheets take a cell for a formula."""
+
+
+def csv_file(board: Board) -> str:
+    """Return the file of a board's table, relative to the site."""
+    return f"{CSV_FOLDER}/{board.id}.csv"
+
+
+def entry_file(entry: Entry) -> str:
+    """Return the file of an entry, relative to the site."""
+    if isinstance(entry, Measured):
+        return f"{ENTRY_FOLDER}/{entry.result_hash}.json"
+    words = (entry.paper.title, entry.paper.label, entry.dataset or "", entry.paper.row, entry.setting or "")
+    name = "-".join("".join(c if c.isalnum() and c.isascii() else "-" for c in word.lower()) for word in words if word)
+    return f"{ENTRY_FOLDER}/reported-{name}.json"
+
+
+def encode_entry(entry: Entry) -> bytes:
+    """Encode an entry as the board has it."""
+    return (json.dumps(entry.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def encode_csv(board: Board) -> bytes:
+    """Encode the table of a board, a row for each entry, in the order and the units of the page.
+
+    Each metric has four columns: value, both ends of its interval, and number of images.
+    """
+    sink = io.StringIO()
+    writer = csv.writer(sink, lineterminator="\n")
+    writer.writerow([*_KEYS, *(name for column in board.columns for name in _list_heads(*column))])
+    for entry in board.entries:
+        writer.writerow([*map(_plain_text, _list_keys(entry)), *_list_numbers(entry, board)])
+    return sink.getvalue().encode()
+
+
+_KEYS: Final = ("kind", "method", "version", "setting", "date", "protocol", "dataset", "source")
+
+
+def _list_keys(entry: Entry) -> Sequence[str]:
+    if isinstance(entry, Measured):
+        return (
+            entry.kind,
+            entry.method,
+            entry.version,
+            entry.setting or "",
+            str(entry.added or ""),
+            f"{entry.protocol} {entry.protocol_version}",
+            f"{entry.dataset} {entry.dataset_hash[:8]}",
+            entry.result_hash,
+        )
+    paper = entry.paper
+    source = f"{paper.title}, Table {paper.table}, {paper.row}"
+    return (entry.kind, entry.method, "", entry.setting or "", paper.date, entry.protocol, entry.dataset or "", source)
+
+
+def _list_heads(group: str, metric: str) -> Iterator[str]:
+    name = f"{group} {metric}"
+    unit = MEASURES[metric].unit
+    yield from (f"{name} {unit}".strip(), f"{name} low", f"{name} high", f"{name} n")
+
+
+def _list_numbers(entry: Entry, board: Board) -> Iterator[str]:
+    for column in board.columns:
+        figure = find_figure(entry, column)
+        scale = MEASURES[column[1]].scale
+        for value in (None, None, None) if figure is None else (figure.value, figure.low, figure.high):
+            yield "" if value is None else repr(value * scale)
+        yield "" if figure is None or figure.n is None else str(figure.n)
+
+
+def _plain_text(text: str) -> str:
+    """Keep a spreadsheet from running a participant's text as a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text

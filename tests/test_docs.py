@@ -54,3 +54,18 @@ def test_commands_in_the_documents_exist(document: Path) -> None:
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M))
     for target in re.findall(r"(?:^|`)make (\w+)", text, re.M):
         assert target in targets, target
+
+
+def test_the_architecture_names_every_package() -> None:
+    table = (ROOT / "docs" / "architecture.md").read_text()
+    packages = [folder for folder in (ROOT / "mirror").iterdir() if (folder / "__init__.py").is_file()]
+    named = [f"mirror/{folder.name}" for folder in packages if folder.name != "cli"]
+    assert not [name for name in named if f"`{name}`" not in table]
+    model = next(line for line in table.splitlines() if line.startswith("| `baselines/hybridworldsim`"))
+    own = [path.parent.name for path in (ROOT / "baselines" / "hybridworldsim").glob("*/__init__.py")]
+    shown = {"mvs": "multi-view stereo"}
+    assert not [name for name in own if shown.get(name, name) not in model]
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().split()) <= 900

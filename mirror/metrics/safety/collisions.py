@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Bool
+from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 from mirror.metrics.safety.state_log import StateLog
 
@@ -83,7 +84,7 @@ def find_collisions(log: StateLog, *, between_lanes: Bool | None = None) -> tupl
         time = float(contacts[agent])
         row = min(int(np.searchsorted(times, time, side="right")) - 1, len(times) - 1)
         ego_state, agent_state = (_interpolate(times, states[actor], row, time) for actor in (0, agent))
-        kind = _classify(ego_state, agent_state, halves[0], halves[agent], log.rear_axle_to_center_m)
+        kind = classify_collision(ego_state, agent_state, halves[0], halves[agent], log)
         lateral = None if between_lanes is None else bool(between_lanes[row])
         collisions.append(
             Collision(
@@ -108,9 +109,25 @@ def _interpolate(times: np.ndarray, states: np.ndarray, row: int, time: float) -
     return [float(value) for value in (1.0 - share) * states[row] + share * states[row + 1]]
 
 
-def _classify(
-    ego: list[float], agent: list[float], ego_half: np.ndarray, agent_half: np.ndarray, rear_axle_to_center_m: float
+def classify_collision(
+    ego: Sequence[float] | Float64,
+    agent: Sequence[float] | Float64,
+    ego_half: Float64,
+    agent_half: Float64,
+    log: StateLog,
+    *,
+    bumper_m: float = BUMPER_M,
 ) -> CollisionKind:
+    """Classify a contact as nuPlan does.
+
+    Args:
+        ego: x, y, yaw, vx, vy of the ego at the contact.
+        agent: those of the agent.
+        ego_half: half the length and half the width of the ego.
+        agent_half: those of the agent.
+        log: the log, for the place of the ego's rear axle.
+        bumper_m: an agent this near to the front bumper is hit by it.
+    """
     from mirror.metrics.safety.rectangle_kernels import signed_gap
 
     if math.hypot(ego[3], ego[4]) <= STOPPED_MPS:
@@ -119,9 +136,9 @@ def _classify(
         return CollisionKind.STOPPED_AGENT
     cos, sin = math.cos(ego[2]), math.sin(ego[2])
     dx, dy = agent[0] - ego[0], agent[1] - ego[1]
-    forward = dx * cos + dy * sin + rear_axle_to_center_m
+    forward = dx * cos + dy * sin + log.rear_axle_to_center_m
     if math.degrees(math.atan2(abs(dy * cos - dx * sin), forward)) > BEHIND_DEG:
         return CollisionKind.REAR
     bumper_x, bumper_y = dx - ego_half[0] * cos, dy - ego_half[0] * sin
     gap = signed_gap(bumper_x, bumper_y, ego[2], agent[2], 0.0, ego_half[1], agent_half[0], agent_half[1])
-    return CollisionKind.FRONT if gap <= BUMPER_M else CollisionKind.LATERAL
+    return CollisionKind.FRONT if gap <= bumper_m else CollisionKind.LATERAL

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -126,12 +127,16 @@ class StateLog:
         return int(self.stamps_ns[0]) + round(time_s * 1e9)
 
     def kernel_arrays(self) -> tuple[Float64, Float64, Bool]:
-        """Arrays for the compiled kernels.
+        """Arrays for the compiled kernels, which must not be changed: they are computed once.
 
         Returns:
             (N, T, 5) x, y, yaw, vx, vy with the ego's first position as origin and continuous yaws, so that headings
             can be interpolated linearly; (N, 2) half lengths and half widths; (N, T) presence.
         """
+        return self._kernel_arrays
+
+    @cached_property
+    def _kernel_arrays(self) -> tuple[Float64, Float64, Bool]:
         present = np.ascontiguousarray(self.present.T)
         states = np.empty((*present.shape, 5))
         columns = (self.x_m - self.x_m[0, 0], self.y_m - self.y_m[0, 0], self.yaw_rad, self.vx_mps, self.vy_mps)

@@ -85,6 +85,18 @@ def _least_in_step(
     for sample in range(count + 1):
         share = sample / count
         value = time_to_collision_at(ego, agent, halves, row, other, share)
+        if value == 0.0:
+            # They touch: no value is less, and the first contact is the instant.
+            touching, apart = share, max(sample - 1, 0) / count
+            if time_to_collision_at(ego, agent, halves, row, other, apart) == 0.0:
+                return 0.0, apart
+            for _ in range(_REFINEMENTS):
+                middle = 0.5 * (touching + apart)
+                if time_to_collision_at(ego, agent, halves, row, other, middle) == 0.0:
+                    touching = middle
+                else:
+                    apart = middle
+            return 0.0, touching
         if sample > 0 and math.isinf(value) != math.isinf(before):
             # The course to a collision begins or ends here, and the value jumps: find its last finite instant.
             finite, infinite = (share, share - 1.0 / count) if math.isinf(before) else (share - 1.0 / count, share)

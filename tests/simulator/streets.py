@@ -24,6 +24,10 @@ def lane(name: str, y: float, direction: float) -> MapLane:
     return MapLane(name, "drive", line, np.full(len(x), LANE_M), 13.9, left=neighbours[0], right=neighbours[1])
 
 
+def flat(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.zeros(np.shape(x))
+
+
 def straight_street() -> Street:
     lanes = {
         "slow": lane("slow", -1.5 * LANE_M, 1.0),
@@ -41,7 +45,7 @@ def straight_street() -> Street:
     return Street(
         scene_id="straight",
         road_map=RoadMap("straight", None, False, lanes, (MapArea("road", (outline,)),)),
-        ground=Ground(lambda x, y: np.zeros(np.shape(x))),
+        ground=Ground(flat),
         vehicle=VehicleParameters(),
         rig={
             "front_wide": RigCamera(camera, Poses.from_matrix(mounting)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,14 +24,14 @@ _EDGE_M = 5.0
 
 
 def street_of_dataset(
-    dataset: Dataset, *, scene: str | None = None, traversals: list[str] | None = None, road_map: Path | None = None
+    dataset: Dataset, *, scene: str | None = None, traversals: Sequence[str] = (), road_map: Path | None = None
 ) -> Street:
     """Open a scene of a dataset as a street.
 
     Args:
         dataset: the dataset.
         scene: the scene; None: the dataset has only one.
-        traversals: traversals to read; None: all of the scene.
+        traversals: traversals to read; empty: all of the scene.
         road_map: file of the scene's map; None: a map is fitted to the driven lines.
 
     Raises:

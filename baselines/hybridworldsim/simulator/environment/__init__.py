@@ -1,0 +1,1 @@
+"""The environment for Gymnasium: `gymnasium.make("mirror/Street-v0")`."""

@@ -1,0 +1,94 @@
+"""The exact world: the synthetic street with the agents in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import Int32, UInt8
+from mirror.errors import UsageError
+from mirror.schema.scenario import Scenario
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import instant_of
+
+_NOISE_SEEDS = 1 << 31
+
+
+class ExactRenderer:
+    """Renders the synthetic street. One scene serves the whole rollout; its road users read the live states.
+
+    Args:
+        street: a synthetic street.
+        scenario: its light and weather.
+        start: the state at the start.
+        cameras: the cameras, by name.
+        seed: seed of the images' noise.
+
+    Raises:
+        UsageError: the exact world of the street is not known.
+    """
+
+    name = "exact"
+
+    def __init__(
+        self, street: Street, scenario: Scenario, start: Snapshot, cameras: Mapping[str, CameraSpec], seed: int
+    ) -> None:
+        from mirror.synth.render.lens import make_lens
+        from mirror.synth.render.scene import Scene
+
+        if street.drive is None:
+            raise UsageError(
+                "the exact world of this street is not known", place="renderer",
+                expected="a synthetic street: synth:PRESET[:SEED[:DRIVE]]",
+                remedy="use the renderer boxes or reconstructed",
+            )  # fmt: skip
+        self.rendered = 0
+        self._street, self._cameras, self._seed = street, cameras, seed
+        self._live = LiveUsers(start.agents, street.ground)
+        condition = condition_of(street, scenario)
+        drive = street.drive
+        self._scene = Scene(drive.world, condition, self._live.users, drive.ego_model, clock_s=street.clock_s)
+        self._lenses = {name: make_lens(spec.camera) for name, spec in cameras.items()}
+        self._masks: dict[str, Int32] = {}
+
+    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
+        """See `CameraRenderer.render`."""
+        if not cameras:
+            return {}
+        self._live.update(snapshot)
+        world_SE3_ego = ego_pose(self._street, snapshot)
+        instant = self._scene.at(snapshot.time_s, world_SE3_ego)
+        images: dict[str, UInt8] = {}
+        for number, name in enumerate(cameras):
+            pose = world_SE3_ego @ self._cameras[name].ego_SE3_camera
+            noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
+            rendered = self._scene.render(instant, self._lenses[name], pose, seed=int(noise % _NOISE_SEEDS))
+            images[name] = np.ascontiguousarray(rendered.bgr[..., ::-1])
+            self._masks[name] = rendered.view.object
+            self.rendered += 1
+        return images
+
+    def agent_masks(self) -> Mapping[str, Int32]:
+        """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
+        return self._masks
+
+
+def condition_of(street: Street, scenario: Scenario) -> Condition:
+    """Return the light and weather of a scenario in a synthetic street, on the day of its drive."""
+    drive = street.drive
+    if drive is None:
+        raise UsageError("the street is not synthetic")
+    condition, roi = drive.condition, drive.roi
+    if (scenario.light, scenario.weather) == (condition.light, condition.weather):
+        return condition
+    start = instant_of(
+        drive.recipe.date, scenario.light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0,
+        morning=drive.recipe.morning,
+    )  # fmt: skip
+    return replace(condition, start_ns=start, light=scenario.light, weather=scenario.weather)

@@ -1,0 +1,64 @@
+"""Renderers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.protocol import CameraRenderer
+from hybridworldsim.simulator.simulation import Simulation
+from mirror.errors import UsageError
+
+RENDERERS: Final = ("boxes", "exact", "reconstructed", "generated")
+
+
+class RendererFactory:
+    """Makes the renderer of each rollout, and keeps what rollouts share, such as an open model.
+
+    Args:
+        name: one of `RENDERERS`.
+        model: folder of the trained model, for ``reconstructed``.
+
+    Raises:
+        UsageError: there is no such renderer, it is not available, or the model is missing.
+    """
+
+    def __init__(self, name: str, model: Path | None = None) -> None:
+        if name not in RENDERERS:
+            raise UsageError(f"no renderer {name!r}", expected=f"one of {', '.join(RENDERERS)}")
+        if name == "generated":
+            raise UsageError(
+                "the renderer 'generated' is not available: no model that generates views in closed loop is installed",
+                expected=f"one of {', '.join(RENDERERS[:-1])}",
+            )
+        if (name == "reconstructed") != (model is not None):
+            raise UsageError(
+                f"the renderer {name!r} {'needs a model' if model is None else 'has no model'}", place="model",
+                expected="the folder of a trained model with the renderer 'reconstructed', and none with others",
+            )  # fmt: skip
+        self.name, self._model_path = name, model
+        self._model: object = None
+
+    def make(self, simulation: Simulation, cameras: Mapping[str, CameraSpec]) -> CameraRenderer:
+        """Make the renderer of a rollout.
+
+        Raises:
+            UsageError: the renderer does not fit the street.
+            DatasetError: the folder holds no complete model.
+        """
+        street = simulation.street
+        if self.name == "boxes":
+            from hybridworldsim.simulator.renderers.boxes import BoxesRenderer
+
+            return BoxesRenderer(street, cameras)
+        if self.name == "exact":
+            from hybridworldsim.simulator.renderers.exact import ExactRenderer
+
+            return ExactRenderer(street, simulation.scenario, simulation.now, cameras, simulation.seed)
+        from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
+
+        if not isinstance(self._model, OpenModel):
+            self._model = OpenModel.read(self._model_path or Path(), street)
+        return ReconstructedRenderer(self._model, street, simulation.scenario, simulation.now, cameras)

@@ -1,0 +1,1 @@
+"""Rollouts with a policy: the run, its folder and its video."""

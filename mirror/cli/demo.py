@@ -130,7 +130,8 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
     for method in _BASELINES[: 1 if arguments.quick else None]:
         submission, result = str(out / "submissions" / method), out / "results" / method
         yield ["mirror", "baseline", dataset, "--method", method, "--split", "novel", "--out", submission]
-        yield ["mirror", "evaluate", dataset, submission, "--out", str(result), "--report"]
+        beside = [] if method == _FLOOR else ["--baseline", str(out / "results" / _FLOOR)]
+        yield ["mirror", "evaluate", dataset, submission, "--out", str(result), "--report", *beside]
         yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
     if _has_reconstruction(arguments):
         yield from _block(arguments)
@@ -160,12 +161,11 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     ours, floor = str(out / "submissions" / _OURS), str(out / "submissions" / _FLOOR)
     yield ["mirror", "render", dataset, model, "--split", "novel", "--out", ours]
     yield ["mirror", "baseline", dataset, "--method", _FLOOR, "--split", "novel", "--out", floor]
-    results = []
-    for submission in (ours, floor):
-        results.append(str(out / "results" / Path(submission).name))
-        yield ["mirror", "evaluate", dataset, submission, "--out", results[-1], "--report"]
-        yield _board(arguments, results[-1], submission, dataset, f"demo block (seed {seed})")
-    yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results)]
+    results = {submission: str(out / "results" / Path(submission).name) for submission in (ours, floor)}
+    for submission, beside in ((floor, []), (ours, ["--baseline", results[floor]])):
+        yield ["mirror", "evaluate", dataset, submission, "--out", results[submission], "--report", *beside]
+        yield _board(arguments, results[submission], submission, dataset, f"demo block (seed {seed})")
+    yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results.values())]
 
 
 def _typed(words: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.run import Evaluation
 
 _EXAMPLES = (
-    "mirror evaluate demo/dataset demo/submissions/nearest_frame --report",
+    "mirror evaluate demo/dataset demo/submissions/mean_color --report --baseline demo/results/nearest_frame",
     "mirror evaluate demo/block/dataset demo/block/submissions/reconstructed --require psnr --out scores --json",
 )
 _RENAMED = {"--truth": "DATASET"}
@@ -45,6 +45,8 @@ class Arguments:
     """Folder for the results."""
     report: bool = False
     """Also write report.html: figures, and the worst, median and best renders beside truth and error."""
+    baseline: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="RESULTS")] = ()
+    """Show another evaluation of the same views in the report, such as that of a floor."""
     require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="METRIC")] = ()
     """Fail if this metric is unavailable, such as lpips. Others are listed as unavailable and left out."""
     stand_ins: bool = False
@@ -72,12 +74,15 @@ def main(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror evaluate", examples=_EXAMPLES, renamed=_RENAMED)
 
     from mirror.cli.submission import print_check, requested_views
-    from mirror.evaluation.run import EvaluationOptions, evaluate
+    from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.weights.resolve import WeightResolver
 
+    if arguments.baseline and not arguments.report:
+        raise UsageError("--baseline is shown in the report", expected="--report beside it")
+    baselines = [read_result(path) for path in arguments.baseline]
     requested = requested_views(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
     if not isinstance(requested, tuple):
         return print_check(requested, arguments.submission, as_json=arguments.json)
@@ -99,7 +104,7 @@ def main(argv: Sequence[str]) -> int:
         evaluation = evaluate(submission, arguments.dataset, load_protocol(protocol), split, out, options, bar)
     if evaluation.result is None:
         return print_check(evaluation.check, submission, as_json=arguments.json)
-    page = _report(evaluation, out) if arguments.report else None
+    page = _report(evaluation, out, baselines) if arguments.report else None
     if arguments.json:
         places = {"out": str(out), "report": None if page is None else str(page), "result_hash": evaluation.result.hash}
         print(json.dumps({**places, "reused": evaluation.reused, "result": evaluation.result.model_dump(mode="json")}))
@@ -123,11 +128,11 @@ def _pair(text: str, option: str, expected: str) -> tuple[str, Path]:
     return name, local_path(Path(path), option)
 
 
-def _report(evaluation: Evaluation, out: Path) -> Path:
+def _report(evaluation: Evaluation, out: Path, baselines: Sequence[Result]) -> Path:
     from mirror.evaluation.report import write_report
 
     page = out / "report.html"
-    write_report(evaluation, page)
+    write_report(evaluation, page, baselines)
     return page
 
 

@@ -16,11 +16,12 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
-from mirror.evaluation.result import Figure, Level, Result
+from mirror.evaluation.report_tables import Footnotes, breakdown_tables, format_value, headlines, summary_table
+from mirror.evaluation.result import Result
 from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import ScoredJob
-from mirror.html import html_table, inline_image, style_sheet
+from mirror.html import inline_image, style_sheet
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
@@ -30,36 +31,34 @@ _EXAMPLES_EACH: Final = 2
 _FULL_ERROR: Final = 64.0
 _GREY: Final = 96
 """Level of pixels that are not compared."""
-_LEVELS: Final[Sequence[tuple[Level, str]]] = (
-    ("scene", "By scene"),
-    ("traversal", "By traversal"),
-    ("camera", "By camera"),
-    ("condition", "By condition"),
-)
 
 
-def write_report(done: Evaluation, out: Path) -> None:
+def write_report(done: Evaluation, out: Path, baselines: Sequence[Result] = ()) -> None:
     """Write the report of an evaluation.
 
     Args:
         done: evaluation with a result.
         out: HTML file; it is replaced atomically.
+        baselines: results of the same protocol, dataset and split, such as that of a floor, which are shown beside it.
 
     Raises:
-        UsageError: the evaluation has no result.
+        UsageError: the evaluation has no result, or a baseline is not comparable.
         DatasetError: an image cannot be read, or the file cannot be written.
     """
     if done.result is None or done.inputs is None:
         raise UsageError("nothing was scored", remedy="correct the submission's problems first")
     result = done.result
+    _require_comparable(result, baselines)
     title = f"{result.submission.method.name}: {result.protocol.name}"
+    notes = Footnotes()
     parts = [
-        f"<header><h1>{escape(title)}</h1>{_format_header(result)}</header>",
+        f"<header><h1>{escape(title)}</h1>{_format_header(done, result, baselines)}</header>",
         "<h2>Figures</h2>",
-        _format_table([figure for figure in result.figures if figure.level == "group"], keyed=False),
-        *_list_unavailable(result),
+        summary_table(result, baselines, notes),
+        _format_unavailable(result),
+        *breakdown_tables(result, notes),
+        notes.format(),
         *_list_examples(done.scored, done.inputs),
-        *_list_parts(result),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
     ]
@@ -96,49 +95,55 @@ def cover(image: UInt8, hidden: Bool) -> UInt8:
     return covered
 
 
-def _format_header(result: Result) -> str:
+def _format_header(done: Evaluation, result: Result, baselines: Sequence[Result]) -> str:
     submission, dataset = result.submission, result.dataset
+    views = done.plan.views
+    scenes, traversals = ({getattr(view, key) for view in views} for key in ("scene_id", "traversal_id"))
+    parts = [f"{len(scenes)} scenes", f"{len(traversals)} traversals", f"{len(views)} views"]
+    authors = f", {submission.method.authors}" if submission.method.authors else ""
+    appearance = f"{submission.appearance.policy} {submission.appearance.description}".strip()
+    root = "" if done.inputs is None else Path(done.inputs.dataset.root).name
     lines = [
-        f"{escape(submission.method.name)} {escape(submission.method.version)}"
-        + (f", {escape(submission.method.authors)}" if submission.method.authors else ""),
-        f"split {escape(dataset.split)}, protocol version {result.protocol.version}; appearance: "
-        f"{escape(submission.appearance.policy)} {escape(submission.appearance.description)}",
-        *map(escape, result.warnings),
+        f"{submission.method.name} {submission.method.version}{authors}; appearance: {appearance}",
+        f"dataset {dataset.dataset_hash[:12]} (folder {root}), split {dataset.split}: {', '.join(parts)}; protocol "
+        f"version {result.protocol.version}",
+        *result.warnings,
     ]
-    return "".join(f'<p class="dim">{line}</p>' for line in lines)
+    texts = "".join(f'<p class="dim">{escape(line)}</p>' for line in lines)
+    return _format_tiles(result, baselines) + texts
 
 
-def _list_unavailable(result: Result) -> Iterable[str]:
-    for metric, how in result.unavailable.items():
-        yield f'<p class="dim"><b>{escape(metric)}</b>: unavailable: {escape(how)}</p>'
+def _format_tiles(result: Result, baselines: Sequence[Result]) -> str:
+    tiles = []
+    for figure in headlines(result):
+        beside = [
+            f"{one.submission.method.name} {format_value(other)}"
+            for one in baselines
+            for other in one.figures
+            if (other.level, other.group, other.metric) == ("group", figure.group, figure.metric)
+        ]
+        words = "; ".join([f"{figure.group}: {figure.metric}", *beside])
+        tiles.append(f'<div class="tile"><b>{escape(format_value(figure))}</b><span>{escape(words)}</span></div>')
+    return f'<div class="tiles">{"".join(tiles)}</div>'
 
 
-def _format_table(figures: Sequence[Figure], *, keyed: bool) -> str:
-    head = ["group", *(["of"] if keyed else []), "metric", "n:value", "n:low", "n:high", "n:n", "note"]
-    rows = []
-    reasons: dict[str, int] = {}
-    for figure in figures:
-        digits = 2 if figure.unit == "dB" else 4
-        numbers = ["" if value is None else f"{value:.{digits}f}" for value in (figure.low, figure.high)]
-        if figure.low is None and figure.interval_reason is not None:
-            numbers = [f"[{reasons.setdefault(figure.interval_reason, len(reasons) + 1)}]", ""]
-        value = "none" if figure.value is None else f"{figure.value:.{digits}f} {figure.unit}".strip()
-        notes = [figure.note, figure.reason]
-        notes += [f"{figure.n_inf} equal to the truth" if figure.n_inf else None]
-        notes += [f"{figure.n_missing} without a value" if figure.n_missing else None]
-        note = "; ".join(part for part in notes if part)
-        cells = [figure.group, *([figure.key] if keyed else []), figure.metric, value, *numbers, str(figure.n), note]
-        rows.append([escape(cell) for cell in cells])
-    feet = (f'<p class="dim">[{number}] no interval: {escape(why)}</p>' for why, number in reasons.items())
-    return html_table(head, rows) + "".join(feet)
+def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
+    for one in baselines:
+        if (one.protocol_hash, one.dataset) != (result.protocol_hash, result.dataset):
+            raise UsageError(
+                f"the result of {one.submission.method.name} has another protocol, dataset or split",
+                place="--baseline",
+                expected=f"a result of protocol {result.protocol_hash[:12]}, plan {result.dataset.plan_hash[:12]}",
+                remedy="evaluate the baseline with the same dataset, protocol and split",
+            )
 
 
-def _list_parts(result: Result) -> Iterable[str]:
-    for level, title in _LEVELS:
-        figures = [figure for figure in result.figures if figure.level == level]
-        if figures:
-            yield f"<h2>{title}</h2>"
-            yield _format_table(figures, keyed=True)
+def _format_unavailable(result: Result) -> str:
+    """Format the metrics without weights or data in one line; empty if there are none."""
+    if not result.unavailable:
+        return ""
+    parts = [f"{metric} ({reason.partition('; ')[0]})" for metric, reason in result.unavailable.items()]
+    return f'<p class="dim">Not scored: {escape("; ".join(parts))}.</p>'
 
 
 def _list_examples(scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:

@@ -24,8 +24,8 @@ from mirror.geometry.box_projection import project_boxes
 from mirror.protocols.document import load_protocol
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import RenderView
+from tests.evaluation.png_chunks import chunk, png
 from tests.evaluation.submissions import SPLIT, small, write_renders
-from tests.evaluation.test_png import chunk, png
 
 ALONE = EvaluationOptions(workers=1)
 
@@ -201,7 +201,7 @@ def test_commands(
     assert "&lt;b&gt;3&lt;/b&gt;" in page
     assert page.count("data:image/jpeg") % 3 == 0
     assert "worst" in page
-    assert "[1] no interval: fewer than 5 blocks" in page
+    assert "No interval: fewer than 5 blocks" in page
     assert main(["evaluate", str(tmp_path / "s9"), *words]) == 0
     text = capsys.readouterr().out
     assert "psnr" in text

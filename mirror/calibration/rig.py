@@ -40,10 +40,16 @@ class PosePrior:
             if not (np.isfinite(value) and value > 0.0):
                 raise UsageError(f"{value}", place=name, expected="a finite number above 0")
 
-    def position_information(self, time_s: Float64) -> Float64:
-        """Inverse covariance (F, F) of the position errors of frames at times (F,), along one axis."""
+    def position_information(self, time_s: Float64, offset_m: float = 0.0) -> Float64:
+        """Inverse covariance (F, F) of the position errors of frames at times (F,), along one axis.
+
+        Args:
+            time_s: the times.
+            offset_m: 1-sigma of an offset that all share.
+        """
         lag = np.abs(time_s[:, None] - time_s[None, :]) / self.drift_time_s
         covariance = self.drift_m**2 * (1.0 + lag) * np.exp(-lag) + self.position_m**2 * np.eye(len(time_s))
+        covariance += offset_m**2
         return np.asarray(np.linalg.inv(covariance), np.float64)
 
 

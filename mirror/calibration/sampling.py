@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -55,7 +55,7 @@ def choose_frames(dataset: Dataset, choice: FrameChoice) -> list[Frame]:
     """
     frames = dataset.frames()
     if len(frames):
-        poses = _stack([frame.world_SE3_ego for frame in frames])
+        poses = stack_poses([frame.world_SE3_ego for frame in frames])
         index = choose_stretch(poses, choice)
         chosen = [frames[int(at)] for at in np.unique(np.round(index).astype(np.int64))]
     else:
@@ -93,7 +93,7 @@ def track_traversal(
     for name in names:
         own = [frame.images[name] for frame in frames if name in frame.images]
         calibrations[name] = own[len(own) // 2].calibration
-        ego[name] = _stack([_ego_pose(frame, name) for frame in frames])
+        ego[name] = stack_poses([_ego_pose(frame, name) for frame in frames])
     brightness: dict[str, list[float]] = {name: [] for name in names}
 
     def load(number: int, name: str) -> TrackedImage | None:
@@ -117,7 +117,7 @@ def track_traversal(
     pairs, corners = track_rig(load, cameras, poses, len(frames), options, advance)
     stamps = np.array([frame.timestamp_ns for frame in frames])
     rig = TrackedRig(cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, pairs)
-    track = _stack([frame.world_SE3_ego for frame in frames])
+    track = stack_poses([frame.world_SE3_ego for frame in frames])
     conditions = Conditions(
         turned_deg=turned_deg(track),
         driven_m=float(np.linalg.norm(np.diff(track.translation, axis=0), axis=1).sum()),
@@ -171,6 +171,7 @@ def _grey(rgb: UInt8) -> UInt8:
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
-def _stack(poses: list[Poses]) -> Poses:
+def stack_poses(poses: Sequence[Poses]) -> Poses:
+    """Join poses to one batch."""
     rotation: Float64 = np.concatenate([one.rotation for one in poses])
     return Poses(rotation, np.concatenate([one.translation for one in poses]))

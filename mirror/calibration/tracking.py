@@ -185,14 +185,23 @@ def track_rig(
     return pairs, corners_of
 
 
-def fit_one_pose(camera: Camera, first_px: Float64, second_px: Float64, within_px: float) -> Bool:
+def fit_one_pose(
+    camera: Camera, first_px: Float64, second_px: Float64, within_px: float, second: Camera | None = None
+) -> Bool:
     """Which of N tracks fit one relative pose: RANSAC with the five-point essential matrix, a fixed random seed.
 
     The test does not use the mounting of the camera, so an error of the mounting removes no track.
+
+    Args:
+        camera: lens of the first image.
+        first_px: (N, 2) points in the first image.
+        second_px: (N, 2) the same points in the second image.
+        within_px: largest distance from the epipolar line, pixels of the first image's centre.
+        second: lens of the second image; None: the same.
     """
     import cv2
 
-    rays = [camera.unproject(points) for points in (first_px, second_px)]
+    rays = [one.unproject(points) for one, points in ((camera, first_px), (second or camera, second_px))]
     usable = np.logical_and.reduce([ray.valid & (ray.direction[:, 2] > 0.2) for ray in rays])
     fits = np.zeros(len(first_px), np.bool_)
     if usable.sum() < 8:

@@ -17,7 +17,7 @@ from mirror.dataset.query.arrow import to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
 from mirror.dataset.query.select import RowGroupPart, select_parts
-from mirror.dataset.traversal import FrameBoxes, Traversal
+from mirror.dataset.traversal import Calibration, FrameBoxes, Traversal
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 
@@ -62,6 +62,11 @@ class Frame:
     def track(self) -> tuple[Int64, Poses]:
         """Timestamps (N,) and N poses ``world_SE3_ego`` of the whole traversal, of the chosen pose layer."""
         return self._traversal.track
+
+    @property
+    def calibrations(self) -> Sequence[Calibration]:
+        """All calibrations of the whole traversal, of the chosen layer: of every camera, stage and interval."""
+        return self._traversal.calibrations
 
     @property
     def track_ids(self) -> tuple[str, ...]:

@@ -1,0 +1,176 @@
+"""Refines the calibrations of a dataset scene by scene, and writes them as layers of stage ``refined``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from mirror.arrays import Int64
+from mirror.calibration.frame_choice import FrameChoice
+from mirror.calibration.refinement.adjustment import adjust_rigs
+from mirror.calibration.refinement.layer import SOURCE, write_refined
+from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks, match_pair
+from mirror.calibration.refinement.provenance import has_layer, hash_inputs
+from mirror.calibration.refinement.report import METHOD, RefinementReport, TraversalRefinement
+from mirror.calibration.refinement.rigs import FeatureTracks, RefinementPrior
+from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gather_rigs, open_traversal, read_features
+from mirror.calibration.refinement.summary import CameraRefinement, summarise
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
+from mirror.dataset.lock import writer_lock
+from mirror.errors import MirrorError, UsageError
+from mirror.progress import NullProgress, ProgressReporter
+
+DEFAULT_CHOICE: Final = FrameChoice(frames=12, step_m=2.0, step_deg=8.0)
+_WORK: Final = ".refine"
+
+
+@dataclass(frozen=True)
+class _Settings:
+    choice: FrameChoice
+    prior: RefinementPrior
+    matching: MatchingOptions
+
+
+def refine_calibrations(
+    dataset: Dataset,
+    *,
+    version: str = "1",
+    choice: FrameChoice = DEFAULT_CHOICE,
+    prior: RefinementPrior | None = None,
+    matching: MatchingOptions | None = None,
+    progress: ProgressReporter | None = None,
+) -> RefinementReport:
+    """Adjust the mountings and lenses of all cameras of each scene, and write them as layers ``refined@VERSION``.
+
+    All traversals of a scene are adjusted together where their images match. A layer that exists is kept; no layer and
+    no recorded calibration is changed. An interrupted run continues: features are kept in a work folder of the dataset.
+    Memory: the features of the images of one scene, about 0.2 MB an image.
+
+    Args:
+        dataset: a local dataset, or a view of whole traversals of it; its layers choose poses, calibrations and boxes.
+        version: version of the layers.
+        choice: which frames of a traversal are used.
+        prior: errors that the recorded values may have; None: the defaults.
+        matching: settings of features and matches; None: the defaults.
+        progress: receives the phases and their progress.
+
+    Raises:
+        UsageError: no traversal has images, or the dataset is not local.
+        DatasetError: a layer of this version was made from other inputs, or another process writes the dataset.
+    """
+    settings, reporter = _Settings(choice, prior or RefinementPrior(), matching or MatchingOptions()), progress
+    report = RefinementReport(dataset.root, f"{SOURCE}@{version}")
+    rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]
+    if not rows:
+        raise UsageError("no traversal has images", expected="images to refine the calibrations with")
+    layout = dataset.layout
+    with writer_lock(layout, wait=False):
+        try:
+            for scene in sorted({row["scene_id"] for row in rows}):
+                own = [row["traversal_id"] for row in rows if row["scene_id"] == scene]
+                refinement = _SceneRefinement(dataset.where(traversal=own), scene, version, settings, report)
+                refinement.run(reporter or NullProgress())
+        finally:
+            if any(item.status == "refined" for item in report.traversals):
+                build_index(layout.root)
+            with suppress(OSError):
+                (layout.root / _WORK).rmdir()
+    return report
+
+
+class _SceneRefinement:
+    """The refinement of one scene."""
+
+    def __init__(self, view: Dataset, scene: str, version: str, settings: _Settings, report: RefinementReport) -> None:
+        self.view, self.scene, self.version, self.settings, self.report = view, scene, version, settings, report
+        self.inputs = hash_inputs(view, {"method": METHOD, **asdict(settings)})
+        self.missing = [
+            name for name in view.traversals() if not has_layer(view.layout, name, SOURCE, version, self.inputs)
+        ]
+
+    @property
+    def work(self) -> Path:
+        """Folder of unfinished work; other inputs get another one."""
+        digest = hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()[:16]
+        return self.view.layout.root / _WORK / f"{SOURCE}@{self.version}.{digest}"
+
+    def run(self, reporter: ProgressReporter) -> None:
+        """Refine the traversals that have no layer yet, together with those that have one."""
+        self.report.traversals += [
+            TraversalRefinement(name, "existing") for name in self.view.traversals() if name not in self.missing
+        ]
+        if not self.missing:
+            return
+        items = [
+            open_traversal(self.view.where(traversal=name), self.settings.choice) for name in self.view.traversals()
+        ]
+        cameras: list[CameraRefinement] = []
+        joined: SceneRigs | None = None
+        if any(item.problem is None and item.traversal_id in self.missing for item in items):
+            reporter.start(f"{self.scene}: features", sum(len(one.images) for item in items for one in item.frames))
+            for item in items:
+                read_features(item, self.settings.matching.features, self.work, reporter.advance)
+            usable = [item for item in items if item.problem is None]
+            try:
+                joined, cameras = self._adjust(usable, reporter)
+            except MirrorError as error:
+                status = "not refined" if isinstance(error, UsageError) else "failed"
+                for item in usable:
+                    item.status, item.problem = status, str(error)
+        for item in items:
+            if item.traversal_id in self.missing:
+                self._finish(item, joined, cameras)
+        if not any(item.unread or item.status == "failed" for item in items):
+            shutil.rmtree(self.work, ignore_errors=True)
+
+    def _adjust(
+        self, items: Sequence[TraversalImages], reporter: ProgressReporter
+    ) -> tuple[SceneRigs, list[CameraRefinement]]:
+        if not items:
+            raise UsageError("no image could be read", expected="images")
+        joined = gather_rigs(items)
+        tracks = self._match(joined, reporter)
+        reporter.start(f"{self.scene}: adjustment", 0)
+
+        def advance(steps: int) -> None:
+            reporter.expect(steps)
+            reporter.advance(steps)
+
+        adjusted = adjust_rigs(joined.rigs, tracks, self.settings.prior, advance)
+        self.report.steps[self.scene] = adjusted.steps
+        references = {item.drive_id: item.reference or "" for item in items}
+        return joined, summarise(adjusted, joined, [references[drive] for drive in joined.drives])
+
+    def _match(self, joined: SceneRigs, reporter: ProgressReporter) -> FeatureTracks:
+        options, matches = self.settings.matching, dict[tuple[int, int], Int64]()
+        pairs = choose_pairs(joined.rigs, options)
+        reporter.start(f"{self.scene}: matches", len(pairs))
+        for one, other in pairs.tolist():
+            found = match_pair(joined.rigs, one, other, joined.features, options)
+            if len(found):
+                matches[one, other] = found
+            reporter.advance(1)
+        self.report.matches[self.scene] = sum(len(found) for found in matches.values())
+        return join_tracks(joined.features, matches)
+
+    def _finish(self, item: TraversalImages, joined: SceneRigs | None, cameras: Sequence[CameraRefinement]) -> None:
+        """Write the layer of a traversal, and report it."""
+        own: list[CameraRefinement] = []
+        if item.problem is None and joined is not None:
+            paired = [(used, one) for used, one in zip(joined.calibrations, cameras) if one.drive_id == item.drive_id]
+            own = [one for _, one in paired]
+            if any(one.status == "refined" for one in own):
+                write_refined(self.view, item.traversal_id, self.version, paired, self.inputs)
+            else:
+                item.status, item.problem = "not refined", "no camera could be refined"
+        images, unread = len(item.images), tuple(item.unread)
+        self.report.traversals.append(
+            TraversalRefinement(item.traversal_id, item.status, item.problem, len(item.frames), images, unread, own)
+        )

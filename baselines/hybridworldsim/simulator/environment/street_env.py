@@ -153,7 +153,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             self._info(ending),
         )
 
-    def render(self) -> UInt8 | None:  # type: ignore[override]
+    def render(self) -> UInt8 | None:
         """Return the observed images and a bird's-eye view as one image (H, W, 3); None without a render mode."""
         if self.render_mode is None:
             return None

@@ -87,7 +87,7 @@ class BoxesRenderer:
         columns = np.arange(camera.width_px)[None, :] + 0.5
         x, y = (columns - camera.cx_px) / camera.fx_px, (rows - camera.cy_px) / camera.fy_px
         upward = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2]
-        image: UInt8 = np.where((upward > 0.0)[..., None], np.uint8(_SKY), np.uint8(_GROUND))
+        image: UInt8 = np.where((upward > 0.0)[..., None], np.array(_SKY, np.uint8), np.array(_GROUND, np.uint8))
         image = np.ascontiguousarray(image)
         layers = [(self._lanes, _LANE), (self._edges, _EDGE), *boxes]
         thickness = max(round(camera.width_px / 240), 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
@@ -77,23 +77,23 @@ def ego_pose(street: Street, snapshot: Snapshot) -> Poses:
     )
 
 
+_FAR_M: Final = 1e6
+_ABSENT: Final = Placement(_FAR_M, _FAR_M, 0.0, 0.0)
+
+
 @dataclass(eq=False)
 class LiveMotion:
-    """The motion of an agent's body: its present placement, which `place_agents` sets.
+    """The motion of an agent's body: its present placement, which `LiveUsers.update` sets.
 
     Attributes:
-        placement: the placement; far below the ground while the agent is absent.
+        placement: the placement; far away while the agent is absent.
     """
 
-    placement: Placement = field(default_factory=lambda: _ABSENT)
+    placement: Placement = _ABSENT
 
     def at(self, time_s: float) -> Placement:
         """Return the present placement, whatever the time."""
         return self.placement
-
-
-_ABSENT: Final = Placement(0.0, 0.0, -1e4, 0.0)
-_FAR_M: Final = 1e6
 
 
 class LiveUsers:
@@ -118,7 +118,7 @@ class LiveUsers:
         states = snapshot.states
         for number, motion in enumerate(self.motions):
             if not states.present[number]:
-                motion.placement = Placement(_FAR_M, _FAR_M, 0.0, 0.0)
+                motion.placement = _ABSENT
                 continue
             length, width, _ = snapshot.agents[number].size_m
             place = self._ground.place(

@@ -18,6 +18,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.schema.documents import Roi
 from mirror.schema.road_map import RoadMap, read_road_map
 
 _EDGE_M = 5.0
@@ -74,7 +75,14 @@ def street_of_dataset(
         recordings=recordings,
         middle_m=(float(middle[0]), float(middle[1])),
         radius_m=float(np.hypot(*(places - middle).T).max()) + _EDGE_M,
+        roi=_roi(chosen),
     )
+
+
+def _roi(dataset: Dataset) -> Roi:
+    names = [*Roi.model_fields]
+    row = dataset.table("scenes", names).to_pylist()[0]
+    return Roi.model_validate({name: row[name] for name in names})
 
 
 def _map_of(path: Path | None, scene: str, lines: list[Float64]) -> RoadMap:

@@ -70,6 +70,7 @@ def street_of_drive(drive: SynthDrive) -> Street:
         middle_m=(0.0, 0.0),
         radius_m=drive.roi.radius_m,
         clock_s=truth.clock_s,
+        roi=drive.roi,
         drive=drive,
     )
 

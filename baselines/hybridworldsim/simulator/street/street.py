@@ -14,6 +14,7 @@ from hybridworldsim.simulator.street.ground import Ground
 from mirror.arrays import Bool, Float64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
+from mirror.schema.documents import Roi
 from mirror.schema.road_features import SignalState
 from mirror.schema.road_map import RoadMap
 
@@ -71,6 +72,7 @@ class Street:
         middle_m: (x, y) middle of the part that can be rendered.
         radius_m: radius of that part.
         clock_s: time of the signals' clock at the start of a rollout.
+        roi: the region of interest, whose position on the earth sets the sun; None: not known.
         drive: the drive of the synthetic street that gives the exact world; None: the exact world is not known.
     """
 
@@ -83,6 +85,7 @@ class Street:
     middle_m: tuple[float, float]
     radius_m: float
     clock_s: float = 0.0
+    roi: Roi | None = None
     drive: SynthDrive | None = field(default=None, repr=False)
 
     def signals(self, time_s: float) -> dict[str, SignalState]:

@@ -1,0 +1,138 @@
+"""Agents as images with transparency and depth: meshes of the synthetic street in the light of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from hybridworldsim.simulator.agents.states import Agent
+from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.protocol import LiveUsers
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.schema.documents import Roi
+from mirror.synth.light.condition import Condition, Effects
+from mirror.synth.model import Model
+from mirror.synth.render.coverage import SKY
+from mirror.synth.render.develop.camera_response import CameraResponse
+from mirror.synth.render.develop.developing import develop
+from mirror.synth.render.lens import make_lens
+from mirror.synth.render.scene import Instant, Scene
+from mirror.synth.render.view import rasterize_view
+from mirror.synth.roads.markings import MARK
+
+_EFFECTS: Final = replace(Effects(), exposure=False, noise=False, vignetting=False, bloom=False, motion_blur=False)
+_RESPONSE: Final = CameraResponse()
+
+
+@dataclass(frozen=True, eq=False)
+class AgentImage:
+    """The agents in one camera, without anything else.
+
+    Attributes:
+        rgb: (H, W, 3) colours where an agent is.
+        alpha: (H, W) share of a pixel that agents cover.
+        depth_m: (H, W) camera z of the agents; infinite where there is none.
+        number: (H, W) number of the agent; -1 where there is none.
+    """
+
+    rgb: UInt8
+    alpha: Float32
+    depth_m: Float32
+    number: Int32
+
+
+class AgentLayer:
+    """Draws the agents of a rollout. One scene serves all of it; its road users read the live states.
+
+    Args:
+        street: the street.
+        condition: light and weather.
+        agents: the agents.
+        cameras: the cameras, by name; pinholes.
+    """
+
+    def __init__(
+        self, street: Street, condition: Condition, agents: Sequence[Agent], cameras: Mapping[str, CameraSpec]
+    ) -> None:
+        self._live = LiveUsers(agents, street.ground)
+        lit = replace(condition, effects=_EFFECTS)
+        self._scene = Scene(_EmptyPlace(street), lit, self._live.users, Model.empty())
+        self._lenses = {name: make_lens(spec.camera) for name, spec in cameras.items()}
+
+    def at(self, snapshot: Snapshot) -> Instant:
+        """Return the agents at an instant, for all cameras."""
+        self._live.update(snapshot)
+        return self._scene.around(snapshot.time_s, np.array([snapshot.ego.x_m, snapshot.ego.y_m, 0.0]))
+
+    def draw(self, instant: Instant, camera: str, world_SE3_camera: Poses) -> AgentImage | None:
+        """Draw the agents that a camera sees; None: there is none."""
+        lens = self._lenses[camera]
+        rotation = matrix_from_quaternion(world_SE3_camera.rotation)[0]
+        view = rasterize_view(instant.surroundings, lens, rotation, world_SE3_camera.translation[0])
+        # What lies behind an agent is not part of it: fragments of the sky are left out of its colour.
+        solid = view.which[:, 1] != SKY
+        alpha = (view.surface != SKY).astype(np.float32)
+        mixed = view.mixed.astype(np.bool_)
+        alpha[mixed] = 0.0
+        which, share = view.which[solid], view.share[solid]
+        np.add.at(alpha.reshape(-1), which[:, 0], share[:, 0])
+        if not alpha.any():
+            return None
+        masked = replace(view, which=which, share=share, mask=alpha)
+        radiance = masked.radiance()[..., :3] / np.maximum(alpha, 1e-3)[..., None]
+        bgr = develop(np.ascontiguousarray(radiance), self._scene.light.record, _RESPONSE, _EFFECTS, 0)
+        depth = (view.distance_m * lens.rays[..., 2]).astype(np.float32)
+        number = view.object
+        edge = mixed & (view.surface == SKY)
+        if edge.any():
+            # The ray through the centre misses the agent: its depth and number are those of the nearest neighbour.
+            near = cv2.erode(depth, np.ones((3, 3), np.uint8))
+            depth = np.where(edge, near, depth)
+            around = cv2.dilate(number.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
+            number = np.where(edge, around, number)
+        return AgentImage(np.ascontiguousarray(bgr[..., ::-1]), alpha, depth, number)
+
+
+class _EmptyPlace:
+    """A place without anything: only the light of its position."""
+
+    def __init__(self, street: Street) -> None:
+        self._street = street
+        known = street.roi
+        radius = max(street.radius_m, 1.0)
+        self._roi = (
+            Roi(scene_id=street.scene_id, longitude_deg=0.0, latitude_deg=45.0, radius_m=radius)
+            if known is None or known.longitude_deg is None
+            else known
+        )
+
+    @property
+    def roi(self) -> Roi:
+        return self._roi
+
+    @property
+    def model(self) -> Model:
+        return Model.empty()
+
+    @property
+    def layouts(self) -> Records:
+        return np.zeros((1, 1), MARK)
+
+    @property
+    def lamps(self) -> Float64:
+        return np.zeros((0, 3))
+
+    def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
+        # Only shadows on the ground read it, and there is no ground.
+        return np.zeros(np.shape(x_m))
+
+    def find_lit_lamps(self, time_s: float) -> Int64:
+        return np.zeros(0, np.int64)

@@ -1,0 +1,135 @@
+"""Composes agents into images of the empty street: hidden by what is nearer, with a contact shadow under them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from hybridworldsim.simulator.renderers.agent_layer import AgentImage
+from mirror.arrays import Bool, Float32, Float64, UInt8
+
+TOLERANCE_M: Final = 0.4
+TOLERANCE_SHARE: Final = 0.03
+"""An agent is hidden where the street is nearer than it by more than this distance and share of the depth."""
+_SHADE: Final = 0.75
+_FADE_M: Final = 0.25
+_REACH_M: Final = 0.9
+_HEIGHT_M: Final = 0.45
+_FARTHEST_M: Final = 70.0
+
+
+def compose(rgb: UInt8, depth_m: Float32, agents: AgentImage) -> tuple[UInt8, Bool]:
+    """Put agents into an image.
+
+    Args:
+        rgb: (H, W, 3) image of the empty street, with its shadows.
+        depth_m: (H, W) camera z of the empty street; 0 or less: nothing is there.
+        agents: the agents in the same camera.
+
+    Returns:
+        The image, and (H, W) where it shows an agent.
+    """
+    return _compose(rgb, depth_m, agents.rgb, agents.alpha, agents.depth_m)
+
+
+@njit(cache=True, nogil=True)
+def _compose(rgb: UInt8, depth_m: Float32, agent_rgb: UInt8, alpha: Float32, agent_m: Float32) -> tuple[UInt8, Bool]:
+    height, width = alpha.shape
+    out, shown = rgb.copy(), np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for column in range(width):
+            share = alpha[row, column]
+            if share <= 0.0:
+                continue
+            behind, own = depth_m[row, column], agent_m[row, column]
+            if behind > 0.0 and own > behind * (1.0 + TOLERANCE_SHARE) + TOLERANCE_M:
+                continue
+            shown[row, column] = share >= 0.5
+            for channel in range(3):
+                mixed = share * agent_rgb[row, column, channel] + (1.0 - share) * rgb[row, column, channel]
+                out[row, column, channel] = np.uint8(min(mixed + 0.5, 255.0))
+    return out, shown
+
+
+@njit(cache=True, nogil=True)
+def add_contact_shadows(
+    rgb: UInt8, depth_m: Float32, lens: Float64, rotation: Float64, origin: Float64, boxes: Float64
+) -> None:
+    """Darken the ground under and around agents, as their bodies keep the light of the sky from it.
+
+    Args:
+        rgb: (H, W, 3) image; modified.
+        depth_m: (H, W) camera z of the street.
+        lens: fx, fy, cx, cy of the camera.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) position of the camera in the world.
+        boxes: (N, 6) x, y, z of the ground, yaw, half length and half width of the agents.
+    """
+    height, width = depth_m.shape
+    for number in range(len(boxes)):
+        x, y, z, yaw, half_length, half_width = boxes[number]
+        if math.hypot(x - origin[0], y - origin[1]) > _FARTHEST_M:
+            continue
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        left, top, right, bottom = _bounds(
+            x, y, z, cos, sin, half_length + _REACH_M, half_width + _REACH_M, lens, rotation, origin, width, height
+        )
+        for row in range(top, bottom):
+            for column in range(left, right):
+                far = depth_m[row, column]
+                if far <= 0.0:
+                    continue
+                a = (column + 0.5 - lens[2]) / lens[0] * far
+                b = (row + 0.5 - lens[3]) / lens[1] * far
+                dx = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * far + origin[0] - x
+                dy = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * far + origin[1] - y
+                dz = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * far + origin[2] - z
+                along = max(abs(cos * dx + sin * dy) - half_length + 0.1, 0.0)
+                aside = max(abs(cos * dy - sin * dx) - half_width + 0.1, 0.0)
+                beyond = math.hypot(along, aside)
+                if abs(dz) > _HEIGHT_M or beyond > _REACH_M:
+                    continue
+                light = 1.0 - _SHADE * math.exp(-beyond / _FADE_M) * (1.0 - abs(dz) / _HEIGHT_M)
+                for channel in range(3):
+                    rgb[row, column, channel] = np.uint8(rgb[row, column, channel] * light)
+
+
+@njit(cache=True, nogil=True)
+def _bounds(
+    x: float,
+    y: float,
+    z: float,
+    cos: float,
+    sin: float,
+    along: float,
+    aside: float,
+    lens: Float64,
+    rotation: Float64,
+    origin: Float64,
+    width: int,
+    height: int,
+) -> tuple[int, int, int, int]:
+    """Pixels of a rectangle on the ground; all of them where it reaches behind the camera."""  # fmt: skip
+    left, top, right, bottom = float(width), float(height), 0.0, 0.0
+    behind = 0
+    for corner in range(8):
+        u = along if corner & 1 else -along
+        v = aside if corner & 2 else -aside
+        dx, dy = x + cos * u - sin * v - origin[0], y + sin * u + cos * v - origin[1]
+        dz = z + (_HEIGHT_M if corner & 4 else -_HEIGHT_M) - origin[2]
+        depth = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+        if depth < 0.2:
+            behind += 1
+            continue
+        column = lens[0] * (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / depth + lens[2]
+        row = lens[1] * (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth + lens[3]
+        left, right = min(left, column), max(right, column)
+        top, bottom = min(top, row), max(bottom, row)
+    if behind == 8:
+        return 0, 0, 0, 0
+    if behind:
+        return 0, 0, width, height
+    return max(int(left), 0), max(int(top), 0), min(int(right) + 2, width), min(int(bottom) + 2, height)

@@ -1,0 +1,224 @@
+"""A reconstructed street: a trained model's images of the empty street, with agents composed into them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.simulator.policies.protocol import CameraSpec
+from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
+from hybridworldsim.simulator.renderers.compositing import add_contact_shadows, compose
+from hybridworldsim.simulator.renderers.protocol import ego_pose
+from hybridworldsim.simulator.street.street import Recording, Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
+from mirror.errors import UsageError
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.methods.model_document import read_reconstruction
+from mirror.methods.registry import installed_method
+from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.schema.scenario import Scenario
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import instant_of
+
+_NO_POSITION = (0.0, 45.0)
+_NEAR_M = 70.0
+
+
+@runtime_checkable
+class DepthRenderer(Protocol):
+    """A renderer of a method that also gives depth."""
+
+    def render(self, view: RenderView) -> Any:
+        """Render a view; the result has ``rgb`` (H, W, 3), ``alpha`` and ``depth_m`` (H, W) as float tensors."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class OpenModel:
+    """An open model, which rollouts share.
+
+    Attributes:
+        path: its folder.
+        scene: the scene that it shows.
+        trained: ids of the traversals that it was trained on.
+        renderer: its renderer.
+    """
+
+    path: Path
+    scene: str
+    trained: tuple[str, ...]
+    renderer: DepthRenderer
+
+    @classmethod
+    def read(cls, path: Path, street: Street) -> OpenModel:
+        """Open the model of a street.
+
+        Raises:
+            DatasetError: the folder holds no complete model.
+            UsageError: the model is of another scene, or its method does not render depth.
+        """
+        document = read_reconstruction(path)
+        trained = tuple(name for name in sorted(document.trained) if name in street.recordings)
+        if document.scene != street.scene_id or (street.drive is None and not trained):
+            raise UsageError(
+                f"the model shows scene {document.scene}", file=path,
+                expected=f"a model of {street.scene_id} that was trained on its recordings",
+                remedy="name the dataset that the model was trained on, and its scene",
+            )  # fmt: skip
+        renderer = installed_method(document.method).open(path)
+        if not isinstance(renderer, DepthRenderer):
+            raise UsageError(
+                f"method {document.method} renders no depth", file=path,
+                expected="a method whose renderer has `render`, such as hybridworldsim",
+            )  # fmt: skip
+        return cls(path, document.scene, trained or tuple(sorted(document.trained)), renderer)
+
+
+@dataclass(eq=False)
+class Seconds:
+    """Time spent in each part of rendering, in seconds since the beginning."""
+
+    street: float = 0.0
+    agents: float = 0.0
+    composition: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    name: str
+    spec: CameraSpec
+    pose: Poses
+    image: dict[str, UInt8] = field(default_factory=dict)
+
+
+class ReconstructedRenderer:
+    """Renders a trained model with agents in it. Cameras are rendered in parallel, on torch's number of threads.
+
+    Args:
+        model: the model.
+        street: its street.
+        scenario: its light and weather choose the appearance: that of a trained traversal with both, or with the light.
+        start: the state at the start.
+        cameras: the cameras, by name; pinholes.
+    """
+
+    name = "reconstructed"
+
+    def __init__(
+        self,
+        model: OpenModel,
+        street: Street,
+        scenario: Scenario,
+        start: Snapshot,
+        cameras: Mapping[str, CameraSpec],
+    ) -> None:
+        self.rendered = 0
+        self.seconds = Seconds()
+        self._model, self._street, self._cameras = model, street, cameras
+        self._appearance = choose_appearance(model, street, scenario)
+        condition = _condition(street, self._appearance, scenario)
+        self._layer = AgentLayer(street, condition, start.agents, cameras)
+        self._shown: dict[str, Int32] = {}
+
+    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
+        """See `CameraRenderer.render`."""
+        if not cameras:
+            return {}
+        world_SE3_ego = ego_pose(self._street, snapshot)
+        begin = time.perf_counter()
+        instant = self._layer.at(snapshot)
+        boxes = _ground_boxes(self._street, snapshot)
+        self.seconds.agents += time.perf_counter() - begin
+        jobs = [_Job(name, self._cameras[name], world_SE3_ego @ self._cameras[name].ego_SE3_camera) for name in cameras]
+        images: dict[str, UInt8] = {}
+
+        def work(number: int) -> None:
+            job = jobs[number]
+            start = time.perf_counter()
+            rgb, depth = self._background(job, snapshot)
+            behind = time.perf_counter()
+            agents = self._layer.draw(instant, job.name, job.pose)
+            drawn = time.perf_counter()
+            rotation = matrix_from_quaternion(job.pose.rotation)[0]
+            lens = job.spec.camera
+            numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
+            add_contact_shadows(rgb, depth, numbers, rotation, job.pose.translation[0], boxes)
+            shown: Bool = np.zeros(depth.shape, np.bool_)
+            if agents is not None:
+                rgb, shown = compose(rgb, depth, agents)
+            self._shown[job.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
+            images[job.name] = rgb
+            end = time.perf_counter()
+            self.seconds.street += behind - start
+            self.seconds.agents += drawn - behind
+            self.seconds.composition += end - drawn
+
+        in_parallel(work, len(jobs))
+        self.rendered += len(jobs)
+        return {name: images[name] for name in cameras}
+
+    def agent_masks(self) -> Mapping[str, Int32]:
+        """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
+        return self._shown
+
+    def _background(self, job: _Job, snapshot: Snapshot) -> tuple[UInt8, Float32]:
+        camera = job.spec.camera
+        recording = self._street.recordings.get(self._appearance)
+        view = RenderView(
+            path=f"{job.name}/{snapshot.step}", group="simulation", scene_id=self._street.scene_id,
+            traversal_id=self._appearance, frame_index=snapshot.step, camera=job.name, timestamp_ns=snapshot.stamp_ns,
+            light=recording.light if recording else "day", weather=recording.weather if recording else "clear",
+            model="pinhole", width_px=camera.width_px, height_px=camera.height_px, fx_px=camera.fx_px,
+            fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
+            world_SE3_camera=to_pose_numbers(job.pose),
+        )  # fmt: skip
+        rendering = self._model.renderer.render(view)
+        rgb = rendering.rgb.detach().clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
+        depth = rendering.depth_m.detach().cpu().numpy()
+        # Where the model shows hardly anything, nothing hides an agent.
+        depth = np.where(rendering.alpha.detach().cpu().numpy() > 0.5, depth, 0.0).astype(np.float32)
+        return np.ascontiguousarray(rgb), np.ascontiguousarray(depth)
+
+
+def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> str:
+    """Return the trained traversal whose light and weather a rollout has: those of the scenario as far as possible."""
+
+    def mismatch(name: str) -> tuple[bool, bool, str]:
+        recording = street.recordings.get(name)
+        if recording is None:
+            return True, True, name
+        return recording.light != scenario.light, recording.weather != scenario.weather, name
+
+    return min(model.trained, key=mismatch)
+
+
+def _condition(street: Street, traversal: str, scenario: Scenario) -> Condition:
+    """Light and weather of the agents: those of the trained traversal."""
+    recording: Recording | None = street.recordings.get(traversal)
+    light, weather = (scenario.light, scenario.weather)
+    if recording is not None:
+        light = recording.light if recording.light in ("day", "dusk", "night") else light  # type: ignore[assignment]
+        weather = recording.weather if recording.weather in ("clear", "clouds", "rain") else weather  # type: ignore[assignment]
+    known = street.roi is not None and street.roi.longitude_deg is not None
+    if recording is not None and known:
+        return Condition(recording.start_ns, light, weather)
+    return Condition(instant_of("2025-06-21", light, *_NO_POSITION), light, weather)
+
+
+def _ground_boxes(street: Street, snapshot: Snapshot) -> Float64:
+    """(N, 6) x, y, height of the ground, yaw, half length and half width of the agents near the ego."""
+    states, ego = snapshot.states, snapshot.ego
+    near = states.present & (np.hypot(states.x_m - ego.x_m, states.y_m - ego.y_m) < _NEAR_M)
+    rows = np.flatnonzero(near)
+    if not len(rows):
+        return np.zeros((0, 6))
+    sizes = 0.5 * np.array([snapshot.agents[row].size_m[:2] for row in rows])
+    height = np.asarray(street.ground.height_m(states.x_m[rows], states.y_m[rows]))
+    return np.column_stack([states.x_m[rows], states.y_m[rows], height, states.yaw_rad[rows], sizes])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import textwrap
 from pathlib import Path
@@ -17,62 +16,8 @@ from mirror.annotation.detections import AnnotationError
 from mirror.annotation.nuscenes import sample_token
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.frames import Frame
-from mirror.dataset.index.build import build_index
 from mirror.errors import DatasetError, UsageError
-from mirror.geometry.poses import Poses
-from tests.dataset.builders import Builder, Pass
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    import cv2
-
-    root = tmp_path_factory.mktemp("annotation") / "dataset"
-    builder = Builder(root, cameras=("front_wide", "rear"))
-    builder.scene("a")
-    image = cv2.imencode(".jpg", np.full((32, 48, 3), 90, np.uint8))[1].tobytes()
-    builder.drive("d0", [Pass("a", frames=4, images={"front_wide": image, "rear": image})])
-    builder.drive("d1", [Pass("a", frames=3, heading_deg=200.0, images={"front_wide": image, "rear": image})])
-    build_index(root)
-    return root
-
-
-@pytest.fixture
-def root(written: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(written, tmp_path / "dataset"))
-
-
-def truth(frame: Frame) -> Detections:
-    """Two boxes that depend on the frame."""
-    centre = np.array([[8.0 + frame.frame_index, 2.0, 0.8], [-12.0, 0.5, 0.9]])
-    angle = np.array([0.3, -1.2]) / 2
-    rotation = np.stack((np.cos(angle), [0.0, 0.0], [0.0, 0.0], np.sin(angle)), axis=1)
-    size = np.array([[4.2, 1.8, 1.5], [0.7, 0.6, 1.7]])
-    velocity = np.array([[3.0, 0.4, 0.0], [np.nan] * 3])
-    return Detections(
-        frame.timestamp_ns, Poses(rotation, centre), size, velocity, ("car", "pedestrian"), np.array([0.9, np.nan])
-    )
-
-
-class Known:
-    """An annotator that finds `truth`, and can fail."""
-
-    name, version, fingerprint = "known", "1", "known"
-
-    def __init__(self, failing: tuple[int, ...] = (), interrupt_at: int | None = None) -> None:
-        self.calls, self.failing, self.interrupt_at = 0, failing, interrupt_at
-
-    def annotate(self, frame: Frame) -> Detections:
-        if self.calls == self.interrupt_at:
-            raise KeyboardInterrupt
-        self.calls += 1
-        if frame.frame_index in self.failing:
-            raise AnnotationError("no result", place=f"frame {frame.frame_index}")
-        return truth(frame)
-
-    def close(self) -> None:
-        pass
+from tests.annotation.known import Known, truth
 
 
 def assert_truth(dataset: Dataset, layer: str) -> None:

@@ -14,7 +14,7 @@ from mirror.annotation.masks import MaskOptions, draw_hulls
 from mirror.cli.main import main
 from mirror.errors import UsageError
 from mirror.geometry import Camera, Poses, matrix_from_quaternion
-from tests.annotation.test_annotate import Known, root, written  # noqa: F401
+from tests.annotation.known import Known
 
 CAMERAS = (
     Camera("pinhole", 60, 40, 30.0, 30.0, 30.0, 20.0),
@@ -62,7 +62,7 @@ def test_no_boxes_and_wrong_options() -> None:
             MaskOptions(**options)
 
 
-def test_masks_become_a_layer_that_images_have(root: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+def test_masks_become_a_layer_that_images_have(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     annotate(mirror.open(root), Known())
     words = ["annotate", "masks", str(root), "--boxes", "known@1", "--json"]
     assert main(words) == 0
@@ -82,7 +82,7 @@ def test_masks_become_a_layer_that_images_have(root: Path, capsys: pytest.Captur
     assert main([*words, "--margin", "0.5"]) == 2
 
 
-def test_statistics_count_categories_by_layer(root: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+def test_statistics_count_categories_by_layer(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     annotate(mirror.open(root), Known())
     main(["stats", str(root), "--json"])
     statistics = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -15,7 +15,7 @@ from mirror.annotation.ranking import count_unmatched, rank_frames
 from mirror.cli.main import main
 from mirror.dataset.frames import Frame
 from mirror.geometry import Poses
-from tests.annotation.test_annotate import Known, root, truth, written  # noqa: F401
+from tests.annotation.known import Known, truth
 
 
 class Other(Known):
@@ -31,7 +31,7 @@ class Other(Known):
         return found[[0]] if frame.frame_index == 2 else found
 
 
-def test_frames_of_disagreement_come_first(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+def test_frames_of_disagreement_come_first(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     annotate(mirror.open(root), Known())
     annotate(mirror.open(root), Other(), source="other")
     ranks = rank_frames(mirror.open(root), "known@1", "other@1")

@@ -19,20 +19,10 @@ from mirror.protocols.png import (
     max_png_bytes,
     png_size,
 )
+from tests.evaluation.png_chunks import chunk, png
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (9, 16, 3), np.uint8)
 WHOLE = encode_png(PIXELS)
-
-
-def chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def png(
-    *chunks: bytes, depth: int = 8, colour: int = 2, width: int = 16, height: int = 9, interlaced: int = 0
-) -> bytes:
-    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlaced)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + b"".join(chunks) + chunk(b"IEND", b"")
 
 
 IDAT = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in PIXELS)))

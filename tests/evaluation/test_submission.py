@@ -21,8 +21,8 @@ from mirror.evaluation.submission.untrusted import UntrustedError, open_untruste
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, plan_views
+from tests.evaluation.png_chunks import chunk, png
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
-from tests.evaluation.test_png import chunk, png
 
 
 @pytest.fixture(scope="module")

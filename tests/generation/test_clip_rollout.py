@@ -26,9 +26,9 @@ from hybridworldsim.generation.sampling.sampler import draw_noise
 from mirror.errors import UsageError
 from tests.generation.builders import make_network
 from tests.generation.clips import FRAMES, HEIGHT, WIDTH, make_clip
-from tests.generation.test_rollout import AS_CHANNELS, AS_FRAMES, seeds, single_frames
-from tests.generation.test_rollout import T as REFERENCES
-from tests.generation.test_training import CODEC, NETWORK, T
+from tests.generation.rollout_inputs import AS_CHANNELS, AS_FRAMES, seeds, single_frames
+from tests.generation.rollout_inputs import T as REFERENCES
+from tests.generation.trained import CODEC, NETWORK, T
 
 OPTIONS = ClipRolloutOptions(SamplerSettings(steps=2))
 

@@ -12,28 +12,12 @@ from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, s
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import join_conditions, seed_frames
 from hybridworldsim.generation.network.conditions import Conditions
-from hybridworldsim.generation.network.configuration import AdapterConfig
 from hybridworldsim.generation.sampling.sampler import draw_noise
 from mirror.errors import UsageError
-from tests.generation.builders import SHORT, make_conditions, make_network
+from tests.generation.builders import make_conditions, make_network
+from tests.generation.rollout_inputs import AS_CHANNELS, AS_FRAMES, T, seeds, single_frames
 
-T = 3
-AS_CHANNELS = replace(
-    SHORT, latent_channels=4, reference_channels=4 * T, temporal_layers=(), causal=False, camera="explicit",
-    layout=AdapterConfig(2 * (T + 1), 8, scales=(1, 1)),
-)  # fmt: skip
-AS_FRAMES = replace(SHORT, latent_channels=4, camera="explicit", layout=AdapterConfig(2, 8, scales=(1, 1)))
 CONFIGS = {"channels": AS_CHANNELS, "frames": AS_FRAMES}
-
-
-def single_frames(count: int, seed: int = 1) -> list[Conditions]:
-    """Conditions of single frames; layouts have two channels."""
-    config = replace(AS_FRAMES)
-    return [make_conditions(config, frames=1, views=2, seed=seed + place) for place in range(count)]
-
-
-def seeds() -> Tensor:
-    return torch.randn((1, T, 2, 4, 4, 6), dtype=torch.float64, generator=torch.Generator().manual_seed(9))
 
 
 @pytest.mark.parametrize("name", CONFIGS)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
+from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator
@@ -27,18 +27,11 @@ from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.clips import make_clip, write_clips
+from tests.generation.trained import CODEC, NETWORK, T
 
-T = 2
-NETWORK = TransformerConfig(
-    latent_channels=4, reference_channels=4 * T, latent_stride=4, layers=2, heads=2, head_channels=4, dual_layers=(),
-    text_channels=3, pooled_channels=3, grid=8, grid_base=4, camera="explicit", origin_octaves=1, direction_octaves=2,
-    temporal_layers=(), cross_view_layers=(0,), layout=AdapterConfig(4 * (T + 1), 8, scales=(1,)),
-    background=AdapterConfig(3, 8, scales=(1,)),
-)  # fmt: skip
 AS_FRAMES = replace(
     NETWORK, reference_channels=0, temporal_layers=(1,), causal=True, layout=AdapterConfig(4, 8, scales=(1,))
 )
-CODEC = TinySettings(channels=4, width=8)
 OPTIONS = TrainingOptions(
     steps=6,
     autoencoder_steps=5,

@@ -27,7 +27,7 @@ from mirror.metrics.features.fvd import VideoFeatures, fvd  # noqa: E402
 from mirror.metrics.features.lpips import lpips  # noqa: E402
 from mirror.metrics.features.perceptual import PerceptualDistance, filled  # noqa: E402
 from mirror.metrics.features.st_lpips import st_lpips  # noqa: E402
-from tests.metrics.networks.test_trunks import random_state, trunk  # noqa: E402
+from tests.metrics.networks.trunk_states import random_state, trunk  # noqa: E402
 
 SHAPE = (3, 47, 64, 3)
 

@@ -16,7 +16,7 @@ from mirror.weights import resolve
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver, file_sha256
 from mirror.weights.table import KNOWN
-from tests.metrics.networks.test_inception import published_sizes, random_state
+from tests.metrics.networks.inception_states import published_sizes, random_state
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import ResolvedWeights, WeightResolver, file_sha256
 from mirror.weights.table import KNOWN
 from tests.metrics.networks.references import ALL, distance
-from tests.metrics.networks.test_trunks import random_state, trunk
+from tests.metrics.networks.trunk_states import random_state, trunk
 
 
 @pytest.fixture(params=["alex", "squeeze"])

@@ -3,12 +3,11 @@
 import pytest
 import torch
 
-from mirror.metrics.features.lpips import lpips_trunk
 from mirror.metrics.features.perceptual import filled
-from mirror.metrics.features.st_lpips import st_lpips_trunk
 from mirror.metrics.networks.state import load_strictly
 from mirror.weights.errors import WeightsUnavailableError
 from tests.metrics.networks.references import ALL
+from tests.metrics.networks.trunk_states import random_state, trunk
 
 ALEX = {0: (64, 3, 11, 11), 3: (192, 64, 5, 5), 6: (384, 192, 3, 3), 8: (256, 384, 3, 3), 10: (256, 256, 3, 3)}
 VGG = {
@@ -27,10 +26,6 @@ FIRES = {3: (64, 16, 64), 4: (128, 16, 64), 6: (128, 32, 128), 7: (256, 32, 128)
 }
 
 
-def trunk(name):
-    return st_lpips_trunk(name[3:]) if name.startswith("st-") else lpips_trunk(name)
-
-
 def torchvision_sizes(name):
     """Every tensor of torchvision's ``features``."""
     sizes = {}
@@ -47,16 +42,6 @@ def torchvision_sizes(name):
     for number, size in (ALEX if name == "alex" else VGG).items():
         sizes |= {f"features.{number}.weight": size, f"features.{number}.bias": size[:1]}
     return sizes
-
-
-def random_state(network, seed=0):
-    """Weights that keep the features' spread from layer to layer."""
-    draw = torch.Generator().manual_seed(seed)
-    state = {}
-    for name, tensor in network.state_dict().items():
-        spread = (2.0 / max(tensor[0].numel(), 1)) ** 0.5 if tensor.ndim == 4 else 0.1
-        state[name] = tensor.clone() if name.endswith("filt") else torch.randn(tensor.shape, generator=draw) * spread
-    return state
 
 
 @pytest.mark.parametrize("name", ["alex", "vgg", "squeeze"])

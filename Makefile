@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test fuzz lint mutants wheel clean
+.PHONY: demo test fuzz peers lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
@@ -20,6 +20,10 @@ test: lint
 # Five hundred damaged recordings of every reader, for which `make test` has fifty, and what came of them.
 fuzz: $(STAMP)
 	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
+
+# Environments of other toolkits in build/peers; what they read of our files is written to tests/peers.
+peers: $(STAMP)
+	$(BIN)/python -m tests.peers
 
 # The wheel, and `mirror demo --quick` from it without the packages of any extra.
 wheel: $(STAMP)

@@ -113,7 +113,9 @@ def test_a_log_without_a_city_keeps_its_metric_frame(tmp_path: Path) -> None:
     recording = open_recording(path)
     assert recording.info.frame == "argoverse2_straight"
     track = recording.track()
-    assert track.x_m is not None and np.abs(track.x_m - drive.poses.translation[:, 0]).max() < 1e-8
+    assert (
+        track.x_m is not None and np.abs(track.x_m - drive.poses_at(track.timestamp_ns).translation[:, 0]).max() < 1e-8
+    )
     assert open_recording(path, options={"city": "MIA"}).info.city == "Miami"
     with pytest.raises(RecordingError, match="unknown city 'XYZ'"):
         open_recording(path, options={"city": "XYZ"})

@@ -26,7 +26,12 @@ def write_argoverse2(root: Path, drive: StreetDrive, *, city: str | None = "PIT"
     """Write a log, and return its folder. The drive's world is the city's frame."""
     path = root / drive.name
     (path / "calibration").mkdir(parents=True)
-    _write(path / "city_SE3_egovehicle.feather", {"timestamp_ns": drive.pose_ns, **_columns(drive.poses)})
+    # As in the dataset, every image and every lidar sweep has a pose at its stamp.
+    stamps = np.unique(np.concatenate([drive.pose_ns, *drive.image_ns.values()]))
+    _write(path / "city_SE3_egovehicle.feather", {"timestamp_ns": stamps, **_columns(drive.poses_at(stamps))})
+    (path / "sensors" / "lidar").mkdir(parents=True)
+    for stamp in drive.box_ns.tolist():
+        (path / "sensors" / "lidar" / f"{stamp}.feather").write_bytes(b"")
     names = [name for name in CAMERAS if name in drive.cameras]
     lenses = [drive.cameras[name] for name in names]
     mountings = [drive.ego_SE3_camera[name] for name in names]

@@ -8,6 +8,7 @@ from hashlib import md5
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from tests.recordings.formats.street import StreetDrive
@@ -61,6 +62,8 @@ def write_nuscenes(
     for name, rows in tables.items():
         (root / version / f"{name}.json").write_text(json.dumps(rows, indent=0))
     (root / "maps").mkdir(exist_ok=True)
+    blank = cv2.imencode(".png", np.zeros((10, 10), np.uint8))[1].tobytes()
+    (root / "maps" / f"{token('map')}.png").write_bytes(blank)
     return root
 
 

@@ -161,9 +161,8 @@ def score_rollout(
     figures += progress_figures
     by_name = {figure.name: figure for figure in figures}
     score: DrivingScore | None = None
-    lacking = next(
-        (by_name[name].reason for name in ("progress", "comfort", "red_lights") if by_name[name].reason), None
-    )
+    needed = (by_name[name].reason for name in ("red_lights", "comfort", "progress"))
+    lacking = next((reason for reason in needed if reason is not None), None)
     if road_map is not None and on_map is not None and progress is not None and route_m is not None and lacking is None:
         score = _driving_score(log, road_map, on_map, np.asarray(route_m, np.float64), progress, share, by_name)
     for name in ("pdms", "epdms"):

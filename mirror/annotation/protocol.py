@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from mirror.annotation.detections import Detections
 from mirror.dataset.dataset import Dataset
@@ -56,23 +57,71 @@ class InstalledAnnotator(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class TrainingTask:
+    """How long and how an annotator is trained.
+
+    Attributes:
+        steps: number of steps; the result repeats exactly with the same number of threads. Excludes `core_minutes`.
+        core_minutes: processor time of training, summed over threads.
+        seed: seed of all random numbers.
+        threads: number of threads.
+        settings: settings of the training, as text by name.
+    """
+
+    steps: int | None
+    core_minutes: float | None
+    seed: int
+    threads: int
+    settings: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class TrainingReport:
+    """What a finished training did.
+
+    Attributes:
+        model: file of the trained model.
+        frames: number of frames of the datasets.
+        boxes: number of boxes in them.
+        steps: steps.
+        core_s: processor time of training.
+        wall_s: wall time of training.
+        loss: mean loss of the last fortieth.
+        model_bytes: size of the file.
+        sha256: hash of the file.
+    """
+
+    model: str
+    frames: int
+    boxes: int
+    steps: int
+    core_s: float
+    wall_s: float
+    loss: float
+    model_bytes: int
+    sha256: str
+
+
 @runtime_checkable
 class TrainableAnnotator(Protocol):
     """An installed annotator that can also be trained: ``mirror annotate train``."""
 
     def train(
-        self, datasets: tuple[Dataset, ...], task: Mapping[str, Any], out: Path, progress: ProgressReporter
-    ) -> Mapping[str, Any]:
+        self, datasets: Sequence[Dataset], task: TrainingTask, out: Path, progress: ProgressReporter
+    ) -> TrainingReport:
         """Train on the boxes of datasets; an interrupted run continues in the same folder.
 
         Args:
             datasets: views with images and one chosen layer of boxes.
-            task: ``steps`` or ``core_minutes``, ``seed``, and ``settings`` as text by name.
-            out: folder of the run.
+            task: how long and how.
+            out: folder of the run: ``run.json``, ``curves.csv``, a checkpoint, ``model.safetensors``, ``outcome.json``.
             progress: receives the progress.
 
-        Returns:
-            Figures of the run for the report, by name.
+        Raises:
+            UsageError: a setting is invalid, there are no boxes to learn from, or the folder holds another run.
+            DatasetError: an image is missing or broken, or training diverged.
+            KeyboardInterrupt: after Ctrl-C, once a checkpoint is written.
         """
 
 
@@ -88,3 +137,21 @@ def require_settings(name: str, given: Mapping[str, str], known: Mapping[str, st
     if unknown:
         listed = ", ".join(known) or "no settings"
         raise UsageError(f"annotator {name} has no setting {unknown[0]!r}", place="--set", expected=listed)
+
+
+def share_setting(settings: Mapping[str, str], name: str, default: float) -> float:
+    """The value of a setting that is a number from 0 to below 1.
+
+    Raises:
+        UsageError: it is another value.
+    """
+    from mirror.errors import UsageError
+
+    text = settings.get(name, str(default))
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1.0:
+        raise UsageError(text, place=f"--set {name}", expected="a number from 0 to below 1")
+    return value

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mirror.annotation.run import AnnotationReport
 
 _MOST_SHOWN: Final = 5
+_CORE_MINUTES: Final = 3.0
 _EXAMPLES = (
     "mirror annotate demo/dataset --annotator file --set path=results.json",
     "mirror annotate demo/dataset --annotator subprocess --set command='python detect.py' --set limit_s=20",
@@ -25,6 +26,10 @@ _EXAMPLES = (
 _TRACK_EXAMPLES = ("mirror annotate track demo/dataset --boxes synth@0.1.0",)
 _MASK_EXAMPLES = ("mirror annotate masks demo/dataset --boxes synth@0.1.0",)
 _REPORT_EXAMPLES = ("mirror annotate report demo/dataset --boxes synth@0.1.0 --out review.html",)
+_TRAIN_EXAMPLES = (
+    "mirror annotate train demo/dataset --annotator petr-tiny --minutes 3 --out detector",
+    "mirror annotate train streets/1 streets/2 --annotator petr-tiny --steps 2000 --threads 1 --out detector",
+)
 _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --out review.json",)
 
 
@@ -32,9 +37,10 @@ _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --o
 class Arguments:
     """Find the road users in all frames of a dataset, and write a layer of boxes for each traversal.
 
-    `mirror annotate track` makes tracks of a layer of boxes, `mirror annotate masks` writes masks of its road users,
-    and `mirror annotate export` writes it as a file for other tools. Layers lie side by side and are never replaced.
-    Finished frames are kept when the run is interrupted or a frame fails: the same command continues there.
+    `mirror annotate train` trains an annotator, `mirror annotate track` makes tracks of a layer of boxes, `mirror
+    annotate masks` writes masks of its road users, and `mirror annotate export` writes it as a file. Layers lie side by
+    side and are never replaced. Finished frames are kept when the run is interrupted or a frame fails: the same command
+    continues there.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -54,6 +60,37 @@ class Arguments:
     """Write the layer of a traversal although frames failed; they have no boxes then."""
     device: str = "cpu"
     """Device of networks: cpu or cuda."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class TrainArguments:
+    """Train an annotator on the boxes of datasets.
+
+    Ctrl-C leaves a checkpoint, and the same command continues from it. A finished model is reported and not changed.
+    """
+
+    datasets: Annotated[tyro.conf.Positional[tuple[str, ...]], help_text(default="none", metavar="DATASET")]
+    """Folders or URLs of one or more datasets with boxes."""
+    annotator: Annotated[str, help_text(metavar="NAME")]
+    """An installed annotator that can be trained (entry points mirror.annotators), such as petr-tiny."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """Folder of the run: a new one, or that of an interrupted run with the same options."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes that is learned."""
+    minutes: Annotated[float | None, help_text(default=f"{_CORE_MINUTES:g}, unless --steps is given")] = None
+    """Processor time of training in minutes, summed over threads. Excludes --steps."""
+    steps: Annotated[int | None, help_text(default="none")] = None
+    """Number of steps. Repeats exactly with the same --threads. Excludes --minutes."""
+    split: Annotated[str | None, help_text(default="all traversals", metavar="NAME")] = None
+    """Train on the training traversals of this split alone."""
+    seed: int = 0
+    """Seed of all random choices."""
+    threads: int = 1
+    """Number of threads."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=VALUE")] = ()
+    """A setting of the training, such as learning_rate=0.0005; run.json has all."""
     json: bool = False
     """Print JSON."""
 
@@ -192,6 +229,59 @@ def _print(report: AnnotationReport, arguments: Arguments) -> None:
         print(f"next: mirror annotate track {arguments.dataset} --boxes {report.layer}")
 
 
+def _train(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(TrainArguments, argv, "mirror annotate train", examples=_TRAIN_EXAMPLES)
+    for name, number in (
+        ("--minutes", arguments.minutes),
+        ("--steps", arguments.steps),
+        ("--threads", arguments.threads),
+    ):
+        if number is not None and not number > 0:
+            raise UsageError(f"{number:g}", place=name, expected="more than 0")
+    if arguments.seed < 0:
+        raise UsageError(f"{arguments.seed}", place="--seed", expected="0 or more")
+    if arguments.minutes is not None and arguments.steps is not None:
+        raise UsageError("--minutes and --steps exclude each other", expected="one of them, or neither")
+    if not arguments.datasets:
+        raise UsageError("no dataset", place="DATASETS", expected="one or more datasets with boxes")
+
+    from mirror.annotation.protocol import TrainableAnnotator, TrainingTask
+    from mirror.annotation.registry import annotator_names, installed_annotator
+
+    annotator = installed_annotator(arguments.annotator)
+    if not isinstance(annotator, TrainableAnnotator):
+        names = ", ".join(annotator_names())
+        raise UsageError(
+            f"annotator {arguments.annotator!r} cannot be trained", place="--annotator",
+            expected=f"one that has a training, of {names}",
+        )  # fmt: skip
+
+    import mirror
+    from mirror.annotation.box_layer import choose_box_layer
+    from mirror.progress import progress_bar
+
+    views = []
+    for path in arguments.datasets:
+        dataset = mirror.open(path)
+        if arguments.split is not None:
+            dataset = dataset.where(split=arguments.split, role="train")
+        views.append(dataset.with_layers(boxes=choose_box_layer(dataset, arguments.boxes)))
+    minutes = _CORE_MINUTES if arguments.minutes is None and arguments.steps is None else arguments.minutes
+    task = TrainingTask(arguments.steps, minutes, arguments.seed, arguments.threads, _settings(arguments.set))
+    with progress_bar(quiet=arguments.json) as bar:
+        report = annotator.train(views, task, arguments.out, bar)
+    if arguments.json:
+        print(json.dumps(asdict(report)))
+        return ExitCode.DONE
+    print(
+        f"{report.steps} steps on {report.frames} frames with {report.boxes} boxes, {report.core_s / 60.0:.1f} "
+        f"core-minutes, {report.wall_s / 60.0:.1f} minutes; loss {report.loss:.3f}"
+    )
+    print(f"model: {report.model}, {report.model_bytes / 1e6:.2f} MB, sha256 {report.sha256}")
+    print(f"next: mirror annotate DATASET --annotator {arguments.annotator} --set weights={report.model}")
+    return ExitCode.DONE
+
+
 def _track(argv: Sequence[str]) -> int:
     arguments = parse_arguments(TrackArguments, argv, "mirror annotate track", examples=_TRACK_EXAMPLES)
 
@@ -290,6 +380,7 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 _SUBCOMMANDS: Final = {
+    "train": Subcommand("train an annotator on the boxes of datasets", _train),
     "track": Subcommand("make tracks of a layer of boxes", _track),
     "masks": Subcommand("write masks of road users from a layer of boxes", _masks),
     "report": Subcommand("write a page of the frames to review, the worst first", _report),

@@ -17,8 +17,10 @@ from mirror.cli.verbs import HEADINGS, all_commands
 
 DATASET_FIRST = (
     "annotate",
+    "annotate train",
     "baseline",
     "calibrate check",
+    "calibrate refine",
     "check",
     "dataset publish",
     "deidentify",
@@ -42,6 +44,7 @@ DATASET_FIRST = (
     "submission check",
     "submission hidden",
     "submission new",
+    "view",
 )
 """Commands that read a dataset: its place is the first argument."""
 

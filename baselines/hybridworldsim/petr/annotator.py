@@ -17,7 +17,7 @@ from hybridworldsim.petr.encoding import matrix_points
 from hybridworldsim.petr.head import HeadSettings
 from hybridworldsim.petr.rig import EGO_SE3_LIDAR, ORDER, InputRaster, choose_cameras, prepare
 from mirror.annotation.detections import AnnotationError, Detections
-from mirror.annotation.protocol import Annotator, require_settings
+from mirror.annotation.protocol import Annotator, require_settings, share_setting
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import UsageError
@@ -127,20 +127,10 @@ class _Installed:
         return PetrAnnotator(
             checkpoint,
             device,
-            _share(settings.get("min_score", "0.2")),
+            share_setting(settings, "min_score", 0.2),
             _cameras(settings.get("cameras", "")),
             _raster(settings.get("raster", "800x320")),
         )
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1.0:
-        raise UsageError(text, place="--set min_score", expected="a number from 0 to below 1")
-    return value
 
 
 def _cameras(text: str) -> dict[str, str]:

@@ -1,0 +1,94 @@
+"""The annotator ``petr-tiny``: a network that ships with the package, or one of ``mirror annotate train``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+
+from hybridworldsim.petr.tiny.detect import find_boxes
+from hybridworldsim.petr.tiny.model_file import read_model
+from hybridworldsim.petr.tiny.network import TinyPetr
+from hybridworldsim.petr.tiny.samples import camera_input
+from hybridworldsim.petr.tiny.settings import CLASSES
+from mirror.annotation.detections import Detections
+from mirror.annotation.protocol import Annotator, TrainingReport, TrainingTask, require_settings, share_setting
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame
+from mirror.errors import UsageError
+from mirror.geometry.poses import Poses
+from mirror.progress import ProgressReporter
+
+SHIPPED: Final = Path(str(files("hybridworldsim.petr.tiny") / "weights" / "petr_tiny.safetensors"))
+SHIPPED_SHA256: Final = ""
+_SETTINGS: Final = {
+    "weights": "model.safetensors of `mirror annotate train`; by default the network that is installed",
+    "sha256": "its hash; a file with another one is refused",
+    "min_score": "boxes with a lower score are left out, 0.2 by default",
+}
+
+
+class TinyAnnotator:
+    """Runs a network on one frame after the other.
+
+    Args:
+        network: the network, in evaluation mode.
+        sha256: hash of its file.
+        device: torch device.
+        min_score: least score of a box.
+    """
+
+    def __init__(self, network: TinyPetr, sha256: str, device: str, min_score: float) -> None:
+        self.name, self.version = "petr-tiny", sha256[:8]
+        self.fingerprint = f"petr-tiny {sha256} {min_score}"
+        self._network, self._min_score = network.to(device), min_score
+
+    def annotate(self, frame: Frame) -> Detections:
+        """Find the boxes of one frame. Velocities are unknown: `mirror annotate track` estimates them."""
+        cameras = camera_input(frame, self._network.settings)
+        boxes = find_boxes(self._network, cameras, min_score=self._min_score)
+        count = len(boxes.score)
+        if not count:
+            return Detections.empty(frame.timestamp_ns)
+        half = 0.5 * boxes.yaw_rad.double().cpu().numpy()
+        zero = np.zeros(count)
+        return Detections(
+            frame.timestamp_ns,
+            Poses(np.stack((np.cos(half), zero, zero, np.sin(half)), axis=1), boxes.centre_m.double().cpu().numpy()),
+            boxes.size_m.double().cpu().numpy(),
+            np.full((count, 3), np.nan),
+            tuple(CLASSES[label] for label in boxes.label.tolist()),
+            boxes.score.double().cpu().numpy(),
+        )
+
+    def close(self) -> None:
+        """Nothing is held but memory."""
+
+
+class _Installed:
+    settings: Mapping[str, str] = _SETTINGS
+
+    def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:
+        """Read the network, and check device and settings."""
+        require_settings("petr-tiny", settings, self.settings)
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise UsageError("no CUDA device is available", place="--device", expected="cpu, or a machine with a GPU")
+        given = settings.get("weights")
+        expected = settings.get("sha256") or (None if given else SHIPPED_SHA256)
+        network, digest = read_model(Path(given) if given else SHIPPED, sha256=expected)
+        return TinyAnnotator(network, digest, device, share_setting(settings, "min_score", 0.2))
+
+    def train(
+        self, datasets: Sequence[Dataset], task: TrainingTask, out: Path, progress: ProgressReporter
+    ) -> TrainingReport:
+        """Train a network on the boxes of datasets."""
+        from hybridworldsim.petr.tiny.run import train_on_datasets
+
+        return train_on_datasets(datasets, task, out, progress)
+
+
+ANNOTATOR: Final = _Installed()

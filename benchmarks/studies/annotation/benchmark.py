@@ -1,0 +1,193 @@
+"""Accuracy of the tiny PETR over processor time of training; `experiment.toml` is declared and hashed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.studies.annotation.declaration import Declaration, load_declaration
+from benchmarks.studies.annotation.references import ground_boxes, prior_boxes
+from benchmarks.studies.annotation.scoring import CLASS, Found, Scores, TestFrame, read_test_frames, score
+from hybridworldsim.petr.tiny.network import TinyPetr
+from hybridworldsim.petr.tiny.samples import Sample
+from mirror.dataset.dataset import Dataset
+from mirror.progress import ProgressReporter
+
+OUTCOMES: Final = Path(__file__).with_name("outcomes.jsonl")
+_LAYER: Final = "synth"
+
+
+def main(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser(prog="benchmarks annotation", description=__doc__)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs.add_parser("declared", help="print the hash of the declaration")
+    verbs.add_parser("show", help="print the table of the outcomes")
+    for name, text in (
+        ("train", "train with each budget and seed; continues"),
+        ("score", "score the finished runs that have no outcome yet"),
+        ("references", "score what needs no training"),
+    ):
+        verb = verbs.add_parser(name, help=text)
+        verb.add_argument("--dataset", type=Path, required=True, help="the ingested streets")
+        if name != "train":
+            verb.add_argument("--recordings", type=Path, required=True, help="the recordings, with truth of boxes")
+        if name != "references":
+            verb.add_argument("--out", type=Path, required=True, help="folder of the runs")
+        if name == "train":
+            verb.add_argument("--minutes", type=float, help="this budget alone")
+            verb.add_argument("--seed", type=int, help="this seed alone")
+    arguments = parser.parse_args(argv)
+    declaration = load_declaration()
+    print(f"declaration {declaration.hash}", flush=True)
+    match arguments.verb:
+        case "train":
+            _train(declaration, arguments)
+        case "score":
+            _score(declaration, arguments)
+        case "references":
+            _references(declaration, arguments)
+        case "show":
+            _show(declaration)
+    return 0
+
+
+def _open(path: Path) -> Dataset:
+    import mirror
+    from mirror.annotation.box_layer import box_layers
+
+    dataset = mirror.open(path)
+    (layer,) = [name for name in box_layers(dataset) if name.startswith(f"{_LAYER}@")]
+    return dataset.with_layers(boxes=layer)
+
+
+def _test_frames(declaration: Declaration, arguments: argparse.Namespace) -> list[TestFrame]:
+    from hybridworldsim.petr.tiny.settings import NetworkSettings
+
+    dataset = _open(arguments.dataset)
+    frames = []
+    for scene in declaration.held_out:
+        view = dataset.where(scene=scene)
+        frames += read_test_frames(view, arguments.recordings, declaration.bar, NetworkSettings())
+    return frames
+
+
+def _training_samples(declaration: Declaration, dataset: Dataset, bar: ProgressReporter) -> list[Sample]:
+    from hybridworldsim.petr.tiny.run import read_training_samples
+    from hybridworldsim.petr.tiny.settings import NetworkSettings, training_settings
+
+    training = training_settings(declaration.settings)
+    views = [dataset.where(scene=scene) for scene in declaration.training]
+    return read_training_samples(views, NetworkSettings(), training, bar)
+
+
+def _train(declaration: Declaration, arguments: argparse.Namespace) -> None:
+    from hybridworldsim.petr.tiny.run import train_on_samples
+    from hybridworldsim.petr.tiny.settings import training_settings
+    from mirror.annotation.protocol import TrainingTask
+    from mirror.progress import progress_bar
+
+    with progress_bar() as bar:
+        samples = _training_samples(declaration, _open(arguments.dataset), bar)
+        for minutes, seed in product(declaration.core_minutes, declaration.seeds):
+            if arguments.minutes in (None, minutes) and arguments.seed in (None, seed):
+                task = TrainingTask(None, minutes, seed, declaration.threads, declaration.settings)
+                out = _folder(arguments.out, minutes, seed)
+                report = train_on_samples(samples, training_settings(declaration.settings), task, out, bar)
+                bar.message(json.dumps(asdict(report)))
+
+
+def _folder(out: Path, minutes: float, seed: int) -> Path:
+    return out / f"{minutes:g}min-seed{seed}"
+
+
+def _score(declaration: Declaration, arguments: argparse.Namespace) -> None:
+    from hybridworldsim.petr.tiny.model_file import read_model
+    from hybridworldsim.petr.tiny.run import AnnotatorOutcome, AnnotatorRun
+    from mirror.schema.files import read_json
+
+    scored = {(row.get("minutes"), row.get("seed")) for row in _rows(declaration)}
+    frames = _test_frames(declaration, arguments)
+    for minutes, seed in product(declaration.core_minutes, declaration.seeds):
+        folder = _folder(arguments.out, minutes, seed)
+        if (minutes, seed) in scored or not (folder / "outcome.json").exists():
+            continue
+        run, outcome = (
+            read_json(folder / "run.json", AnnotatorRun),
+            read_json(folder / "outcome.json", AnnotatorOutcome),
+        )
+        network, _ = read_model(folder / "model.safetensors")
+        scores = score(frames, _finder(network), declaration.bar)
+        trained = {"trained_frames": run.frames, "trained_boxes": run.boxes}
+        row = {"minutes": minutes, "seed": seed, **outcome.model_dump(), **trained, **asdict(scores)}
+        _append(declaration, row)
+        print(json.dumps(row))
+
+
+def _finder(network: TinyPetr) -> Callable[[TestFrame], Found]:
+    from hybridworldsim.petr.tiny.detect import find_boxes
+    from hybridworldsim.petr.tiny.settings import CLASSES
+
+    label = CLASSES.index(CLASS)
+
+    def find(frame: TestFrame) -> Found:
+        boxes = find_boxes(network, frame.cameras)
+        cars = boxes.label == label
+        values = (boxes.centre_m, boxes.size_m, boxes.yaw_rad, boxes.score)
+        return Found(*(value[cars].double().numpy() for value in values))
+
+    return find
+
+
+def _references(declaration: Declaration, arguments: argparse.Namespace) -> None:
+    from mirror.progress import NullProgress
+
+    samples = _training_samples(declaration, _open(arguments.dataset), NullProgress())
+    prior = prior_boxes(samples, declaration.bar.range_m)
+    frames = _test_frames(declaration, arguments)
+    for name, find in (("prior", lambda _: prior), ("ground", ground_boxes(prior))):
+        scores: Scores = score(frames, find, declaration.bar)
+        _append(declaration, {"reference": name, **asdict(scores)})
+        print(name, scores)
+
+
+def _rows(declaration: Declaration) -> list[dict[str, Any]]:
+    rows = [json.loads(line) for line in OUTCOMES.read_text().splitlines()] if OUTCOMES.exists() else []
+    return [row for row in rows if row["declaration"] == declaration.hash]
+
+
+def _append(declaration: Declaration, row: dict[str, Any]) -> None:
+    with OUTCOMES.open("a") as file:
+        file.write(json.dumps({"declaration": declaration.hash, **row}, sort_keys=True) + "\n")
+
+
+def _show(declaration: Declaration) -> None:
+    rows = _rows(declaration)
+    print("| trained | core-minutes | steps | frames | mAP | AP@0.5 | AP@1 | AP@2 | AP@4 | position | heading |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    for row in rows:
+        if "reference" in row:
+            _print_row((row["reference"], "", "", ""), [row])
+    for minutes in declaration.core_minutes:
+        chosen = [row for row in rows if row.get("minutes") == minutes]
+        for row in chosen:
+            spent = f"{row['core_s'] / 60:.1f}"
+            _print_row((f"seed {row['seed']}", spent, str(row["steps"]), str(row["trained_frames"])), [row])
+        if chosen:
+            _print_row((f"mean of {len(chosen)}", f"{minutes:g}", "", ""), chosen)
+
+
+def _print_row(names: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    def mean(name: str) -> float:
+        return float(np.mean([row[name] for row in rows]))
+
+    aps = [float(np.mean([row["ap"][key] for row in rows])) for key in ("0.5", "1", "2", "4")]
+    values = [f"{value:.3f}" for value in (mean("mean_ap"), *aps)]
+    errors = [f"{mean('translation_m'):.2f} m", f"{mean('heading_rad'):.2f} rad"]
+    print(f"| {' | '.join([*names, *values, *errors])} |")

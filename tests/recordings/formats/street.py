@@ -13,7 +13,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_from_heading_pitch_roll
+from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp, quaternion_from_heading_pitch_roll
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -82,6 +82,18 @@ class StreetDrive:
 
         objects = tuple(replace(one, world_SE3_box=moved(one.world_SE3_box)) for one in self.objects)
         return replace(self, poses_at=lambda stamps: moved(self.poses_at(stamps)), objects=objects)
+
+    def upright(self) -> StreetDrive:
+        """The same drive with boxes that are turned about z alone, for formats that have no other rotation."""
+
+        def level(poses: Poses) -> Poses:
+            ahead = matrix_from_quaternion(poses.rotation)[:, :, 0]
+            yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
+            return Poses(quaternion_exp(np.outer(yaw, (0.0, 0.0, 1.0))), poses.translation)
+
+        return replace(
+            self, objects=tuple(replace(one, world_SE3_box=level(one.world_SE3_box)) for one in self.objects)
+        )
 
     def with_cameras(self, names: tuple[str, ...]) -> StreetDrive:
         """The same drive with some of its cameras."""

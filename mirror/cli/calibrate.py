@@ -14,10 +14,15 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 
 if TYPE_CHECKING:
     from mirror.calibration.check import CalibrationCheck
+    from mirror.calibration.refinement.report import RefinementReport
 
 _CHECK_EXAMPLES = (
     "mirror calibrate check demo/dataset --out calibration",
     "mirror calibrate check demo/dataset --stage factory --out calibration-factory --json",
+)
+_REFINE_EXAMPLES = (
+    "mirror calibrate refine demo/dataset",
+    "mirror calibrate refine demo/dataset --frames 20 --version 20-frames --json",
 )
 
 
@@ -61,10 +66,52 @@ class Check:
     """Print the result as JSON."""
 
 
+@dataclass(frozen=True)
+class Refine:
+    """Adjust mountings and lenses of all cameras to matched features, and write them as a layer of calibrations.
+
+    The layer refined@VERSION has stage refined, covariances and the hashes of what it came from; no other layer and no
+    recorded calibration is changed. An interrupted refinement continues. Exit codes: 0 all was refined, 2 could not
+    run, 3 some cameras or traversals keep their calibration.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    version: Annotated[str, help_text(metavar="NAME")] = "1"
+    """Version of the layer refined@VERSION; an existing layer is kept."""
+    stage: Annotated[
+        Literal["factory", "online", "refined"] | None, help_text(default="the best of each camera", metavar="STAGE")
+    ] = None
+    """Stage to begin with: factory, online or refined."""
+    calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of calibrations to begin with."""
+    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of poses."""
+    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
+    """Layer of boxes, which mask moving road users."""
+    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
+    """Scene to refine."""
+    frames: int = 12
+    """Number of frames per traversal."""
+    step_m: float = 2.0
+    """Distance between neighbouring frames on a straight road, metres; on bends 8 degrees."""
+    pose_sigma_m: float = 0.005
+    """White noise of the recorded positions, 1-sigma along each axis, metres."""
+    pose_drift_m: float = 0.03
+    """Smooth drift of the recorded positions over some seconds, 1-sigma along each axis, metres."""
+    pose_sigma_deg: float = 0.03
+    """Noise of the recorded rotations, 1-sigma about each axis, degrees."""
+    offset_m: float = 0.05
+    """Offset between the recorded positions of two traversals, 1-sigma along each axis, metres."""
+    json: bool = False
+    """Print the result as JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     subcommands = {
         "check": Subcommand("estimate calibration errors from images, with a report page", _check),
+        "refine": Subcommand("adjust the calibrations to the images, and write them as a layer", _refine),
     }
     return run_subcommand(argv, "mirror calibrate", subcommands)
 
@@ -130,3 +177,62 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
     )
     console.print(f"verdict: {found.verdict} (a pass needs {found.needed} traversals without a failure)")
     console.print(f"report: {out / 'report.html'}")
+
+
+def _refine(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Refine, argv, "mirror calibrate refine", examples=_REFINE_EXAMPLES)
+
+    import mirror
+    from mirror.calibration.frame_choice import FrameChoice
+    from mirror.calibration.refinement.rigs import RefinementPrior
+    from mirror.calibration.refinement.run import DEFAULT_CHOICE, refine_calibrations
+    from mirror.calibration.rig import PosePrior
+    from mirror.progress import progress_bar
+
+    dataset = mirror.open(arguments.dataset).with_layers(
+        poses=arguments.poses, calibrations=arguments.calibrations, stage=arguments.stage, boxes=arguments.boxes
+    )
+    if arguments.scene is not None:
+        dataset = dataset.where(scene=arguments.scene)
+    poses = PosePrior(
+        attitude_deg=arguments.pose_sigma_deg, position_m=arguments.pose_sigma_m, drift_m=arguments.pose_drift_m
+    )
+    choice = FrameChoice(frames=arguments.frames, step_m=arguments.step_m, step_deg=DEFAULT_CHOICE.step_deg)
+    with progress_bar(quiet=arguments.json) as bar:
+        report = refine_calibrations(
+            dataset, version=arguments.version, choice=choice,
+            prior=RefinementPrior(poses, offset_m=arguments.offset_m), progress=bar,
+        )  # fmt: skip
+    if arguments.json:
+        print(json.dumps(report.to_dict()))
+    else:
+        _print_refinement(report, arguments)
+    return report.exit_code()
+
+
+def _print_refinement(report: RefinementReport, arguments: Refine) -> None:
+    from mirror.cli.output import plain_console
+
+    console = plain_console(soft_wrap=True)
+    for item in report.traversals:
+        if item.message or not item.cameras:
+            console.print(f"{item.traversal_id}: {item.status}" + (f": {item.message}" if item.message else ""))
+        else:
+            console.print(f"{item.traversal_id}: {item.images} images of {item.frames} frames")
+        for one in item.cameras:
+            vehicle = ", ".join(
+                f"{error:+.3f} +- {sigma:.3f}" for error, sigma in zip(one.vehicle_deg, one.vehicle_sigma_deg)
+            )
+            console.print(
+                f"  {one.camera:<13} {one.status:<8} was off by {one.relative_deg:.3f} +- {one.relative_sigma_deg:.3f}"
+                f" degrees relative to {one.reference}; roll, pitch, yaw to the vehicle {vehicle}"
+                + (f"; {one.reason}" if one.reason else "")
+                + (f"; {', '.join(one.held)} kept: unobservable" if one.held else "")
+            )
+        for message in item.unread:
+            console.print(f"  could not read: {message}")
+    if any(item.status in ("refined", "existing") for item in report.traversals):
+        console.print(
+            f"layer: calibrations/{report.layer}\n"
+            f"next: mirror reconstruct {arguments.dataset} --calibrations {report.layer} --split NAME --out MODEL"
+        )

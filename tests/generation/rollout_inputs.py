@@ -12,14 +12,10 @@ from hybridworldsim.generation.network.configuration import AdapterConfig
 from tests.generation.builders import SHORT, make_conditions
 
 T = 3
-
-
 AS_CHANNELS = replace(
     SHORT, latent_channels=4, reference_channels=4 * T, temporal_layers=(), causal=False, camera="explicit",
     layout=AdapterConfig(2 * (T + 1), 8, scales=(1, 1)),
 )  # fmt: skip
-
-
 AS_FRAMES = replace(SHORT, latent_channels=4, camera="explicit", layout=AdapterConfig(2, 8, scales=(1, 1)))
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from mirror.errors import UsageError
 from mirror.geometry import Camera, Poses, convex_hull, corners, points_in_boxes, project_boxes, rotate
 from mirror.geometry.boxes import CORNER_SIGNS, EDGES, FACES
-from tests.geometry.test_cameras import CAMERAS, each_model
+from tests.geometry.cameras import CAMERAS, each_model
 
 NEAR_M = 0.1
 # Turns back within its own image: pixels near the corners see nothing.

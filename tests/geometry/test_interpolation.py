@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg, interpolate
-from tests.geometry.test_poses import random_poses
+from tests.geometry.poses import random_poses
 
 EPOCH_NS = 1_700_000_000_123_456_789
 

@@ -12,11 +12,7 @@ from scipy.linalg import expm
 
 from mirror.errors import UsageError
 from mirror.geometry import Poses, angle_between_deg, quaternion_exp
-
-
-def random_poses(count: int, seed: int = 0, scale_m: float = 10.0) -> Poses:
-    generator = np.random.default_rng(seed)
-    return Poses(generator.normal(size=(count, 4)), generator.normal(size=(count, 3)) * scale_m)
+from tests.geometry.poses import random_poses
 
 
 def twist_matrix(twist: np.ndarray) -> np.ndarray:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, CleaningReport
 from tests.ingest import reference_cleaning
 from tests.ingest.drives import ANTIMERIDIAN, CITY, PLANE, T0_NS, Driver
+from tests.ingest.rsk import rsk_track
 
 STATUSES = ("kept", "restart", "invalid", "duplicate_time", "repeated", "outlier")
 LETTERS = dict(zip(STATUSES, "KRidro"))
@@ -218,21 +217,6 @@ def test_several_threads_at_once() -> None:
     with ThreadPoolExecutor(8) as pool:
         for one, _ in pool.map(lambda _: clean(track, CleaningOptions()), range(32)):
             np.testing.assert_array_equal(one.status, alone)
-
-
-def rsk_track(path: Path) -> Track:
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    stamps = [
-        int(datetime.strptime(f"{row['Date']} {row['Time']}", "%m/%d/%Y %H:%M:%S").replace(tzinfo=UTC).timestamp())
-        for row in rows
-    ]
-    return Track(
-        timestamp_ns=np.array(stamps, np.int64) * 10**9,
-        longitude_deg=np.array([float(row["LON"]) for row in rows]),
-        latitude_deg=np.array([float(row["LAT"]) for row in rows]),
-        file=path,
-    )
 
 
 def test_the_dirty_drives_of_rsk(real_data: Path) -> None:

@@ -16,7 +16,7 @@ from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
 from tests.ingest.drives import ANTIMERIDIAN, ARCTIC, CITY, PLANE, Driver, Place
 from tests.ingest.passes import run, straight
-from tests.ingest.test_clean import rsk_track
+from tests.ingest.rsk import rsk_track
 
 # --- sets of ROIs -------------------------------------------------------------------------------------------------
 

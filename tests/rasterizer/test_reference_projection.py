@@ -3,15 +3,10 @@
 import pytest
 import torch
 
-from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.presets import PRESETS
+from tests.rasterizer.lenses import BROWN, FISHEYE
 from tests.rasterizer.small import WIDTH, K, gaussians, project_small, render_image
 
-FISHEYE = Lens(model="fisheye", radial_coeffs=(0.05, -0.01, 0.002, -0.0005))
-BROWN = Lens(
-    model="pinhole", radial_coeffs=(-0.1, 0.02, -0.001, 0.03, 0.004, 0.0005), tangential_coeffs=(0.002, -0.001),
-    thin_prism_coeffs=(0.001, -0.0005, 0.0008, 0.0003),
-)  # fmt: skip
 TILTED = torch.tensor(
     [[0.96, 0.0, 0.28, 0.1], [0.0, 1.0, 0.0, -0.2], [-0.28, 0.0, 0.96, 0.3], [0.0, 0.0, 0.0, 1.0]], dtype=torch.float64
 )

@@ -8,8 +8,8 @@ import torch
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.reference.unscented import PROJECTIONS, project_unscented
 from mirror.errors import UsageError
+from tests.rasterizer.lenses import BROWN, FISHEYE
 from tests.rasterizer.small import HEIGHT, WIDTH, K, gaussians, project_small
-from tests.rasterizer.test_reference_projection import BROWN, FISHEYE
 
 
 def _points(number: int) -> torch.Tensor:

@@ -12,8 +12,7 @@ from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
-
-from .test_projection import Inputs, distance, gradients, leaves, options, random_gaussians
+from tests.rasterizer.projections import Inputs, distance, gradients, leaves, options, random_gaussians
 
 K = torch.tensor([[300.0, 0.0, 315.0], [0.0, 310.0, 245.0], [0.0, 0.0, 1.0]])
 WIDTH, HEIGHT = 640, 480

@@ -16,7 +16,7 @@ from mirror.recordings.comma2k19 import Comma2k19Reader
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.recordings.clean_track import clean_track
-from tests.recordings.test_video import FRAMES, decode_all, write_video
+from tests.recordings.videos import FRAMES, decode_all, write_video
 
 ROUTE = "b0c9d2329ad1606b|2018-08-02--08-34-47"
 # San Francisco in ECEF, level and heading along -x; forward, right, down axes.

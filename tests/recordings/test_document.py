@@ -16,7 +16,7 @@ from mirror.recordings.registry import load_readers, open_recording
 from mirror.recordings.time import TIME_BASES
 from tests.conftest import ROOT
 from tests.recordings.layout import write_image
-from tests.recordings.test_video import FRAMES, write_video
+from tests.recordings.videos import FRAMES, write_video
 
 TEXT = (ROOT / "docs" / "recordings.md").read_text()
 

@@ -12,7 +12,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.registry import open_recording
 from tests.recordings.layout import START_NS, write_image, write_recording
-from tests.recordings.test_video import FRAMES, decode_all, write_video
+from tests.recordings.videos import FRAMES, decode_all, write_video
 
 
 def stream_of(path: Path) -> ImageStream:

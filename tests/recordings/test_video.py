@@ -16,41 +16,11 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream
 from mirror.recordings.video import JPEG_QUALITY, VideoStream, read_video_stamps, to_unix_stamps
-
-GROUP, FRAMES = 10, 60
-
-
-def write_video(file: Path, *, codec: str = "libx264", gop: int = GROUP, b_frames: int = 2, rate: int = 30) -> Path:
-    """A moving gradient; presentation times jitter, as hardware stamps do."""
-    with av.open(str(file), "w") as container:
-        stream = container.add_stream(codec, rate=rate)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        stream.gop_size, stream.max_b_frames = gop, b_frames
-        stream.options = {"x265-params": "log-level=none"} if codec == "libx265" else {"sc_threshold": "0"}
-        stream.codec_context.time_base = Fraction(1, 1000)
-        columns, rows = np.meshgrid(np.arange(64), np.arange(48))
-        for index in range(FRAMES):
-            image = np.stack([columns * 4, rows * 5, (columns + index * 4) % 256], axis=-1).astype(np.uint8)
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame.pts, frame.time_base = index * 33 + index % 3, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
-    return file
+from tests.recordings.videos import FRAMES, GROUP, decode_all, write_video
 
 
 def open_stream(file: Path, pts: Int64) -> VideoStream:
     return VideoStream("front", pts * 1_000, pts * 1_000, file, pts)
-
-
-def decode_all(file: Path) -> list[tuple[int | None, bytes]]:
-    """The reference: decode every frame from the first, and encode it in the same way."""
-    found = []
-    with av.open(str(file)) as container:
-        for frame in container.decode(video=0):
-            image = frame.to_ndarray(format="bgr24")
-            _, data = cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
-            found.append((frame.pts, data.tobytes()))
-    return found
 
 
 @pytest.fixture(scope="module")

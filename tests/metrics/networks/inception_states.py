@@ -9,14 +9,8 @@ STEM = {
     "Conv2d_3b_1x1": (80, 64, 1, 1),
     "Conv2d_4a_3x3": (192, 80, 3, 3),
 }
-
-
 A = {"Mixed_5b": (192, 32), "Mixed_5c": (256, 64), "Mixed_5d": (288, 64)}
-
-
 C = {"Mixed_6b": 128, "Mixed_6c": 160, "Mixed_6d": 160, "Mixed_6e": 192}
-
-
 E = {"Mixed_7b": 1280, "Mixed_7c": 2048}
 
 

@@ -15,7 +15,7 @@ from mirror.recordings.readers.message_logs.images import MessageVideo
 from mirror.recordings.video import JPEG_QUALITY
 from tests.recordings.message_logs.test_containers import ONE, opened
 from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
-from tests.recordings.test_video import GROUP, write_video
+from tests.recordings.videos import GROUP, write_video
 
 VIDEO = """
 [cameras.rear]

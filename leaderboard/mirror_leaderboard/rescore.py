@@ -25,6 +25,10 @@ from mirror_leaderboard.recount import read_rows
 from mirror_leaderboard.refused import RefusedError
 
 _TOLERANCE: Final = 1e-9
+_OF_IMAGES: Final = ("reconstruction", "lane-shift")
+"""Tasks whose figures are means of the scores of single images."""
+
+_RUNTIME: Final = "runtime"
 _AGAIN: Final = "evaluate the submission again: mirror evaluate"
 _ROW_KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
 _COMPARED: Final = ("value", "n", "n_inf", "n_missing", "low", "high", "reason", "note", "interval_reason")
@@ -101,8 +105,18 @@ def require_plan(result: Result, path: Path, dataset: str) -> None:
         dataset: folder or URL of the dataset.
 
     Raises:
-        RefusedError: something differs from the plan, or does not follow from the table of images.
+        RefusedError: something differs from the plan, or does not follow from the table of images, as the figures of
+            whole sets (FID, KID, FVD, detection) and of edited regions never do.
     """
+    if result.protocol.task not in (*_OF_IMAGES, _RUNTIME):
+        raise RefusedError(
+            f"figures of the task {result.protocol.task} do not follow from the table of images, so that nothing "
+            "shows that they are true",
+            file=path,
+            place="figures",
+            expected="the renders that they were computed from",
+            remedy="mirror leaderboard add ... --submission SUBMISSION",
+        )
     opened = mirror.open(dataset)
     plan = plan_views(opened, result.protocol, result.dataset.split)
     _require_equal("dataset.dataset_hash", result.dataset.dataset_hash, plan.dataset_hash, path)
@@ -110,10 +124,10 @@ def require_plan(result: Result, path: Path, dataset: str) -> None:
     _require_available(result, plan, path)
     stand_ins = tuple(dict.fromkeys(f.metric for f in result.figures if f.metric.startswith(STAND_IN_PREFIX)))
     _require_equal("warnings", result.warnings, tuple(list_warnings(plan, result.submission, stand_ins)), path)
-    if result.protocol.task in ("reconstruction", "lane-shift"):
-        scored = _scored_jobs(plan, read_rows(path), path)
-        inputs = _stated_inputs(result, path, opened, plan, stand_ins)
-        _require_equal_figures(result.figures, load_scorer(result.protocol.task).figures(plan, scored, inputs), path)
+    # The task runtime has no images: its figures are those of the manifest.
+    scored = _scored_jobs(plan, read_rows(path), path) if result.protocol.task in _OF_IMAGES else []
+    inputs = _stated_inputs(result, path, opened, plan, stand_ins)
+    _require_equal_figures(result.figures, load_scorer(result.protocol.task).figures(plan, scored, inputs), path)
 
 
 def _require_available(result: Result, plan: Plan, path: Path) -> None:

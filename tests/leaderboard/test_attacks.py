@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
@@ -16,10 +17,12 @@ import pytest
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import SchemaError, UsageError
+from mirror.evaluation.result import Result
 from mirror.evaluation.run import EvaluationOptions, evaluate
-from mirror.evaluation.submission.manifest import Appearance
+from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.protocols.document import load_protocol, protocol_names
-from mirror.protocols.views import RenderView
+from mirror.protocols.views import RenderView, plan_views
 from mirror.schema.files import write_json
 from mirror_leaderboard import add as add_module
 from mirror_leaderboard.add import add_result
@@ -28,7 +31,7 @@ from mirror_leaderboard.entry import Measured, Reported, load_entries
 from mirror_leaderboard.keys import KEYS, OrganiserKeys, read_keys
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.refused import RefusedError
-from mirror_leaderboard.rescore import Sources
+from mirror_leaderboard.rescore import Sources, require_plan
 from mirror_leaderboard.signing import new_key
 from mirror_leaderboard.site.page import build
 from mirror_leaderboard.trust import require_trusted, rotate_key, sign_entries
@@ -119,6 +122,49 @@ def test_deleting_the_worse_half_of_the_frames_is_found(result: Path, root: Path
     edit(result, fewer)
     with pytest.raises(RefusedError, match=r"not one for each|is not the mean"):
         add_result(result, tmp_path / "board", "street", sources=Sources(str(root)))
+
+
+def test_forged_log_of_scores_is_found(scored: Path, result: Path, root: Path, tmp_path: Path) -> None:
+    """A log of scores beside the submission raises the result that it is given to; `add` scores the renders anew."""
+    shutil.copytree(scored / "out", tmp_path / "out")
+    log = tmp_path / "out" / "work" / "scored.jsonl"
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    for row in rows:
+        row["values"]["psnr"] += 15.0
+    log.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    (tmp_path / "out" / "images.parquet").unlink()
+    forged = evaluate(scored / "s", root, SMALL, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))
+    assert forged.reused == len(rows)
+    with pytest.raises(RefusedError, match="of psnr"):
+        sources = Sources(str(root), scored / "s", workers=1)
+        add_result(tmp_path / "out" / "result.json", tmp_path / "board", "street", sources=sources)
+
+
+@pytest.mark.parametrize("name", ["vehicle-translation", "generation", "editing-accuracy", "annotation"])
+def test_figures_of_whole_sets_need_the_renders(result: Path, root: Path, tmp_path: Path, name: str) -> None:
+    """Before: without renders, FID, KID, FVD, detection and editing kept the figures that the submitter stated."""
+    plain = json.loads(result.read_text())
+    protocol = load_protocol(name)
+    stated = Result.model_validate({**plain, "protocol": protocol, "protocol_hash": protocol.hash})
+    with pytest.raises(RefusedError, match="do not follow from the table of images"):
+        require_plan(stated, result, str(root))
+
+
+def test_times_of_an_unverified_row_are_those_of_its_manifest(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    """Before: any figure of the task runtime was accepted."""
+    protocol = load_protocol("runtime")
+    plan = plan_views(dataset, protocol, SPLIT)
+    runtime = Runtime(device="a GPU", frames_per_second=21.0)
+    (tmp_path / "s").mkdir()
+    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime))
+    done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))
+    assert done.result is not None
+    require_plan(done.result, tmp_path / "out" / "result.json", str(root))
+    (figure,) = done.result.figures
+    for change in ({"value": 2100.0}, {"group": "measured"}):
+        edited = done.result.model_copy(update={"figures": (figure.model_copy(update=change),)})
+        with pytest.raises(RefusedError, match="frames_per_second"):
+            require_plan(edited, tmp_path / "out" / "result.json", str(root))
 
 
 @pytest.mark.parametrize("with_submission", [False, True])

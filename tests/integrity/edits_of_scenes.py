@@ -10,7 +10,7 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import MANIFEST
 from mirror.dataset.redaction import current_redaction
 from mirror.schema.files import write_bytes
-from mirror.schema.tables import IMAGES
+from mirror.schema.tables import CALIBRATIONS, IMAGES
 from tests.dataset.builders import EPOCH, SECOND
 from tests.integrity.clean import FRAME_NS, FRAMES, SIZE, Broken, TableRows, jpeg, png
 from tests.integrity.edit import (
@@ -186,6 +186,12 @@ def _cameras() -> Iterator[Edit]:
     yield of("CAM012", _silent, images, "MSK002", "DEP002")
     yield of("CAM013", _jump, file)
     yield of("CAM014", cell(A0, "calibrations", 0, stage="refined", covariance=None), file)
+    yield of("CAM015", _stale_calibrations, f"traversals/{A0}/layers/calibrations/refined@1")
+
+
+def _stale_calibrations(broken: Broken) -> None:
+    writer = LayerWriter(broken.layout, A0, "calibrations", "refined", "1")
+    writer.finish(CALIBRATIONS, broken.read(A0, "calibrations"), {f"traversal:{A0}": "0" * 64, "settings": "1" * 64})
 
 
 def _overlapping_validity(broken: Broken) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import Layout, read_manifest
-from mirror.dataset.redaction import REDACTION, current_redaction
+from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.errors import DatasetError
 
 _KINDS: Final = ("poses", "calibrations", "boxes", "masks")
@@ -36,9 +36,10 @@ def hash_inputs(view: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
         for kind, name in _input_layers(view, traversal_id):
             source, _, version = name.partition("@")
             hashes[f"{kind}/{name}:{traversal_id}"] = _content(view.layout.layer(traversal_id, kind, source, version))
-        redaction = current_redaction(view.layout, traversal_id)
+        redaction = newest_redaction(view.layout.layers(traversal_id))
         if redaction is not None:
-            hashes[f"{REDACTION}:{traversal_id}"] = redaction
+            name = f"{REDACTION}/{redaction[0]}@{redaction[1]}:{traversal_id}"
+            hashes[name] = _content(view.layout.layer(traversal_id, REDACTION, *redaction))
     return hashes
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -367,3 +368,43 @@ def _refined_without_covariance(view: SceneView) -> Iterator[Finding]:
     codes, words = rows.text_codes("stage")
     refined = np.isin(codes, [code for code, word in enumerate(words) if word == "refined"])
     yield from rows.findings(refined & ~rows.is_known("covariance"), lambda row: "no covariance")
+
+
+_REFINED_FROM = ("poses", "calibrations", "boxes", "masks", "redaction")
+
+
+@scene_rule(
+    "CAM015",
+    Severity.ERROR,
+    title="A layer of calibrations was made from traversals or layers that have changed or are gone since.",
+    remedy="`mirror calibrate refine DATASET --version NAME`, and remove the old layer",
+)
+def _refined_from_changed(view: SceneView) -> Iterator[Finding]:
+    layout = view.dataset.layout
+    for item in view.traversals:
+        for kind, source, version in item.layers:
+            manifest = None
+            if kind == "calibrations":
+                manifest = view.dataset.folder_manifests.get(layout.layer(item.traversal_id, kind, source, version))
+            for key, value in {} if manifest is None else manifest.derived_from.items():
+                folder = _input_folder(view, key)
+                if folder is None:
+                    continue
+                present = view.dataset.folder_manifests.get(folder)
+                if present is None or present.content != value:
+                    what = "is gone" if present is None else "has changed"
+                    name = view.dataset.name(layout.layer(item.traversal_id, kind, source, version))
+                    yield Finding(name, "derived_from", f"stale: {view.dataset.name(folder)} {what}")
+                    break
+
+
+def _input_folder(view: SceneView, key: str) -> Path | None:
+    """The folder whose hash a layer records under a key; None: the key names no folder."""
+    what, _, traversal_id = key.partition(":")
+    if what == "traversal":
+        return view.dataset.layout.recorded(traversal_id)
+    kind, _, name = what.partition("/")
+    source, _, version = name.partition("@")
+    if kind not in _REFINED_FROM or not (version and traversal_id):
+        return None
+    return view.dataset.layout.layer(traversal_id, kind, source, version)

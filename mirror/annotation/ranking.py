@@ -28,6 +28,8 @@ class FrameRank:
         unmatched: boxes of either layer without a box of the other one within 2 m; 0 without a second layer.
         breaks: tracks that begin or end here, away from the ends of the traversal, within 25 m of the vehicle.
         unsure: sum of 1 - score of the boxes that have a score.
+        shift: largest distance in an image between the middle of a box and that of its partner in the other layer, as a
+            share of the image's width; 0 without a second layer.
     """
 
     traversal_id: str
@@ -36,11 +38,13 @@ class FrameRank:
     unmatched: int
     breaks: int
     unsure: float
+    shift: float = 0.0
 
     @property
     def order(self) -> tuple[float, int, str, int]:
-        """Sorts the worst frame first: disagreement and breaks, then doubt."""
-        return (-(self.unmatched + self.breaks + 0.1 * self.unsure), -self.boxes, self.traversal_id, self.timestamp_ns)
+        """Sorts the worst frame first: disagreement and breaks, then doubt. A shift of a tenth counts as a box."""
+        badness = self.unmatched + self.breaks + 0.1 * self.unsure + 10.0 * self.shift
+        return (-badness, -self.boxes, self.traversal_id, self.timestamp_ns)
 
 
 def rank_frames(dataset: Dataset, layer: str | None = None, against: str | None = None) -> list[FrameRank]:
@@ -62,16 +66,31 @@ def rank_frames(dataset: Dataset, layer: str | None = None, against: str | None 
         breaks = _breaks(frames)
         for number, frame in enumerate(frames):
             other = by_time.get(frame.timestamp_ns)
-            unmatched = 0 if other is None else count_unmatched(frame, other)
+            pairs = [] if other is None else match_boxes(frame, other)
+            unmatched = 0 if other is None else len(frame) + len(other) - 2 * len(pairs)
+            shift = 0.0 if other is None else _largest_shift(dataset, traversal_id, frame, other, pairs)
             unsure = float(np.nansum(1.0 - frame.score))
             ranks.append(
-                FrameRank(traversal_id, frame.timestamp_ns, len(frame), unmatched, breaks[number], round(unsure, 3))
+                FrameRank(
+                    traversal_id,
+                    frame.timestamp_ns,
+                    len(frame),
+                    unmatched,
+                    breaks[number],
+                    round(unsure, 3),
+                    round(shift, 4),
+                )
             )
     return sorted(ranks, key=lambda rank: rank.order)
 
 
 def count_unmatched(one: Detections, other: Detections) -> int:
     """The number of boxes of two sets that have no partner of their group in the other set within 2 m."""
+    return len(one) + len(other) - 2 * len(match_boxes(one, other))
+
+
+def match_boxes(one: Detections, other: Detections) -> list[tuple[int, int]]:
+    """Pairs of rows of two sets, nearest first: boxes of one group whose middles are within 2 m."""
     pairs = sorted(
         (float(np.linalg.norm(one.ego_SE3_box.translation[a, :2] - other.ego_SE3_box.translation[b, :2])), a, b)
         for a in range(len(one))
@@ -80,11 +99,36 @@ def count_unmatched(one: Detections, other: Detections) -> int:
     )
     first: set[int] = set()
     second: set[int] = set()
+    matched = []
     for away, a, b in pairs:
         if away <= _GATE_M and a not in first and b not in second:
             first.add(a)
             second.add(b)
-    return len(one) + len(other) - len(first) - len(second)
+            matched.append((a, b))
+    return matched
+
+
+def _largest_shift(
+    dataset: Dataset, traversal_id: str, one: Detections, other: Detections, pairs: Sequence[tuple[int, int]]
+) -> float:
+    """The largest distance in an image between the middles of partners, as a share of the image's width."""
+    stamp = one.timestamp_ns
+    if not pairs:
+        return 0.0
+    for frame in dataset.where(traversal=traversal_id, time=(stamp, stamp + 1)).frames()[:1]:
+        rows, others = (np.array(side) for side in zip(*pairs))
+        largest = 0.0
+        for image in frame.images.values():
+            camera_SE3_ego = image.world_SE3_camera.inverse() @ frame.world_SE3_ego
+            seen = image.camera_model.project((camera_SE3_ego @ one.ego_SE3_box[rows]).translation)
+            there = image.camera_model.project((camera_SE3_ego @ other.ego_SE3_box[others]).translation)
+            inside = (seen.uv_px >= 0.0).all(axis=1) & (seen.uv_px <= (image.width_px, image.height_px)).all(axis=1)
+            both = seen.valid & there.valid & inside
+            if both.any():
+                away = np.linalg.norm(seen.uv_px[both] - there.uv_px[both], axis=1)
+                largest = max(largest, float(away.max()) / image.width_px)
+        return largest
+    return 0.0
 
 
 def _breaks(frames: Sequence[Detections]) -> list[int]:

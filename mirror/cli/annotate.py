@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _MOST_SHOWN: Final = 5
 _CORE_MINUTES: Final = 3.0
+_VIDEO_HZ: Final = 4.0
 _EXAMPLES = (
     "mirror annotate demo/dataset --annotator file --set path=results.json",
     "mirror annotate demo/dataset --annotator subprocess --set command='python detect.py' --set limit_s=20",
@@ -140,8 +141,8 @@ class MaskArguments:
 class ReportArguments:
     """Write a page for review: images with their boxes, the worst frames first.
 
-    Frames come first where the boxes of two layers disagree and where tracks break within 25 m, then where scores are
-    low.
+    Frames come first where the boxes of two layers disagree, in space or in the images, and where tracks break within
+    25 m, then where scores are low.
     """
 
     dataset: tyro.conf.Positional[str]
@@ -154,6 +155,8 @@ class ReportArguments:
     """Another layer of boxes, to compare with."""
     frames: int = 20
     """Number of frames on the page."""
+    video: Annotated[Path | None, help_text(default="none", metavar="FILE.mp4")] = None
+    """Also write a video of the boxes from above, of the traversal with the worst frame; --against is drawn in grey."""
     json: bool = False
     """Print JSON."""
 
@@ -344,17 +347,28 @@ def _report(argv: Sequence[str]) -> int:
             rank.traversal_id,
             rank.timestamp_ns,
             f"{rank.boxes} boxes; {rank.unmatched} boxes without a partner; {rank.breaks} breaks of tracks;"
-            f" doubt {rank.unsure:.1f}",
+            f" doubt {rank.unsure:.1f}; largest shift {rank.shift:.1%} of the width",
         )
         for rank in ranks[: arguments.frames]
     ]
     title = f"Boxes of {layer}" + (f" against {arguments.against}" if arguments.against else "")
-    count = write_annotation_page(dataset.with_layers(boxes=layer), rows, arguments.out, title=title)
+    view = dataset.with_layers(boxes=layer)
+    count = write_annotation_page(view, rows, arguments.out, title=title)
+    video = str(arguments.video) if arguments.video and ranks else None
+    if arguments.video and ranks:
+        from mirror.view.birds_eye import draw_from_above
+        from mirror.view.video import write_video
+
+        images = draw_from_above(view, ranks[0].traversal_id, arguments.against)
+        write_video(arguments.video, images, _VIDEO_HZ)
     if arguments.json:
         worst = asdict(ranks[0]) if ranks else None
-        print(json.dumps({"path": str(arguments.out), "layer": layer, "frames": count, "worst": worst}))
+        result = {"path": str(arguments.out), "video": video, "layer": layer, "frames": count, "worst": worst}
+        print(json.dumps(result))
     else:
         print(f"{arguments.out}: the worst {count} of {len(ranks)} frames with boxes of {layer}")
+        if video:
+            print(f"{video}: traversal {ranks[0].traversal_id} from above, {_VIDEO_HZ:g} frames a second")
     return ExitCode.DONE
 
 

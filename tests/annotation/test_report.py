@@ -15,6 +15,7 @@ from mirror.annotation.ranking import count_unmatched, rank_frames
 from mirror.cli.main import main
 from mirror.dataset.frames import Frame
 from mirror.geometry import Poses
+from mirror.view.birds_eye import draw_from_above
 from tests.annotation.known import Known, truth
 
 
@@ -47,6 +48,73 @@ def test_frames_of_disagreement_come_first(root: Path, tmp_path: Path, capsys: p
     assert text.count("data:image/jpeg") == 6
     assert "2 boxes without a partner" in text
     assert main(["annotate", "report", str(root), "--out", str(page)]) == 2
+
+
+class Aside(Known):
+    """As `Known`, with the first box half a metre to the left."""
+
+    fingerprint = "aside"
+
+    def annotate(self, frame: Frame) -> Detections:
+        found = truth(frame)
+        place = found.ego_SE3_box.translation + np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+        return replace(found, ego_SE3_box=Poses(found.ego_SE3_box.rotation, place))
+
+
+def test_shifts_in_the_images_are_those_of_the_pinhole(root: Path) -> None:
+    annotate(mirror.open(root), Known())
+    annotate(mirror.open(root), Aside(), source="aside")
+    dataset = mirror.open(root)
+    ranks = {(rank.traversal_id, rank.timestamp_ns): rank for rank in rank_frames(dataset, "known@1", "aside@1")}
+    seen = 0
+    for frame in dataset.frames():
+        largest = 0.0
+        for image in frame.images.values():
+            camera = image.camera_model
+            assert camera.model == "pinhole"
+            matrix = (frame.world_SE3_ego.inverse() @ image.world_SE3_camera).inverse().matrix()[0]
+            place = truth(frame).ego_SE3_box.translation[0]
+            one, other = (matrix[:3, :3] @ np.add(place, (0.0, aside, 0.0)) + matrix[:3, 3] for aside in (0.0, 0.5))
+            if min(one[2], other[2]) <= 0.0:
+                continue
+            u, v = (camera.fx_px * one[0] / one[2] + camera.cx_px, camera.fy_px * one[1] / one[2] + camera.cy_px)
+            there = np.array(
+                (camera.fx_px * other[0] / other[2] + camera.cx_px, camera.fy_px * other[1] / other[2] + camera.cy_px)
+            )
+            if 0.0 <= u <= camera.width_px and 0.0 <= v <= camera.height_px:
+                largest = max(largest, float(np.linalg.norm(there - (u, v))) / camera.width_px)
+        rank = ranks[frame.traversal_id, frame.timestamp_ns]
+        assert rank.unmatched == 0
+        assert rank.shift == pytest.approx(largest, abs=1e-4)
+        seen += largest > 0.0
+    assert seen >= 4
+
+
+def test_the_view_from_above_has_boxes_where_they_are(root: Path) -> None:
+    annotate(mirror.open(root), Known())
+    dataset = mirror.open(root).with_layers(boxes="known@1")
+    images = list(draw_from_above(dataset, dataset.traversals()[0], range_m=20.0, size_px=400))
+    assert len(images) == 4
+    for number, image in enumerate(images):
+        # Ten pixels a metre: the middle of the car is 8 + number metres ahead and 2 m to the left.
+        row, column = 200 - 10 * (8 + number), 180
+        colour = image[row, column].astype(int)
+        assert colour[2] > colour[0] + 60
+        assert (image[row, 400 - column] == image[100, 20]).all()
+    with_other = next(draw_from_above(dataset, dataset.traversals()[0], "known@1", range_m=20.0, size_px=400))
+    # The first layer lies above the grey one.
+    assert with_other[120, 180, 2] > with_other[120, 180, 0].astype(int) + 60
+
+
+def test_the_report_writes_a_video(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    av = pytest.importorskip("av")
+    annotate(mirror.open(root), Known())
+    video = tmp_path / "above.mp4"
+    words = ["annotate", "report", str(root), "--boxes", "known@1", "--out", str(tmp_path / "review.html"), "--json"]
+    assert main([*words, "--video", str(video)]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["video"] == str(video)
+    with av.open(str(video)) as container:
+        assert sum(1 for _ in container.decode(video=0)) in (3, 4)
 
 
 def test_boxes_without_a_partner_are_counted_once() -> None:

@@ -93,7 +93,7 @@ def _train(declaration: Declaration, arguments: argparse.Namespace) -> None:
     from mirror.annotation.protocol import TrainingTask
     from mirror.progress import progress_bar
 
-    with progress_bar() as bar:
+    with progress_bar(quiet=False) as bar:
         samples = _training_samples(declaration, _open(arguments.dataset), bar)
         for minutes, seed in product(declaration.core_minutes, declaration.seeds):
             if arguments.minutes in (None, minutes) and arguments.seed in (None, seed):

@@ -59,6 +59,8 @@ class Arguments:
     ] = None
     """plane-sweep, mvsnet, patchmatchnet, sparse: estimate the layers of depth and points that are absent.
     dataset: use the layers of the dataset. SOURCE@VERSION: use this layer."""
+    calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of calibrations, such as refined@1 of mirror calibrate refine."""
     blocks: Annotated[str | None, help_text(default="all", metavar="NAME,...")] = None
     """Train these blocks only, so that other machines train the others at the same time.
     When all are trained, the same command without --blocks completes the model."""
@@ -98,7 +100,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
-    dataset = mirror.open(arguments.dataset)
+    dataset = mirror.open(arguments.dataset).with_layers(calibrations=arguments.calibrations)
     protocol = load_protocol(arguments.protocol)
     scaled = protocol.model_copy(
         update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}

@@ -26,7 +26,7 @@ _GROUPS: Final = {
 
 _NO_INTERVAL: Final = "no interval: "
 
-_MAX_COLUMNS: Final = 10
+_MAX_COLUMNS: Final = 9
 """The number of columns that fits a window of 1280 px."""
 
 
@@ -37,7 +37,8 @@ def board_table(board: Board, notes: dict[str, int]) -> str:
         board: the board.
         notes: numbers of the footnotes of its section; new ones are added.
     """
-    parts = _split_columns(board.columns)
+    # The table that ranks comes first.
+    parts = sorted(_split_columns(board.columns), key=lambda part: board.ranked_by not in part)
     return "".join(_format_table(board, part, notes, named=len(parts) > 1) for part in parts)
 
 

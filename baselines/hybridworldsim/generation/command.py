@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
+    from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
     from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+    from mirror.dataset.dataset import Dataset
 
+_SCENE_EXAMPLES = (
+    "mirror generate scene demo/block/dataset generator --background demo/block/model --out generated",
+    "mirror generate scene dataset generator --background exact:block --edit move:7:dy=1.5 --frames 20 --out moved",
+)
 _TRAIN_EXAMPLES = (
     "mirror generate train clips --steps 4000 --out generator",
     "mirror generate train clips --steps 4000 --no-background --autoencoder generator/autoencoder/model.safetensors "
@@ -90,11 +96,68 @@ class Train:
         return settings if self.background else without_background(settings)
 
 
+@dataclass(frozen=True)
+class Scene:
+    """Generate the road users of a scene over its static street: frames and a video, or a submission.
+
+    Without --split, the first five frames at --hz seed the rollout and are not output. With --split, every view that a
+    protocol asks for is generated, and backgrounds seed the rollout. The same command continues an interrupted run.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset: it has boxes, poses, lenses, and the images of the seeds."""
+    generator: tyro.conf.Positional[Path]
+    """Folder that `mirror generate train` wrote, or model.safetensors of a generator."""
+    background: Annotated[str, help_text(metavar="MODEL|exact:PRESET[:SEED]|files:FOLDER")]
+    """The static street: a model that `mirror reconstruct` wrote, the exact synthetic street, or
+    <camera>/<timestamp_ns>.png."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """A new folder, or that of an interrupted run with the same options."""
+    scene: Annotated[str | None, help_text(default="the only scene of the dataset", metavar="ID")] = None
+    """Scene."""
+    traversal: Annotated[str | None, help_text(default="the first of the scene", metavar="ID")] = None
+    """Traversal that gives boxes, cameras and seeds."""
+    trajectory: Annotated[str | None, help_text(default="the recorded line")] = None
+    """Line of the vehicle in the generated frames: lane-shift:METRES, forward:METRES, a traversal, or a file."""
+    edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="EDIT")] = ()
+    """move:TRACK:dx=METRES,dy=METRES, remove:TRACK, or add:CLASS:at=X,Y,HEADING_DEG in the world frame."""
+    appearance: str = "nearest"
+    """Appearance of a static model: nearest, mean, a traversal, or a word such as night."""
+    split: Annotated[str | None, help_text(default="none", metavar="NAME")] = None
+    """Split to write a submission for."""
+    protocol: Annotated[str, help_text(metavar="NAME")] = "generation"
+    """Protocol of the submission: generation, vehicle-translation, editing-accuracy, or a .toml file."""
+    cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
+    """Cameras, without --split."""
+    size: Annotated[str, help_text(metavar="WIDTHxHEIGHT")] = "96x64"
+    """Raster of generated images: that of the training."""
+    hz: float = 5.0
+    """Frames per second, without --split."""
+    frames: Annotated[int | None, help_text(default="all")] = None
+    """Largest number of generated frames, without --split."""
+    autoencoder: Annotated[Path | None, help_text(default="beside the generator", metavar="FILE")] = None
+    """Autoencoder that the generator was trained with."""
+    steps: int = 4
+    """Steps of the sampler."""
+    keep_empty_views: bool = True
+    """Whether a view without a road user keeps its background, at no cost."""
+    blend: Annotated[int | None, help_text(default="none", metavar="PIXELS")] = None
+    """Use generated pixels only near boxes, grown by this many pixels."""
+    seed: int = 0
+    """Seed of the noise."""
+    threads: int = 1
+    """Number of threads. Results repeat bit for bit at the same number."""
+    json: bool = False
+    """Print JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
-    return run_subcommand(
-        argv, "mirror generate", {"train": Subcommand("train a generator on a folder of clips", _train)}
-    )
+    subcommands = {
+        "train": Subcommand("train a generator on a folder of clips", _train),
+        "scene": Subcommand("generate the road users of a scene over its static street", _scene),
+    }
+    return run_subcommand(argv, "mirror generate", subcommands)
 
 
 def _train(argv: Sequence[str]) -> int:
@@ -130,3 +193,119 @@ def _train(argv: Sequence[str]) -> int:
         bound = result.autoencoder_outcome.psnr_db
         print(f"{result.autoencoder}: {bound:.2f} dB on its training images, which bounds what is generated")
     return ExitCode.DONE
+
+
+def _scene(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Scene, argv, "mirror generate scene", examples=_SCENE_EXAMPLES)
+    for option in ("traversal", "trajectory", "cameras", "frames"):
+        if arguments.split is not None and getattr(arguments, option) is not None:
+            raise UsageError("the protocol decides it", place=f"--{option}", expected="no such option beside --split")
+    if arguments.split is not None and arguments.edit:
+        raise UsageError("the protocol decides it", place="--edit", expected="no such option beside --split")
+
+    import mirror
+    from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+
+    dataset = mirror.open(arguments.dataset)
+    rollout = ClipRolloutOptions(
+        SamplerSettings(steps=arguments.steps), arguments.keep_empty_views, arguments.blend, arguments.seed
+    )
+    generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
+    if arguments.split is not None:
+        return _write_submission(arguments, dataset, generator, autoencoder, rollout)
+
+    from hybridworldsim.generation.scenes.run import SceneRequest, describe, generate_scene
+    from mirror.progress import progress_bar
+
+    request = SceneRequest(
+        generator,
+        autoencoder,
+        arguments.scene or _only_scene(dataset),
+        arguments.background,
+        traversal=arguments.traversal,
+        trajectory=arguments.trajectory,
+        edits=arguments.edit,
+        appearance=arguments.appearance,
+        cameras=None if arguments.cameras is None else tuple(arguments.cameras.split(",")),
+        size_px=_size(arguments.size),
+        hz=arguments.hz,
+        frames=arguments.frames,
+        rollout=rollout,
+        threads=arguments.threads,
+    )
+    with progress_bar(quiet=arguments.json) as bar:
+        document = generate_scene(dataset, request, arguments.out, bar)
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), **document.model_dump()}))
+    else:
+        print(f"{arguments.out}: {describe(document)}")
+        print(f"video: {arguments.out / 'video.mp4'}")
+    return ExitCode.DONE
+
+
+def _write_submission(
+    arguments: Scene, dataset: Dataset, generator: Path, autoencoder: Path, rollout: ClipRolloutOptions
+) -> int:
+    import torch
+
+    from hybridworldsim.generation.scenes.backgrounds import open_background
+    from hybridworldsim.generation.scenes.run import open_generator
+    from hybridworldsim.generation.scenes.submission import render_plan
+    from mirror.evaluation.submission.manifest import Appearance, Method
+    from mirror.evaluation.submission.writing import write_submission
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+    from mirror.protocols.views import plan_views
+    from mirror.weights.resolve import file_sha256
+
+    torch.set_num_threads(arguments.threads)
+    model, size = open_generator(generator, autoencoder), _size(arguments.size)
+    plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
+    background, identity = open_background(arguments.background, dataset, arguments.appearance, plan.views)
+    inputs = (file_sha256(generator), file_sha256(autoencoder), identity, repr(rollout), arguments.size)
+    with progress_bar(quiet=arguments.json) as bar:
+        count = write_submission(
+            dataset,
+            plan,
+            lambda _, requested: render_plan(dataset, plan, model, background, size, rollout, requested.views),
+            Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
+            Appearance(policy="other", description=f"of the background: {arguments.appearance}"),
+            arguments.out,
+            bar,
+            of="|".join((*inputs, str(arguments.threads))),
+        )
+    if arguments.json:
+        print(json.dumps({"out": str(arguments.out), "views": count}))
+    else:
+        print(f"{count} views: {arguments.out}")
+        print(f"next: mirror evaluate {arguments.dataset} {arguments.out}")
+    return ExitCode.DONE
+
+
+def _model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, Path]:
+    """The files of a generator and its autoencoder, from a folder of `mirror generate train` or from files."""
+    name = "model.safetensors"
+    inner = generator / "generator" / name
+    file = inner if inner.is_file() else generator / name if generator.is_dir() else generator
+    beside = autoencoder or file.parent.parent / "autoencoder" / name
+    for path, place in ((file, "GENERATOR"), (beside, "--autoencoder")):
+        if not path.is_file():
+            raise UsageError(
+                "no such file", file=path, place=place, expected="a model that `mirror generate train` wrote"
+            )
+    return file, beside
+
+
+def _only_scene(dataset: Dataset) -> str:
+    scenes = dataset.scenes()
+    if len(scenes) != 1:
+        raise UsageError(f"{len(scenes)} scenes", place="--scene", expected=f"one of {', '.join(scenes)}")
+    return scenes[0]
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise UsageError(f"{text!r}", place="--size", expected="WIDTHxHEIGHT, such as 96x64")
+    return int(height), int(width)

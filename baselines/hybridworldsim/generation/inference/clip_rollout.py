@@ -48,11 +48,13 @@ class GeneratedFrame:
         frame: number of the frame in the clip.
         images: (V, H, W, 3).
         generated: (V,) which views the network generated; the others are their background.
+        latents: (1, 1, V, C, H, W) of the images, with which a later rollout continues.
     """
 
     frame: int
     images: UInt8
     generated: Bool
+    latents: torch.Tensor
 
 
 def roll_out_clip(
@@ -65,6 +67,8 @@ def roll_out_clip(
     options: ClipRolloutOptions,
     *,
     edited: Clip | None = None,
+    latents: torch.Tensor | None = None,
+    offset: int = 0,
 ) -> Iterator[GeneratedFrame]:
     """Generate the frames of a clip from a first one on, frame by frame.
 
@@ -77,6 +81,9 @@ def roll_out_clip(
         references: T, number of reference frames.
         options: see `ClipRolloutOptions`.
         edited: the same clip with other boxes, which hold from the first generated frame on; None: those of the clip.
+        latents: (1, T, V, C, H, W) of the references, from an earlier rollout over the frames before; None: those of
+            the recorded images.
+        offset: number of the clip's first frame in a longer sequence; the noise of a frame depends on its number there.
 
     Raises:
         UsageError: fewer than T frames stand before the first one, or a part does not fit the network.
@@ -84,8 +91,9 @@ def roll_out_clip(
     seeds = seed_frames(first, references)
     layouts = {frame: _layout(clip, frame, style) for frame in seeds}
     conditions = [_conditions(clip, frame, network, layouts[frame]) for frame in seeds]
-    latents = torch.stack([_encode(codec, clip.images[frame]) for frame in seeds])[None]
-    rollout = Rollout(network, latents, conditions, options.sampler, seed=options.seed, first=first)
+    if latents is None:
+        latents = torch.stack([_encode(codec, clip.images[frame]) for frame in seeds])[None]
+    rollout = Rollout(network, latents, conditions, options.sampler, seed=options.seed, first=first + offset)
     source = clip if edited is None else edited
     for frame in range(first, len(clip)):
         generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
@@ -99,7 +107,7 @@ def roll_out_clip(
                 images[generated] = to_bytes(codec.decode(result[0, 0, torch.from_numpy(generated)]))
         if options.blend_px is not None:
             images = blend(images, clip.background[frame], hull_shares(source, frame, options.blend_px))
-        yield GeneratedFrame(frame, images, generated)
+        yield GeneratedFrame(frame, images, generated, result)
 
 
 def views_with_boxes(clip: Clip, frame: int) -> Bool:

@@ -1,0 +1,133 @@
+"""Backgrounds of generated frames: a static model, the exact synthetic street, or files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import cv2
+import numpy as np
+
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, UsageError
+from mirror.protocols.views.view import RenderView
+
+if TYPE_CHECKING:
+    from mirror.synth.fleet.drive import SynthDrive
+
+Background: TypeAlias = Callable[[RenderView], UInt8]
+"""From a view to the image (H, W, 3) of the street without road users, in the view's raster."""
+
+
+def open_background(
+    text: str, dataset: Dataset, appearance: str, views: Sequence[RenderView]
+) -> tuple[Background, str]:
+    """Open the source of backgrounds that a command-line option names.
+
+    Args:
+        text: folder that `mirror reconstruct` wrote; ``exact:PRESET`` or ``exact:PRESET:SEED`` for the synthetic street
+            without road users; or ``files:FOLDER`` with ``<camera>/<timestamp_ns>.png``.
+        dataset: dataset of the views.
+        appearance: appearance of a static model, such as ``night``.
+        views: all views, so that an appearance can be chosen by the driven line.
+
+    Returns:
+        The source, and a hash or name of everything that its images depend on.
+
+    Raises:
+        UsageError: the text is none of these, or an appearance is asked of a source that has one only.
+        DatasetError: the model or the files do not fit the views.
+    """
+    kind, colon, rest = text.partition(":")
+    if kind in ("exact", "files") and colon:
+        if appearance != "nearest":
+            raise UsageError(f"{appearance!r}", place="--appearance", expected="a static model as background")
+        if kind == "files":
+            return _Files(Path(rest)), text
+        preset, _, seed = rest.partition(":")
+        if not preset or not (seed or "0").isdecimal():
+            raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
+        return _ExactStreet(dataset, preset, int(seed or 0)), text
+    return _open_model(Path(text), dataset, appearance, views)
+
+
+def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView]) -> tuple[Background, str]:
+    from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
+    from mirror.methods.registry import installed_method
+    from mirror.weights.resolve import file_sha256
+
+    document = read_reconstruction(model)
+    require_matching_split(dataset, document.split, document)
+    scenes = sorted({view.scene_id for view in views})
+    if scenes != [document.scene]:
+        raise UsageError(
+            f"the static model is of scene {document.scene}", place="--background", expected=f"of {', '.join(scenes)}"
+        )
+    policy = AppearancePolicy(appearance, views, everywhere=True)
+    return installed_method(document.method).open(model, policy), file_sha256(model / DOCUMENT)
+
+
+class _Files:
+    """Backgrounds in files."""
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise DatasetError("no such folder of backgrounds", file=folder, place="--background")
+        self._folder = folder
+
+    def __call__(self, view: RenderView) -> UInt8:
+        file = self._folder / view.camera / f"{view.timestamp_ns}.png"
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None
+        if image is None:
+            raise DatasetError(
+                "no background image",
+                file=file,
+                place=f"camera {view.camera}, timestamp_ns {view.timestamp_ns}",
+                expected=f"a PNG of {view.width_px} x {view.height_px} px",
+                remedy="add it, or name another --background",
+            )
+        return np.ascontiguousarray(image[..., ::-1])
+
+
+class _ExactStreet:
+    """The synthetic street without road users, from the true pose of the recording vehicle."""
+
+    def __init__(self, dataset: Dataset, preset: str, seed: int) -> None:
+        rows = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
+        self._drives = {row["traversal_id"]: row["drive_id"] for row in rows}
+        self._dataset, self._preset, self._seed = dataset, preset, seed
+
+    def __call__(self, view: RenderView) -> UInt8:
+        from mirror.geometry.interpolation import interpolate
+
+        drive, empty = _empty_street(self._preset, self._seed, self._drives[view.traversal_id])
+        frames = self._dataset.where(traversal=view.traversal_id).frames()
+        recorded = interpolate(*frames[0].track, [view.timestamp_ns])
+        # What the view adds to the recorded pose is kept; the recorded pose is replaced by the true one.
+        world_SE3_camera = drive.world_SE3_ego(np.array([view.timestamp_ns])) @ recorded.inverse() @ view.pose
+        lens = _lens(view.lens)
+        instant = empty.around(float(drive.seconds(np.array([view.timestamp_ns]))[0]), world_SE3_camera.translation[0])
+        # The camera's own response, so that the background has the tones of the recorded images.
+        rendered = empty.render(instant, lens, world_SE3_camera, response=drive.camera_responses[view.camera])
+        return np.ascontiguousarray(rendered.bgr[..., ::-1])
+
+
+@lru_cache(4)
+def _empty_street(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Any]:
+    from mirror.synth.fleet.drives import make_drive
+    from mirror.synth.model import Model
+    from mirror.synth.render.scene import Scene
+
+    drive = make_drive(preset, seed, drive_id)
+    return drive, Scene(drive.world, drive.condition, (), Model.empty(), clock_s=drive.truth.clock_s)
+
+
+@lru_cache(16)
+def _lens(camera: Any) -> Any:
+    from mirror.synth.render.lens import make_lens
+
+    return make_lens(camera)

@@ -1,0 +1,136 @@
+"""The cameras of a traversal as the generator sees them: pinholes of one raster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Bool, Float64, UInt8
+from mirror.dataset.frames import Frame, FrameSequence
+from mirror.dataset.raster import ImageRaster
+from mirror.errors import UsageError
+from mirror.geometry.cameras import Camera
+from mirror.geometry.poses import Poses
+from mirror.protocols.document import Pixels
+from mirror.protocols.views.final_camera import full_camera
+from mirror.protocols.views.view import RenderView, to_pose_numbers
+
+GROUP: Final = "generated"
+
+
+@dataclass(frozen=True, eq=False)
+class SceneRig:
+    """V cameras with a raster of (height, width) pixels for all.
+
+    Attributes:
+        cameras: V names.
+        lenses: V recorded lenses.
+        ego_SE3_camera: V poses.
+        size_px: height and width of the generator's images.
+        pixels: how lenses are undistorted.
+    """
+
+    cameras: tuple[str, ...]
+    lenses: tuple[Camera, ...]
+    ego_SE3_camera: Poses
+    size_px: tuple[int, int]
+    pixels: Pixels
+
+    @cached_property
+    def rasters(self) -> tuple[ImageRaster, ...]:
+        """From recorded images to the generator's, by camera."""
+        height, width = self.size_px
+        full = [full_camera(lens, self.pixels) for lens in self.lenses]
+        return tuple(ImageRaster(lens, one, one.resized(width, height)) for lens, one in zip(self.lenses, full))
+
+    @property
+    def intrinsics(self) -> Float64:
+        """(V, 3, 3) pixels of the generator's images."""
+        return np.stack([raster.final.intrinsic_matrix() for raster in self.rasters])
+
+    def view_lens(self, row: int) -> Camera:
+        """The lens of a camera's background: twice the raster of the generator, at most the recorded one."""
+        full, (height, width) = self.rasters[row].full, self.size_px
+        return full.resized(min(full.width_px, 2 * width), min(full.height_px, 2 * height))
+
+    def images(self, frame: Frame) -> tuple[UInt8, Bool]:
+        """Recorded images (V, H, W, 3) of a frame in the generator's raster, and their pixels (V, H, W) of the street.
+
+        Pixels outside the lens, on the recording vehicle, and of a missing image are not of the street.
+        """
+        images = np.zeros((len(self.cameras), *self.size_px, 3), np.uint8)
+        street = np.zeros(images.shape[:3], np.bool_)
+        for row, camera in enumerate(self.cameras):
+            if camera not in frame.images:
+                continue
+            raster, image = self.rasters[row], frame.images[camera]
+            images[row] = raster.image(image.decode())
+            ego = image.static_mask()
+            street[row] = raster.covered if ego is None else raster.covered & (raster.mask(ego) == 0)
+        return images, street
+
+    def views(self, frame: Frame, world_SE3_ego: Poses, light: str, weather: str) -> list[RenderView]:
+        """The views of a frame from an ego pose (one), with the lens that images are undistorted to."""
+        views = []
+        for row, camera in enumerate(self.cameras):
+            lens = self.view_lens(row)
+            views.append(
+                RenderView(
+                    path=f"frames/{camera}/{frame.frame_index:05d}.png",
+                    group=GROUP,
+                    scene_id=frame.scene_id,
+                    traversal_id=frame.traversal_id,
+                    frame_index=frame.frame_index,
+                    camera=camera,
+                    timestamp_ns=frame.timestamp_ns,
+                    light=light,
+                    weather=weather,
+                    model=lens.model,
+                    width_px=lens.width_px,
+                    height_px=lens.height_px,
+                    fx_px=lens.fx_px,
+                    fy_px=lens.fy_px,
+                    cx_px=lens.cx_px,
+                    cy_px=lens.cy_px,
+                    distortion=lens.distortion,
+                    world_SE3_camera=to_pose_numbers(world_SE3_ego @ self.ego_SE3_camera[row]),
+                )
+            )
+        return views
+
+
+def rig_of(
+    frames: FrameSequence, cameras: tuple[str, ...] | None, size_px: tuple[int, int], pixels: Pixels, stride: int
+) -> SceneRig:
+    """The rig of a traversal.
+
+    Args:
+        frames: the traversal's frames.
+        cameras: names; None: all cameras of the first frame.
+        size_px: height and width of the generator's images.
+        pixels: how lenses are undistorted.
+        stride: pixels per token along a side, which must divide the raster.
+
+    Raises:
+        UsageError: a camera is unknown, or the raster does not fit the network.
+    """
+    height, width = size_px
+    if height % stride or width % stride:
+        raise UsageError(
+            f"images of {width} x {height} px", place="--size", expected=f"multiples of {stride} px along both sides"
+        )
+    images = {camera: image for frame in frames[:50] for camera, image in frame.images.items()}
+    unknown = sorted(set(cameras or ()) - set(images))
+    if unknown or not images:
+        raise UsageError(
+            f"no camera {', '.join(unknown)}" if unknown else "a traversal without images",
+            place="--cameras",
+            expected=", ".join(sorted(images)) or "images",
+        )
+    names = cameras or tuple(images)
+    mounts = [images[name].calibration.ego_SE3_camera for name in names]
+    poses = Poses(np.concatenate([one.rotation for one in mounts]), np.concatenate([one.translation for one in mounts]))
+    return SceneRig(names, tuple(images[name].camera_model for name in names), poses, size_px, pixels)

@@ -1,0 +1,117 @@
+"""Generates a long sequence in segments, so that memory is bounded and an interrupted run continues bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import torch
+
+from hybridworldsim.generation.autoencoder.codec import LatentCodec
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, GeneratedFrame, roll_out_clip
+from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.network.transformer import Transformer
+from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, make_scene_clip
+from mirror.errors import DatasetError
+
+SEGMENT: Final = 16
+"""Frames of a segment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Generator:
+    """A network with its autoencoder; T is the number of its reference frames."""
+
+    network: Transformer
+    codec: LatentCodec
+    references: int
+
+    def __post_init__(self) -> None:
+        config = self.network.config
+        if config.latent_channels != self.codec.channels or config.latent_stride != self.codec.stride:
+            raise DatasetError(
+                f"latents of {self.codec.channels} channels and {self.codec.stride} px, but the generator takes"
+                f" {config.latent_channels} channels and {config.latent_stride} px",
+                expected="the autoencoder that the generator was trained with",
+                remedy="name it with --autoencoder",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceState:
+    """Where a sequence is: the number of the next frame, and the latents (1, T, V, C, H, W) of the T before it."""
+
+    frame: int
+    latents: torch.Tensor
+
+
+def roll_out_sequence(
+    generator: Generator,
+    frames: Sequence[PlannedFrame],
+    scene: SceneConditions,
+    options: ClipRolloutOptions,
+    *,
+    edit: Callable[[Clip, int], Clip] | None = None,
+    state: SequenceState | None = None,
+    recorded_seeds: bool = True,
+) -> Iterator[tuple[GeneratedFrame, SequenceState | None]]:
+    """Generate the frames after the first T.
+
+    Args:
+        generator: network and autoencoder.
+        frames: the sequence; the first T seed it.
+        scene: cameras, backgrounds and rate.
+        options: how frames are generated.
+        edit: changes the boxes of a clip, given it and the number of its first frame; seeds stay as they are.
+        state: where an earlier call was after a segment; None: the beginning.
+        recorded_seeds: whether recorded images seed the sequence; else their backgrounds do.
+
+    Yields:
+        Each generated frame, numbered in the sequence, and after the last frame of a segment the state.
+    """
+    references = generator.references
+    start = references if state is None else state.frame
+    while start < len(frames):
+        end = min(start + SEGMENT, len(frames))
+        first = start - references
+        is_start = state is None
+        clip = make_scene_clip(
+            f"frames {first} to {end - 1}",
+            frames[first:end],
+            scene,
+            recorded=references if is_start and recorded_seeds else 0,
+        )
+        if is_start and not recorded_seeds:
+            clip.images[:references] = clip.background[:references]
+        edited = None if edit is None else edit(clip, first)
+        latest = [] if state is None else list(state.latents.split(1, dim=1))
+        rollout = roll_out_clip(
+            generator.network,
+            generator.codec,
+            # The references of a later segment were generated with the edit.
+            clip if is_start or edited is None else edited,
+            OWN_STYLE,
+            references,
+            references,
+            options,
+            edited=edited,
+            latents=None if state is None else state.latents,
+            offset=first,
+        )
+        held: list[GeneratedFrame] = []
+        for one in rollout:
+            latest = [*latest, one.latents][-references:]
+            held.append(one)
+            number = first + one.frame
+            frame = GeneratedFrame(number, one.images, one.generated, one.latents)
+            if number + 1 < end:
+                yield frame, None
+            elif len(latest) == references:
+                state = SequenceState(end, torch.cat(latest, dim=1))
+                yield frame, state
+            else:
+                # A segment shorter than T ends the sequence.
+                yield frame, None
+        start = end

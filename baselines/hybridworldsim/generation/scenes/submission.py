@@ -1,0 +1,88 @@
+"""Generated frames as a submission to the protocols of generation: every view of a plan, edits included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import cv2
+import numpy as np
+
+from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+from hybridworldsim.generation.scenes.backgrounds import Background
+from hybridworldsim.generation.scenes.rig import rig_of
+from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
+from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions
+from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
+from mirror.evaluation.submission.writing import Render
+from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.view import RenderView
+
+
+def render_plan(
+    dataset: Dataset,
+    plan: Plan,
+    generator: Generator,
+    background: Background,
+    size_px: tuple[int, int],
+    options: ClipRolloutOptions,
+    missing: Sequence[RenderView],
+) -> Iterator[Render]:
+    """Generate every view of a plan, traversal by traversal.
+
+    The requested frames of a traversal are one rollout. Backgrounds seed it: a recorded image of a held-out traversal
+    is never read. A view without a road user is its background in the view's own raster.
+
+    Args:
+        dataset: the dataset; boxes and poses are read.
+        plan: the requested views. Vehicles that it moves or removes are moved or removed from the first frame on.
+        generator: network and autoencoder.
+        background: images of the street without road users.
+        size_px: height and width of generated images, which are scaled to the raster of their view.
+        options: how frames are generated.
+        missing: views of the plan that are wanted; a rollout without any is left out, and others run whole, so that the
+            images do not depend on what an earlier call wrote.
+
+    Yields:
+        One view with its image at a time.
+    """
+    ordered = sorted(plan.views, key=lambda view: (view.group, view.traversal_id, view.frame_index, view.camera))
+    wanted = {view.path for view in missing}
+    for (_, traversal), group in groupby(ordered, key=lambda view: (view.group, view.traversal_id)):
+        views = list(group)
+        if not wanted & {view.path for view in views}:
+            continue
+        frames = {frame.frame_index: frame for frame in dataset.where(traversal=traversal).frames()}
+        numbers = sorted({view.frame_index for view in views})
+        by_view = {(view.frame_index, view.camera): view for view in views}
+        cameras = tuple(sorted({view.camera for view in views}))
+        stride = generator.network.config.latent_stride * generator.network.config.patch
+        rig = rig_of(dataset.where(traversal=traversal).frames(), cameras, size_px, plan.protocol.pixels, stride)
+        planned = []
+        for number in numbers:
+            requested = [view for view in views if view.frame_index == number]
+            camera = rig.cameras.index(requested[0].camera)
+            # The plan has poses of cameras: the vehicle's follows from any of them.
+            ego = requested[0].pose @ rig.ego_SE3_camera[camera].inverse()
+            planned.append(PlannedFrame(frames[number], ego, requested[0].edits))
+        tracks = {name: place for place, name in enumerate(planned[0].frame.track_ids)}
+        steps = np.diff([frames[number].timestamp_ns for number in numbers])
+        rate_hz = 1e9 / float(np.median(steps)) if len(steps) else 1.0
+        first = views[0]
+        scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks)
+        seeds = [planned[0]] * generator.references
+        rollout = roll_out_sequence(generator, [*seeds, *planned], scene, options, recorded_seeds=False)
+        for frame, _ in rollout:
+            number = numbers[frame.frame - generator.references]
+            for row, camera_name in enumerate(rig.cameras):
+                view = by_view.get((number, camera_name))
+                if view is None or view.path not in wanted:
+                    continue
+                image = _enlarged(frame.images[row], view) if frame.generated[row] else background(view)
+                yield [view], image
+
+
+def _enlarged(image: UInt8, view: RenderView) -> UInt8:
+    size = (view.width_px, view.height_px)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)

@@ -1,0 +1,298 @@
+"""From a dataset to generated frames: clips, backgrounds, edits, segments that resume, and submissions."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import mirror
+from hybridworldsim.generation.command import main
+from hybridworldsim.generation.model_files import read_generator
+from hybridworldsim.generation.scenes import run as run_module
+from hybridworldsim.generation.scenes.backgrounds import open_background
+from hybridworldsim.generation.scenes.plan import plan_scene
+from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
+from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
+from hybridworldsim.generation.scenes.scene_clip import SceneConditions, make_scene_clip
+from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
+from mirror.dataset.dataset import Dataset
+from mirror.errors import DatasetError, ExitCode, UsageError
+from mirror.geometry import project_boxes
+from mirror.metrics import psnr
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import plan_views
+from tests.generation.clips import write_clips
+
+SIZE = (16, 24)
+CAMERAS = ("front_wide", "front_left")
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A generator and its autoencoder after one step each: their images are noise, which is enough here."""
+    folder = tmp_path_factory.mktemp("models")
+    clips = write_clips(folder / "clips", count=1)
+    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
+    assert main([*words, "--out", str(folder / "out")]) == ExitCode.DONE
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def traversal(tiny_dataset: Dataset) -> str:
+    """The traversal with the most boxes."""
+    counts = {name: tiny_dataset.where(traversal=name).count("boxes") for name in tiny_dataset.traversals()}
+    return max(counts, key=lambda name: counts[name])
+
+
+def rig(dataset: Dataset, traversal: str, size: tuple[int, int] = SIZE) -> SceneRig:
+    return rig_of(dataset.where(traversal=traversal).frames(), CAMERAS, size, PIXELS, 8)
+
+
+def scene_of(dataset: Dataset, traversal: str, count: int = 6, trajectory: str | None = None):
+    plan = plan_scene(dataset, traversal, hz=5.0, trajectory=trajectory, references=5, count=count)
+
+    def grey(view):
+        return np.full((view.height_px, view.width_px, 3), 90, np.uint8)
+
+    scene = SceneConditions(rig(dataset, traversal), grey, plan.rate_hz, plan.light, plan.weather, plan.tracks)
+    return plan, scene
+
+
+def test_boxes_land_where_the_dataset_shows_them(tiny_dataset: Dataset, traversal: str) -> None:
+    """A box projected through the clip's lens lies where it lies through the recorded lens, undistorted."""
+    plan, scene = scene_of(tiny_dataset, traversal)
+    clip = make_scene_clip("c", plan.frames, scene, recorded=5)
+    assert clip.images[:5].any() and not clip.images[5:].any()
+    numbers = {number: name for name, number in plan.tracks.items()}
+    compared = 0
+    for place, one in enumerate(plan.frames):
+        boxes = clip.boxes.at(place)
+        for row, camera in enumerate(CAMERAS):
+            image = one.frame.images.get(camera)
+            if image is None:
+                continue
+            recorded = one.frame.boxes("world")
+            lens = scene.rig.rasters[row].final
+            for box in range(len(boxes)):
+                track = numbers[int(boxes.track[box])]
+                at = recorded.track_id.index(track)
+                truth = image.world_SE3_camera.inverse() @ recorded.pose[np.array([at])]
+                ours = mirror.geometry.Poses.from_matrix(
+                    np.linalg.inv(clip.ego_SE3_camera[row]) @ boxes.ego_SE3_box[box : box + 1]
+                )
+                if truth.translation[0, 2] < 3.0:
+                    continue
+                pair = [project_boxes(lens, pose, recorded.size_m[[at]]) for pose in (ours, truth)]
+                if not all(one.visible[0] for one in pair):
+                    continue
+                # Cameras expose up to a tenth of a second apart; the clip has one instant.
+                assert np.abs(pair[0].bounds_px - pair[1].bounds_px).max() < 1.5
+                compared += 1
+    assert compared > 5
+
+
+def test_seeds_are_recorded_images_in_the_raster_of_the_generator(tiny_dataset: Dataset, traversal: str) -> None:
+    plan, scene = scene_of(tiny_dataset, traversal)
+    clip = make_scene_clip("c", plan.frames, scene, recorded=5)
+    height, width = SIZE
+    for row, camera in enumerate(CAMERAS):
+        image = plan.frames[2].frame.images[camera]
+        full = scene.rig.rasters[row].full
+        pixels = image.decode()
+        if full != image.camera_model:
+            maps = image.camera_model.undistort_maps(full)
+            pixels = cv2.remap(pixels, *maps, cv2.INTER_LINEAR)
+        expected = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+        street = scene.rig.images(plan.frames[2].frame)[1][row]
+        assert street.mean() > 0.3
+        assert np.abs(clip.images[2, row].astype(int) - expected)[street].max() <= 1
+        # Elsewhere, outside a fisheye's image and on the recording vehicle, the seed is its background.
+        np.testing.assert_array_equal(clip.images[2, row][~street], 90)
+
+
+def test_the_exact_street_is_that_of_the_recording_without_road_users(tiny_dataset: Dataset, traversal: str) -> None:
+    plan, scene = scene_of(tiny_dataset, traversal)
+    background, _ = open_background("exact:tiny", tiny_dataset, "nearest", [])
+    one = plan.frames[3]
+    recorded, street = scene.rig.images(one.frame)
+    for row, view in enumerate(scene.rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)):
+        empty = cv2.resize(background(view), SIZE[::-1], interpolation=cv2.INTER_AREA)
+        # Road users, noise and errors of pose are left; another street has 12 dB.
+        assert psnr(empty, recorded[row], mask=street[row]) > 16.0
+
+
+def test_trajectories_move_the_generated_frames_only(tiny_dataset: Dataset, traversal: str) -> None:
+    recorded, _ = scene_of(tiny_dataset, traversal)
+    moved, _ = scene_of(tiny_dataset, traversal, trajectory="lane-shift:2.0")
+    for place, (one, other) in enumerate(zip(recorded.frames, moved.frames)):
+        shift = (one.world_SE3_ego.inverse() @ other.world_SE3_ego).translation[0]
+        np.testing.assert_allclose(shift, [0.0, 2.0 if place >= 5 else 0.0, 0.0], atol=1e-6)
+
+
+def test_edits_move_remove_and_add(tiny_dataset: Dataset, traversal: str) -> None:
+    plan, scene = scene_of(tiny_dataset, traversal)
+    clip = make_scene_clip("c", plan.frames, scene, recorded=0)
+    numbers = {number: name for name, number in plan.tracks.items()}
+    track = numbers[int(clip.boxes.track[0])]
+    start = plan.frames[0].world_SE3_ego
+
+    def edited(text: str):
+        return apply_edits(clip, [parse_edit(text, plan.tracks)], plan.tracks, start, 0.5).boxes
+
+    rows = clip.boxes.track == plan.tracks[track]
+    moved = edited(f"move:{track}:dy=1.5,dx=-2")
+    own = np.linalg.inv(clip.boxes.ego_SE3_box[rows]) @ moved.ego_SE3_box[rows]
+    np.testing.assert_allclose(own[:, :3, 3], np.tile([-2.0, 1.5, 0.0], (rows.sum(), 1)), atol=1e-9)
+    np.testing.assert_array_equal(moved.ego_SE3_box[~rows], clip.boxes.ego_SE3_box[~rows])
+    assert plan.tracks[track] not in edited(f"remove:{track}").track
+    added = edited("add:bus:at=3.0,-4.0,90")
+    new = added.track == added.track.max()
+    assert new.sum() == len(plan.frames)
+    world = start.matrix()[0] @ clip.start_SE3_ego[2] @ added.ego_SE3_box[new][2]
+    np.testing.assert_allclose(world[:3, 3], [3.0, -4.0, 0.5 + 3.1 / 2], atol=1e-9)
+    np.testing.assert_allclose(world[:3, 0], [0.0, 1.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "move", "move:1", "remove:1:dy=2", "turn:1:dy=2", "move:1:dz=2", "move:1:dy=far", "move:1:dy=nan",
+     "move:nobody:dy=1", "add:tank:at=1,2,3", "add:car:at=1,2", "add:car:by=1,2,3"],
+)  # fmt: skip
+def test_wrong_edits_are_refused_by_name(text: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_edit(text, {"1": 0})
+    assert caught.value.place == "--edit"
+
+
+def request(models: Path, dataset: Dataset, name: str, **changes: object) -> SceneRequest:
+    scene = dataset.where(traversal=name).scenes()[0]
+    plain = SceneRequest(
+        generator=models / "generator" / "model.safetensors",
+        autoencoder=models / "autoencoder" / "model.safetensors",
+        scene=scene,
+        background="exact:tiny",
+        traversal=name,
+        cameras=CAMERAS,
+        size_px=SIZE,
+        frames=5,
+    )
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def digest(folder: Path) -> dict[str, str]:
+    return {
+        file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted((folder / "frames").rglob("*.png"))
+    }
+
+
+def test_an_interrupted_run_continues_bit_for_bit(
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hybridworldsim.generation.scenes.rollout.SEGMENT", 2)
+    wanted = request(models, tiny_dataset, traversal)
+    document = generate_scene(tiny_dataset, wanted, tmp_path / "whole")
+    assert document.frames == 5 and document.generated_views + document.kept_views == 10
+    assert len(digest(tmp_path / "whole")) == 10
+    assert (tmp_path / "whole" / "video.mp4").is_file()
+    write, calls = run_module.encode_png, []
+
+    def fail(image: np.ndarray) -> bytes:
+        calls.append(1)
+        if len(calls) > 7:
+            raise KeyboardInterrupt
+        return write(image)
+
+    monkeypatch.setattr(run_module, "encode_png", fail)
+    with pytest.raises(KeyboardInterrupt):
+        generate_scene(tiny_dataset, wanted, tmp_path / "part")
+    monkeypatch.setattr(run_module, "encode_png", write)
+    again = generate_scene(tiny_dataset, wanted, tmp_path / "part")
+    assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+    assert (again.generated_views, again.kept_views) == (document.generated_views, document.kept_views)
+    with pytest.raises(UsageError, match="other files"):
+        generate_scene(tiny_dataset, wanted, tmp_path / "part")
+
+
+def test_another_request_is_refused_in_an_interrupted_folder(
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_module, "encode_png", lambda image: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path / "out")
+    with pytest.raises(UsageError, match="other settings"):
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal, hz=2.0), tmp_path / "out")
+
+
+def test_a_removed_road_user_leaves_views_that_cost_nothing(
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path
+) -> None:
+    plan, _ = scene_of(tiny_dataset, traversal)
+    removed = tuple(f"remove:{name}" for name in plan.tracks)
+    document = generate_scene(
+        tiny_dataset, request(models, tiny_dataset, traversal, edits=removed, frames=2), tmp_path / "out"
+    )
+    assert (document.generated_views, document.kept_views) == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"size_px": (17, 24)}, "multiples of"),
+        ({"cameras": ("nose",)}, "no camera nose"),
+        ({"traversal": None, "scene": "nowhere"}, "unknown scene 'nowhere'"),
+        ({"background": "exact:"}, "exact:PRESET"),
+        ({"background": "files:nowhere"}, "no such folder of backgrounds"),
+        ({"background": "exact:tiny", "appearance": "night"}, "'night'"),
+        ({"background": "nowhere"}, "nowhere"),
+        ({"hz": 0.05}, "seed the rollout"),
+    ],
+)
+def test_bad_requests_are_refused_before_anything_is_written(
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, changes: dict[str, object], words: str
+) -> None:
+    with pytest.raises((UsageError, DatasetError), match=words):
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal, **changes), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_autoencoder_of_another_model_is_refused(models: Path, tmp_path: Path) -> None:
+    network, _ = read_generator(models / "generator" / "model.safetensors")
+    from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
+    from hybridworldsim.generation.model_files import write_autoencoder
+
+    torch.manual_seed(0)
+    other = TinyAutoencoder(TinySettings(channels=network.config.latent_channels // 2))
+    write_autoencoder(tmp_path / "other.safetensors", other)
+    with pytest.raises(DatasetError, match="the generator takes"):
+        run_module.open_generator(models / "generator" / "model.safetensors", tmp_path / "other.safetensors")
+
+
+def test_a_submission_to_the_protocol_of_edits(
+    tiny_dataset: Dataset, models: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two groups of few frames: every view is there, and the vehicle's move changes views with it only."""
+    text = (Path(mirror.__file__).parent / "protocols" / "definitions" / "editing-accuracy.toml").read_text()
+    text, _, rest = text.partition("[frames]")
+    begin, *groups = text.split("[[groups]]")
+    rest = "[frames]" + rest.replace("every = 5", "every = 20").replace("400.0", "60.0")
+    chosen = [group for group in groups if '"background"' in group or '"0m"' in group or '"left-2m"' in group]
+    (tmp_path / "edits.toml").write_text(begin + "[[groups]]".join(["", *chosen]) + rest)
+    plan = plan_views(tiny_dataset, load_protocol(str(tmp_path / "edits.toml")), "novel")
+    assert plan.views
+    words = ["scene", str(tiny_dataset.root), str(models), "--background", "exact:tiny", "--split", "novel"]
+    words += ["--protocol", str(tmp_path / "edits.toml"), "--size", "24x16", "--out", str(tmp_path / "out")]
+    assert main([*words, "--json"]) == ExitCode.DONE
+    assert json.loads(capsys.readouterr().out)["views"] == len(plan.views)
+    found = {view.path: cv2.imread(str(tmp_path / "out" / view.path)) for view in plan.views}
+    assert all(
+        image.shape == (view.height_px, view.width_px, 3)
+        for view, image in zip(plan.views, found.values(), strict=True)
+    )

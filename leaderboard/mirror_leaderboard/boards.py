@@ -34,6 +34,7 @@ _RANKED_BY: Final = {
     "lane-shift": ("right-3m", "psnr"),
     "vehicle-translation": ("0m", "fid"),
     "editing-accuracy": (ALL, "edit_iou_hull"),
+    "safety": ("rollouts", "epdms"),
 }
 
 

@@ -84,4 +84,21 @@ MEASURES: Final = {
     "model_bytes_per_100m": Measure("Model", "size of the static model", "lower", 1, unit="MB / 100 m", scale=1e-6),
     "training_s": Measure("Training", "time", "lower", 2, unit="h", scale=1 / 3600),
     "peak_memory_bytes": Measure("Peak memory", "while rendering", "lower", 2, unit="GB", scale=1e-9),
+    "epdms": Measure("EPDMS", "driving score of NAVSIM v2 over the whole drive", "higher", 3, high=1.0),
+    "pdms": Measure("PDMS", "driving score of NAVSIM v1 over the whole drive", "higher", 3, high=1.0),
+    "at_fault_collisions": Measure("At fault", "collisions a drive that the ego caused (nuPlan)", "lower", 2),
+    "collisions": Measure("Collisions", "collisions a drive", "lower", 2),
+    "impact_speed": Measure("Impact", "largest relative speed at a contact; 0: none", "lower", 2, unit="m/s"),
+    "least_ttc": Measure("TTC", "least time to collision, continuous in time", "higher", 2, unit="s"),
+    "ttc_nuplan_within_bound": Measure("TTC nuPlan", "drives above 0.95 s as nuPlan has it", "higher", 2, high=1.0),
+    "ttc_navsim_within_bound": Measure("TTC NAVSIM", "drives that pass NAVSIM's definition", "higher", 2, high=1.0),
+    "drivable_area": Measure("Drivable area", "drives with all corners inside", "higher", 2, high=1.0),
+    "drivable_margin": Measure(
+        "Margin", "least distance of a corner from the edge of the road", "higher", 2, low=-math.inf, unit="m"
+    ),
+    "off_road": Measure("Off road", "distance with a corner outside the drivable area", "lower", 1, unit="m"),
+    "wrong_lane": Measure("Wrong lane", "distance in lanes of the other direction", "lower", 1, unit="m"),
+    "red_lights": Measure("Red lights", "stop lines passed at red, a drive", "lower", 2),
+    "comfort": Measure("Comfort", "drives within nuPlan's bounds", "higher", 2, high=1.0),
+    "progress_share": Measure("Progress", "share of the distance at the scenario's speed", "higher", 2, high=1.0),
 }

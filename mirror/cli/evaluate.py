@@ -1,4 +1,4 @@
-"""``mirror evaluate DATASET SUBMISSION --protocol NAME --split NAME``."""
+"""``mirror evaluate DATASET SUBMISSION --protocol NAME --split NAME`` and ``mirror evaluate RUN --protocol safety``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _EXAMPLES = (
     "mirror evaluate demo/dataset demo/submissions/mean_color --report --baseline demo/results/nearest_frame",
-    "mirror evaluate demo/block/dataset demo/block/submissions/reconstructed --require psnr --out scores --json",
+    "mirror evaluate rollouts --protocol safety --out scores --json",
 )
 _RENAMED = {"--truth": "DATASET"}
 
@@ -29,20 +29,22 @@ _RENAMED = {"--truth": "DATASET"}
 class Arguments:
     """Score a submission by a protocol. --out receives result.json and a Parquet table with the scores of every image.
 
+    With one folder, rollouts of `mirror simulate` are scored: by the protocol safety, and without a dataset.
+
     A run after an interruption reuses the scores that exist. Exit codes: 0 scored, 1 the submission has problems (all
     are listed, nothing is scored), 2 could not run, or a required metric is unavailable.
     """
 
     dataset: tyro.conf.Positional[str]
-    """Folder or URL of the dataset: it has the truth."""
-    submission: tyro.conf.Positional[Path]
+    """Folder or URL of the dataset: it has the truth. For rollouts: a rollout, or a folder of them."""
+    submission: Annotated[tyro.conf.Positional[Path | None], help_text(default="none: rollouts")] = None
     """Folder of the submission, or a zip file of it."""
     protocol: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
     """Name of a protocol, or path of its .toml file."""
     split: Annotated[str | None, help_text(default="that of the manifest", metavar="NAME")] = None
     """Name of the split."""
     out: Annotated[Path | None, help_text(default="SUBMISSION-results, beside the submission", metavar="FOLDER")] = None
-    """Folder for the results."""
+    """Folder for the results. For rollouts: RUN-results, beside the rollouts."""
     report: bool = False
     """Also write report.html: figures, and the worst, median and best renders beside truth and error."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="RESULTS")] = ()
@@ -80,6 +82,8 @@ def main(argv: Sequence[str]) -> int:
     from mirror.protocols.document import load_protocol
     from mirror.weights.resolve import WeightResolver
 
+    if arguments.submission is None:
+        return _evaluate_rollouts(arguments)
     if arguments.baseline and not arguments.report:
         raise UsageError("--baseline is shown in the report", expected="--report beside it")
     baselines = [read_result(path) for path in arguments.baseline]
@@ -113,6 +117,43 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
+def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
+    from mirror.evaluation.rollouts import evaluate_rollouts
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+
+    folder = local_path(Path(arguments.dataset), "DATASET")
+    unused = {
+        "--split": arguments.split,
+        "--report": arguments.report,
+        "--baseline": arguments.baseline,
+        "--require": arguments.require,
+        "--stand-ins": arguments.stand_ins,
+        "--weights": arguments.weights,
+        "--hidden": arguments.hidden,
+        "--extractor": arguments.extractor,
+        "--measure": arguments.measure,
+        "--features": arguments.features,
+    }
+    named = next((option for option, value in unused.items() if value), None)
+    if named is not None:
+        raise UsageError(
+            "there is no SUBMISSION, and rollouts have no such option", place=named, expected="DATASET and SUBMISSION"
+        )
+    named_folder = folder if folder.name else folder.absolute()
+    out = arguments.out or named_folder.with_name(f"{named_folder.name}-results")
+    protocol = load_protocol(arguments.protocol or "safety")
+    with progress_bar(quiet=arguments.json) as bar:
+        evaluation = evaluate_rollouts(folder, protocol, out, bar)
+    result = evaluation.result
+    if arguments.json:
+        plain = {"out": str(out), "result_hash": result.hash, "result": result.model_dump(mode="json")}
+        print(json.dumps(plain))
+    else:
+        _print(result, out, None, "rollout")
+    return ExitCode.DONE
+
+
 def _weight_paths(pairs: Sequence[str]) -> Mapping[str, Path]:
     paths = dict(_pair(text, "--weights", "NAME=FILE") for text in pairs)
     for name, path in paths.items():
@@ -136,7 +177,7 @@ def _report(evaluation: Evaluation, out: Path, baselines: Sequence[Result]) -> P
     return page
 
 
-def _print(result: Result, out: Path, page: Path | None) -> None:
+def _print(result: Result, out: Path, page: Path | None, scored: str = "image") -> None:
     from rich.table import Table
 
     from mirror.cli.output import plain_console
@@ -161,7 +202,7 @@ def _print(result: Result, out: Path, page: Path | None) -> None:
         console.print(f"{metric}: unavailable: {remedy}", soft_wrap=True)
     for warning in result.warnings:
         console.print(f"note: {warning}", soft_wrap=True)
-    files = f"{out / 'result.json'} has all figures, {out / 'images.parquet'} the scores of every image"
+    files = f"{out / 'result.json'} has all figures, {out / 'images.parquet'} the scores of every {scored}"
     console.print(files, soft_wrap=True)
     if page is not None:
         console.print(f"report: {page}", soft_wrap=True)

@@ -177,7 +177,7 @@ def evaluate(
         figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if has_metrics else (),
         unavailable=unavailable,
         weights=available.weights,
-        versions=_list_versions(),
+        versions=list_versions(),
         options={"extractor": inputs.extractor} if protocol.task == _EDITING else {},
         warnings=tuple(list_warnings(plan, check.manifest, available.stand_ins)),
     )
@@ -275,7 +275,8 @@ def _hash_hidden_truth(plan: Plan, inputs: ScoringInputs) -> str:
     return digest.hexdigest()
 
 
-def _list_versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
+    """List the versions of the toolkit, of Python and of the packages that affect figures."""
     versions = {"mirror": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:

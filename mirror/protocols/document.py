@@ -7,7 +7,7 @@ import json
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -15,9 +15,6 @@ from mirror.errors import SchemaError, UsageError
 from mirror.geometry.cameras import WIDEST_DEG
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
-
-RESERVED: Final = {"safety": "it follows with the closed-loop simulator"}
-"""Reserved protocol names, each with the reason why the protocol does not exist yet."""
 
 ScoringTask = Literal[
     "reconstruction",
@@ -27,6 +24,7 @@ ScoringTask = Literal[
     "editing-accuracy",
     "annotation",
     "runtime",
+    "safety",
 ]
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.\-]{0,39}$")]
 
@@ -229,8 +227,56 @@ class ReportedFigure(Document):
     metric: Literal["frames_per_second", "model_bytes_per_100m", "training_s", "peak_memory_bytes"]
 
 
+class SafetyFigure(Document):
+    """A figure of a rollout's safety (docs/safety.md)."""
+
+    metric: Literal[
+        "pdms",
+        "epdms",
+        "collisions",
+        "at_fault_collisions",
+        "impact_speed",
+        "ttc_nuplan_within_bound",
+        "ttc_navsim_within_bound",
+        "drivable_margin",
+        "off_road",
+        "wrong_lane",
+        "red_lights",
+        "comfort",
+        "progress_share",
+    ]
+
+
+class LeastTtc(Document):
+    """Least time to collision of a rollout, at most ``horizon_s``."""
+
+    metric: Literal["least_ttc"]
+    horizon_s: float = Field(gt=0, le=60)
+
+
+class DrivableArea(Document):
+    """Share of rollouts in which no corner of the ego is farther than ``tolerance_m`` outside the drivable area."""
+
+    metric: Literal["drivable_area"]
+    tolerance_m: float = Field(ge=0, le=10)
+
+
 Metric = Annotated[
-    Psnr | PsnrInvariant | PsnrAffine | PsnrCc | Ssim | Lpips | Fid | Kid | Fvd | EditIou | Detection | ReportedFigure,
+    Psnr
+    | PsnrInvariant
+    | PsnrAffine
+    | PsnrCc
+    | Ssim
+    | Lpips
+    | Fid
+    | Kid
+    | Fvd
+    | EditIou
+    | Detection
+    | ReportedFigure
+    | SafetyFigure
+    | LeastTtc
+    | DrivableArea,
     Field(discriminator="metric"),
 ]
 
@@ -330,7 +376,7 @@ def load_protocol(name: str) -> Protocol:
     """Load a protocol by its name, or from a path that ends in ``.toml``.
 
     Raises:
-        UsageError: no protocol has that name, the name is reserved, or the file cannot be read.
+        UsageError: no protocol has that name, or the file cannot be read.
         SchemaError: the file is invalid; the message names the key.
 
     Example:
@@ -345,8 +391,6 @@ def load_protocol(name: str) -> Protocol:
         except OSError as error:
             raise UsageError(f"cannot be read: {error.strerror}", file=path, expected="a protocol's TOML") from error
     known = protocol_names()
-    if name in RESERVED:
-        raise UsageError(f"the name {name!r} is reserved: {RESERVED[name]}", expected=f"one of {', '.join(known)}")
     if name not in known:
         raise UsageError(
             f"no protocol {name!r}", expected=f"one of {', '.join(known)}, or the path of a protocol's .toml"

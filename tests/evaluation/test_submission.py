@@ -202,7 +202,7 @@ def test_commands(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(["submission", "new", str(root), *words, "--out", str(out)]) == 2
     assert main(["submission", "old"]) == 2
     assert main(["submission", "new", str(root), "--protocol", "safety", "--split", SPLIT, "--out", str(out)]) == 2
-    assert "reserved" in capsys.readouterr().err
+    assert "mirror evaluate RUN" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", [["submission", "check"], ["evaluate"]])

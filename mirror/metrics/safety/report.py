@@ -14,7 +14,7 @@ from mirror.arrays import Bool
 from mirror.errors import UsageError
 from mirror.metrics.safety.collisions import Collision, find_collisions
 from mirror.metrics.safety.comfort import COMFORT_BOUNDS, LEAST_STAMPS, measure_comfort
-from mirror.metrics.safety.drivable_area import DrivableAreaCompliance, drivable_area_compliance
+from mirror.metrics.safety.drivable_area import NUPLAN_TOLERANCE_M, DrivableAreaCompliance, drivable_area_compliance
 from mirror.metrics.safety.driving_score import (
     DrivingScore,
     collision_factor,
@@ -125,6 +125,7 @@ def score_rollout(
     *,
     reference_m: float | None = None,
     horizon_s: float = 3.0,
+    tolerance_m: float = NUPLAN_TOLERANCE_M,
 ) -> SafetyReport:
     """Compute all safety figures of a log of states.
 
@@ -132,13 +133,14 @@ def score_rollout(
         log: states of the ego, the agents and the signals.
         road_map: the map, in the frame of the log; None: figures that need one have no value.
         route_m: (K, 2) the ego's route; None: figures that need one have no value.
-        reference_m: progress that counts as complete; None: the length of the route ahead.
+        reference_m: progress that counts as complete, at most the length of the route ahead; None: that length.
         horizon_s: horizon of the least time to collision.
+        tolerance_m: how far outside the drivable area a corner may be.
 
     Raises:
-        UsageError: the horizon or the route is invalid.
+        UsageError: the horizon, the tolerance or the route is invalid.
     """
-    on_map = None if road_map is None else _locate(log, road_map)
+    on_map = None if road_map is None else _locate(log, road_map, tolerance_m)
     collisions = find_collisions(log, between_lanes=None if on_map is None else on_map.between_lanes)
     figures = [*_collision_figures(collisions), _least_ttc(log, horizon_s)]
     red_lights: tuple[RedLight, ...] = ()
@@ -173,9 +175,9 @@ def score_rollout(
     return SafetyReport({name: by_name[name] for name in FIGURES}, collisions, red_lights, score)
 
 
-def _locate(log: StateLog, road_map: RoadMap) -> _OnMap:
+def _locate(log: StateLog, road_map: RoadMap, tolerance_m: float) -> _OnMap:
     positions = locate_on_lanes(log, road_map)
-    area = drivable_area_compliance(log, road_map.drivable_rings)
+    area = drivable_area_compliance(log, road_map.drivable_rings, tolerance_m=tolerance_m)
     off_road = area.margin_m < 0.0
     return _OnMap(positions, area, off_road, positions.between_lanes | off_road)
 
@@ -260,7 +262,8 @@ def _comfort_figure(log: StateLog) -> SafetyFigure:
 def _progress_figures(progress: Progress | None, reference_m: float | None) -> tuple[float, list[SafetyFigure]]:
     if progress is None:
         return math.nan, [_missing("progress", _NO_ROUTE), _missing("progress_share", _NO_ROUTE)]
-    share = progress_factor(progress.progress_m, progress.route_ahead_m if reference_m is None else reference_m)
+    reference = progress.route_ahead_m if reference_m is None else min(reference_m, progress.route_ahead_m)
+    share = progress_factor(progress.progress_m, reference)
     return share, [SafetyFigure("progress", progress.progress_m), SafetyFigure("progress_share", share)]
 
 

@@ -72,8 +72,14 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
     Raises:
         DatasetError: the split does not exist; no traversal has a requested role; poses or calibrations are missing;
             or traversals have no layer to mask road users with.
-        UsageError: no traversal has a camera that the protocol names.
+        UsageError: no traversal has a camera that the protocol names, or the protocol scores rollouts.
     """
+    if protocol.task == "safety":
+        raise UsageError(
+            f"protocol {protocol.name} scores rollouts of a policy, not renders of a dataset",
+            place="--protocol",
+            remedy=f"drive the scenarios with `mirror simulate`, then: mirror evaluate RUN --protocol {protocol.name}",
+        )
     document = dataset.store.json(f"splits/{split}.json", SplitDocument) if _has(dataset, split) else None
     if document is None:
         raise DatasetError(

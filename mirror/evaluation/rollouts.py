@@ -1,0 +1,199 @@
+"""Evaluation of rollouts by the protocol ``safety``: their state logs are scored, and the result is written."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from mirror.errors import UsageError
+from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
+from mirror.evaluation.run import list_versions
+from mirror.evaluation.scorers.safety import ScoredRollout, rollout_figures, rollout_view, score_folder
+from mirror.evaluation.submission.manifest import Appearance, Method, SubmissionManifest
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.document import Protocol
+from mirror.schema.files import write_bytes, write_json
+from mirror.schema.folders import FolderKind, find_kind, require_output_folder
+from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
+
+_KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
+
+
+@dataclass(frozen=True)
+class RolloutEvaluation:
+    """The outcome of an evaluation of rollouts.
+
+    Attributes:
+        result: the written result.
+        scored: the rollouts with their values.
+    """
+
+    result: Result
+    scored: tuple[ScoredRollout, ...]
+
+
+def evaluate_rollouts(
+    folder: Path, protocol: Protocol, out: Path, progress: ProgressReporter | None = None
+) -> RolloutEvaluation:
+    """Score rollouts of one policy and write ``result.json`` and the table of their values.
+
+    Args:
+        folder: a rollout, or a folder with rollouts at any depth.
+        protocol: a protocol of the task ``safety``.
+        out: folder for the results.
+        progress: receives the progress.
+
+    Raises:
+        UsageError: the protocol has another task, there is no rollout, rollouts are of several policies or worlds, one
+            was interrupted, or ``out`` is a folder of another kind.
+        DatasetError: a rollout is incomplete or was changed, or the results cannot be written.
+        SchemaError: a file of a rollout does not follow its schema.
+    """
+    progress = NullProgress() if progress is None else progress
+    if protocol.task != "safety":
+        raise UsageError(
+            f"protocol {protocol.name} scores renders of a dataset, not rollouts",
+            place="--protocol",
+            expected="a protocol of the task safety",
+            remedy="name the dataset and the submission: mirror evaluate DATASET SUBMISSION",
+        )
+    folders = find_rollouts(folder)
+    require_output_folder(out, FolderKind.RESULTS)
+    rollouts = {path: read_rollout(path) for path in folders}
+    policy = _require_one_policy(rollouts)
+    progress.start("scoring rollouts", len(rollouts))
+    scored = []
+    for path, rollout in rollouts.items():
+        scored.append(score_folder(path, path.relative_to(folder).as_posix(), rollout, protocol))
+        progress.advance(1)
+    identity = _identify(scored)
+    manifest = SubmissionManifest(
+        protocol=protocol.name,
+        protocol_hash=protocol.hash,
+        split=identity.split,
+        dataset_hash=identity.dataset_hash,
+        plan_hash=identity.plan_hash,
+        method=Method(name=policy.policy, version=(policy.policy_hash or "1")[:12]),
+        appearance=Appearance(policy="none"),
+    )
+    result = Result(
+        protocol=protocol,
+        protocol_hash=protocol.hash,
+        dataset=identity,
+        submission=manifest,
+        submission_hash=_hash([rollout.hash for rollout in rollouts.values()]),
+        figures=tuple(rollout_figures(protocol, scored)),
+        unavailable={},
+        weights={},
+        versions=list_versions(),
+        options={"world": policy.world},
+        warnings=tuple(_list_warnings(scored)),
+    )
+    write_bytes(out / IMAGES, _encode_table(scored, protocol))
+    write_json(out / RESULT, result)
+    return RolloutEvaluation(result, tuple(scored))
+
+
+def find_rollouts(folder: Path) -> list[Path]:
+    """Find the rollouts in a folder, or that folder if it is one itself, in the order of their paths.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not folder.is_dir():
+        raise UsageError("no such folder", file=folder, expected="a rollout of `mirror simulate`, or a folder of them")
+    found = [path.parent for path in sorted(folder.rglob(ROLLOUT)) if find_kind(path.parent) is FolderKind.ROLLOUT]
+    if not found:
+        raise UsageError(
+            "holds no complete rollout",
+            file=folder,
+            expected=f"folders with {ROLLOUT}, which `mirror simulate` writes last",
+        )
+    return found
+
+
+def _require_one_policy(rollouts: dict[Path, Rollout]) -> Rollout:
+    (first_path, first), *others = rollouts.items()
+    for path, rollout in rollouts.items():
+        if rollout.ending == "interrupted":
+            raise UsageError("the rollout was interrupted", file=path, remedy="drive the scenario again")
+    for name in ("policy", "policy_hash", "world", "model_hash", "dataset_hash"):
+        for path, rollout in others:
+            if getattr(rollout, name) != getattr(first, name):
+                raise UsageError(
+                    f"{name} is {getattr(rollout, name)!r}, but {getattr(first, name)!r} in {first_path}",
+                    file=path,
+                    expected="rollouts of one policy in one world",
+                    remedy="evaluate them one policy and world at a time",
+                )
+    drives = [(rollout.scene_id, rollout.scenario, rollout.seed) for rollout in rollouts.values()]
+    for path, drive in zip(rollouts, drives):
+        if drives.count(drive) > 1:
+            raise UsageError(
+                f"scenario {drive[1]} with seed {drive[2]} was driven twice in scene {drive[0]}",
+                file=path,
+                expected="one rollout of each",
+            )
+    return first
+
+
+def _identify(scored: Sequence[ScoredRollout]) -> DatasetIdentity:
+    """What was driven: the world as the split, its data, and the scenarios with their seeds as the plan."""
+    first = scored[0].rollout
+    maps = sorted({one.rollout.files[MAP_FILE].sha256 for one in scored})
+    stated = first.dataset_hash or first.model_hash
+    plan = sorted(
+        [one.rollout.scene_id, one.rollout.files[SCENARIO_FILE].sha256, str(one.rollout.seed)] for one in scored
+    )
+    is_hash = stated is not None and re.fullmatch("[0-9a-f]{64}", stated) is not None
+    return DatasetIdentity(
+        split=first.world, dataset_hash=stated if stated and is_hash else _hash(maps), plan_hash=_hash([maps, plan])
+    )
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+
+
+def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
+    warnings = []
+    failed = [one for one in scored if one.rollout.ending == "policy"]
+    if failed:
+        warnings.append(
+            f"the policy failed in {len(failed)} of {len(scored)} rollouts, which are scored up to there; the first:"
+            f" {failed[0].path}: {failed[0].rollout.reason or 'no reason given'}"
+        )
+    if len({one.rollout.scenario for one in scored}) < 5:
+        warnings.append("fewer than 5 scenarios: figures have no confidence interval")
+    return warnings
+
+
+def _encode_table(scored: Sequence[ScoredRollout], protocol: Protocol) -> bytes:
+    """One row a rollout; ``traversal_id`` is the scenario, ``frame_index`` the seed, ``camera`` the world."""
+    rows = []
+    for one in scored:
+        view = rollout_view(one, protocol.groups[0].name)
+        keys = {key: getattr(view, key) for key in _KEYS}
+        causes = {f"{name}_cause": one.causes.get(name) for name in protocol.metric_names}
+        ending = {"ending": one.rollout.ending, "steps": one.rollout.steps}
+        rows.append({"path": one.path, **keys, **one.values, **ending, **causes})
+    columns = {
+        name: pa.array([row[name] for row in rows], pa.float64() if name in protocol.metric_names else None)
+        for name in rows[0]
+    }
+    for name, column in columns.items():
+        if pa.types.is_null(column.type):
+            columns[name] = column.cast(pa.string())
+    sink = io.BytesIO()
+    table = pa.table(columns).replace_schema_metadata({"mirror_protocol_hash": protocol.hash})
+    pq.write_table(table, sink, compression="zstd", version="2.6")
+    return sink.getvalue()

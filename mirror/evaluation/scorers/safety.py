@@ -1,0 +1,105 @@
+"""Safety of rollouts: the values of each one from its state log, and the means over scenarios."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from mirror.evaluation.figures import Measure, compute_figures
+from mirror.evaluation.result import Figure
+from mirror.evaluation.scorers.scorer import Values
+from mirror.metrics.safety import FIGURES, read_state_log, score_rollout
+from mirror.metrics.score import Score
+from mirror.protocols.document import DrivableArea, LeastTtc, Protocol
+from mirror.protocols.views.view import RenderView
+from mirror.schema.road_map import read_road_map
+from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
+from mirror.schema.scenario import Scenario, read_scenario
+
+VERSION: Final = 1
+"""Version of the values: increased when they change."""
+
+
+@dataclass(frozen=True)
+class ScoredRollout:
+    """One rollout with its values.
+
+    Attributes:
+        path: its folder, relative to the evaluated one.
+        rollout: its document.
+        scenario: its scenario.
+        values: values of the protocol's metrics; None: there is none.
+        reasons: why values are missing, by metric.
+        causes: who caused the events, by metric.
+    """
+
+    path: str
+    rollout: Rollout
+    scenario: Scenario
+    values: Values
+    reasons: dict[str, str]
+    causes: dict[str, str]
+
+
+def score_folder(folder: Path, path: str, rollout: Rollout, protocol: Protocol) -> ScoredRollout:
+    """Score one rollout.
+
+    Progress counts as complete at the distance that the scenario's speed (or else the ego's speed at the start of the
+    log) covers in the scenario's duration, or at the end of the route if that comes earlier. The least time to
+    collision is at most its horizon.
+
+    Raises:
+        DatasetError: a file is missing.
+        SchemaError: a file does not follow its schema.
+    """
+    log, scenario = read_state_log(folder / STATES_FILE), read_scenario(folder / SCENARIO_FILE)
+    speed_mps = scenario.ego.speed_mps or math.hypot(log.vx_mps[0, 0], log.vy_mps[0, 0])
+    horizon_s = next((metric.horizon_s for metric in protocol.metrics if isinstance(metric, LeastTtc)), 3.0)
+    tolerance_m = next((metric.tolerance_m for metric in protocol.metrics if isinstance(metric, DrivableArea)), 0.0)
+    report = score_rollout(
+        log,
+        read_road_map(folder / MAP_FILE),
+        rollout.route_m,
+        reference_m=speed_mps * scenario.duration_s,
+        horizon_s=horizon_s,
+        tolerance_m=tolerance_m,
+    )
+    figures = {name: report.figures[name] for name in protocol.metric_names}
+    values = {name: float(figure.value) if figure.is_valid else None for name, figure in figures.items()}
+    least = values.get("least_ttc")
+    if least is not None:
+        values["least_ttc"] = min(least, horizon_s)
+    reasons = {name: figure.reason for name, figure in figures.items() if figure.reason is not None}
+    causes = {name: figure.cause for name, figure in figures.items() if figure.cause is not None}
+    return ScoredRollout(path, rollout, scenario, values, reasons, causes)
+
+
+def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
+    """The keys under which a rollout stands in the table of values: its scenario takes the place of a traversal."""
+    return RenderView.model_construct(
+        path=scored.path,
+        group=group,
+        scene_id=scored.rollout.scene_id,
+        traversal_id=scored.rollout.scenario,
+        frame_index=scored.rollout.seed,
+        camera=scored.rollout.world,
+        timestamp_ns=0,
+        light=scored.scenario.light,
+        weather=scored.scenario.weather,
+    )
+
+
+def rollout_figures(protocol: Protocol, scored: Sequence[ScoredRollout]) -> Iterator[Figure]:
+    """Compute the means of all rollouts, and those of each scene, scenario, world and condition."""
+    group = protocol.groups[0].name
+    views = [rollout_view(one, group) for one in scored]
+    for name in protocol.metric_names:
+        unit, better = FIGURES[name]
+        scores = [
+            Score(math.nan if (value := one.values[name]) is None else float(value), one.reasons.get(name))
+            for one in scored
+        ]
+        yield from compute_figures(protocol, Measure(name, unit, better), group, views, scores)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -30,11 +30,9 @@ from hybridworldsim.simulator.world import Snapshot, StateRecorder, World, state
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.safety import find_collisions
+from mirror.schema.rollout import Ending
 from mirror.schema.scenario import RecordedStart, Scenario
 
-Ending = Literal["duration", "collision", "route_end", "left_street"]
-"""Why a rollout ended: its time is over; the ego touched an agent; it came to the end of its route; it left the part of
-the street that can be rendered."""
 _STREET_MARGIN_M: Final = 60.0
 
 
@@ -71,6 +69,11 @@ class Simulation:
     def step_s(self) -> float:
         """Duration of a step."""
         return 1.0 / self.scenario.rate_hz
+
+    @property
+    def controls(self) -> Controls:
+        """The target controls of the last step."""
+        return self._controls
 
     @property
     def now(self) -> Snapshot:

@@ -1,0 +1,218 @@
+"""The command line of ``mirror simulate``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from mirror.command_line import help_text, parse_arguments
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult
+    from mirror.metrics.safety.report import SafetyReport
+
+_EXAMPLES = (
+    "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
+    "mirror simulate demo/block/model --dataset demo/block/dataset --scenario cut-in --policy idm --out rollout",
+)
+_SYNTH = "synth:"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Drive a scenario with a policy. --out receives the states, the map, the controls and a video of the cameras.
+
+    A collision ends the drive. The exit code is 1 if the policy failed or was too slow; the states up to there are
+    complete. `mirror evaluate RUN --protocol safety` scores the folder.
+    """
+
+    source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|MODEL|synth:PRESET")]
+    """Folder or URL of a dataset; folder of a trained model, with --dataset; or a synthetic street,
+    synth:PRESET[:SEED[:DRIVE]]."""
+    out: Annotated[Path, help_text(metavar="RUN")]
+    """A new folder."""
+    scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
+    """Name of a scenario, or path of its .toml file."""
+    policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME")] = None
+    """An installed policy: idm, log, stop, constant-velocity, or another one of the entry points mirror.policies."""
+    dataset: Annotated[str | None, help_text(default="SOURCE")] = None
+    """Folder or URL of the dataset that a model was trained on: it has the rig, the recordings and the lines."""
+    renderer: Annotated[
+        Literal["boxes", "exact", "reconstructed", "generated"] | None,
+        help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
+    ] = None
+    """What renders the images: wireframes, the synthetic street, a trained model."""
+    scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
+    """Scene of the dataset."""
+    map: Annotated[Path | None, help_text(default="exact, or fitted to the recordings", metavar="FILE")] = None
+    """Road map of the scene, as GeoParquet."""
+    cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
+    """Cameras of the video. The policy gets the cameras that it asks for."""
+    width: int = 240
+    """Width of the images."""
+    height: Annotated[int | None, help_text(default="in proportion")] = None
+    """Height of the images."""
+    video: bool = True
+    """Write a video of the cameras with a bird's-eye view beside them."""
+    seed: Annotated[int | None, help_text(default="that of the scenario")] = None
+    """Seed of the rollout."""
+    deadline: Annotated[float | None, help_text(default="none", metavar="SECONDS")] = None
+    """Longest time that the policy may take for an action."""
+    replay: Annotated[Path | None, help_text(default="none", metavar="RUN")] = None
+    """Repeat the controls of an earlier rollout, with its scenario and seed, and compare the states."""
+    json: bool = False
+    """Print JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = parse_arguments(Arguments, argv, "mirror simulate", examples=_EXAMPLES)
+
+    from hybridworldsim.simulator.rollout.run import run_rollout
+    from mirror.progress import progress_bar
+
+    request = _request(arguments)
+    with progress_bar(quiet=arguments.json) as bar:
+        result = run_rollout(request, arguments.out, bar)
+    same = None if arguments.replay is None else _has_same_states(arguments.replay, arguments.out)
+    if arguments.json:
+        print(json.dumps(_plain(result, same)))
+    else:
+        _print(result, same)
+    return ExitCode.FINDINGS if result.error is not None or same is False else ExitCode.DONE
+
+
+def _request(arguments: Arguments) -> RolloutRequest:
+    from hybridworldsim.simulator.policies.registry import make_policy
+    from hybridworldsim.simulator.renderers.protocol import rig_cameras
+    from hybridworldsim.simulator.renderers.registry import RendererFactory
+    from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
+    from hybridworldsim.simulator.rollout.run import RolloutRequest
+    from hybridworldsim.simulator.street.opening import open_street
+    from mirror.schema.rollout import SCENARIO_FILE, read_rollout
+    from mirror.schema.scenario import read_scenario
+
+    if arguments.deadline is not None and not arguments.deadline > 0.0:
+        raise UsageError(f"{arguments.deadline:g} s", place="--deadline", expected="a positive number of seconds")
+    is_model = (Path(arguments.source) / "reconstruction.json").is_file()
+    if is_model and arguments.dataset is None:
+        raise UsageError(
+            "a model has no rig and no recordings", file=arguments.source, place="--dataset",
+            expected="the dataset that it was trained on", remedy="name it: --dataset DATASET",
+        )  # fmt: skip
+    name = arguments.renderer or (
+        "reconstructed" if is_model else "exact" if arguments.source.startswith(_SYNTH) else "boxes"
+    )
+    factory = RendererFactory(name, Path(arguments.source) if is_model else None)
+    seed, policy_name = arguments.seed, arguments.policy
+    if arguments.replay is not None:
+        if arguments.scenario is not None or policy_name is not None or seed is not None:
+            raise UsageError(
+                "it has its own scenario, controls and seed", place="--replay",
+                expected="neither --scenario nor --policy nor --seed",
+            )  # fmt: skip
+        earlier = read_rollout(arguments.replay)
+        scenario, seed = read_scenario(arguments.replay / SCENARIO_FILE), earlier.seed
+        # A rollout that its policy ended has as many steps as it has controls.
+        scenario = scenario.model_copy(update={"duration_s": max(earlier.steps, 1) / scenario.rate_hz})
+        policy: Any = Repeat(read_actions(arguments.replay / ACTIONS_FILE))
+        policy_name = f"replay of {earlier.policy}"
+    elif arguments.scenario is None or policy_name is None:
+        raise UsageError(
+            "no scenario, or no policy", place="--scenario, --policy", expected="both of them, or --replay RUN"
+        )
+    else:
+        scenario, policy = read_scenario(arguments.scenario), make_policy(policy_name)
+    source = arguments.dataset if is_model and arguments.dataset is not None else arguments.source
+    street = open_street(source, scene=arguments.scene, road_map=arguments.map)
+    shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
+    wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
+    return RolloutRequest(
+        street=street,
+        scenario=scenario,
+        policy=policy,
+        policy_name=policy_name,
+        cameras=rig_cameras(street, tuple(wanted), arguments.width, arguments.height),
+        factory=factory,
+        seed=seed,
+        video=shown if arguments.video else (),
+        deadline_s=math.inf if arguments.deadline is None else arguments.deadline,
+        dataset_hash=_dataset_hash(source),
+        model_hash=_model_hash(Path(arguments.source)) if is_model else None,
+    )
+
+
+def _dataset_hash(source: str) -> str | None:
+    if source.startswith(_SYNTH):
+        return None
+    import mirror
+
+    return mirror.open(source).index_sha256
+
+
+def _model_hash(folder: Path) -> str:
+    import hashlib
+
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.safetensors")):
+        digest.update(path.relative_to(folder).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _has_same_states(earlier: Path, later: Path) -> bool:
+    from mirror.schema.rollout import STATES_FILE
+
+    return (earlier / STATES_FILE).read_bytes() == (later / STATES_FILE).read_bytes()
+
+
+def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
+    rollout = result.rollout
+    return {
+        "run": str(result.folder),
+        "ending": rollout.ending,
+        "reason": rollout.reason,
+        "steps": rollout.steps,
+        "rendered": result.rendered,
+        "same_states": same,
+        "safety": {
+            name: figure.value if math.isfinite(figure.value) else None
+            for name, figure in result.safety.figures.items()
+        },
+    }
+
+
+def _print(result: RolloutResult, same: bool | None) -> None:
+    rollout = result.rollout
+    print(f"{result.folder}: {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
+    if rollout.reason is not None:
+        print(f"  {rollout.reason}")
+    for line in describe_safety(result.safety):
+        print(f"  {line}")
+    if same is not None:
+        print("  the states are those of the earlier rollout, bit for bit" if same else "  the states differ")
+    print(f"next: mirror evaluate {result.folder} --protocol safety")
+
+
+def describe_safety(safety: SafetyReport) -> list[str]:
+    """Return the collision, the least time to collision and the margin of a rollout as lines of text."""
+    figures, lines = safety.figures, []
+    if safety.collisions:
+        first = safety.collisions[0]
+        lines.append(f"collision with {first.agent} ({first.kind.value}) at {first.impact_speed_mps:.1f} m/s")
+    else:
+        lines.append("no collision")
+    ttc = figures["least_ttc"]
+    least = f"{ttc.value:.2f} s, to {ttc.cause}" if math.isfinite(ttc.value) else "none within 3 s"
+    lines.append(f"least time to collision: {least}")
+    margin = figures["drivable_margin"]
+    if margin.is_valid:
+        lines.append(f"margin to the edge of the drivable area: {margin.value:.2f} m")
+    return lines

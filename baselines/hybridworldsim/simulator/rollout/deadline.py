@@ -1,0 +1,91 @@
+"""Asks a policy for its actions, within a deadline."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+from collections.abc import Callable
+
+from hybridworldsim.simulator.policies.protocol import Action, Observation, ObservationSpec, Policy
+from mirror.errors import MirrorError
+
+
+class PolicyError(MirrorError):
+    """The policy failed, answered something that is no action, or was too slow."""
+
+
+class PolicyRunner:
+    """Runs a policy on a thread of its own, so that a policy that hangs ends the rollout and not the program.
+
+    Args:
+        policy: the policy.
+        name: its name, for messages.
+        deadline_s: time for an action; infinite: the policy runs on the caller's thread, without a limit.
+    """
+
+    def __init__(self, policy: Policy, name: str, deadline_s: float = math.inf) -> None:
+        self._policy, self._name, self._deadline_s = policy, name, deadline_s
+        self._asked: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[object, Exception | None]] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._is_silent = False
+
+    def reset(self, spec: ObservationSpec) -> None:
+        """Prepare the policy for a rollout; the deadline does not count here.
+
+        Raises:
+            PolicyError: the policy failed.
+        """
+        self._call(lambda: self._policy.reset(spec), math.inf)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the policy's action.
+
+        Raises:
+            PolicyError: the policy failed, or did not answer in time.
+        """
+        return self._call(lambda: self._policy.act(observation), self._deadline_s)  # type: ignore[return-value]
+
+    def close(self) -> None:
+        """Close the policy and end its thread; a policy that hangs is left behind."""
+        if not self._is_silent:
+            self._call(self._policy.close, math.inf)
+        self._asked.put(None)
+
+    def _call(self, work: Callable[[], object], deadline_s: float) -> object:
+        if math.isinf(self._deadline_s):
+            return self._guarded(*self._try(work))
+        if self._thread is None:
+            # A daemon does not keep the program alive.
+            self._thread = threading.Thread(target=self._serve, name="policy", daemon=True)
+            self._thread.start()
+        self._asked.put(work)
+        try:
+            answer = self._answers.get(timeout=None if math.isinf(deadline_s) else deadline_s)
+        except queue.Empty:
+            self._is_silent = True
+            raise PolicyError(
+                f"no answer within {deadline_s:g} s", place=f"policy {self._name!r}",
+                expected="an action for every observation", remedy="allow it more time: --deadline",
+            ) from None  # fmt: skip
+        return self._guarded(*answer)
+
+    def _serve(self) -> None:
+        while (work := self._asked.get()) is not None:
+            self._answers.put(self._try(work))
+
+    @staticmethod
+    def _try(work: Callable[[], object]) -> tuple[object, Exception | None]:
+        try:
+            return work(), None
+        except Exception as error:  # noqa: BLE001 - the code of somebody else, whose failure is reported by name
+            return None, error
+
+    def _guarded(self, answer: object, error: Exception | None) -> object:
+        if isinstance(error, MirrorError):
+            place = f"policy {self._name!r}" + (f", {error.place}" if error.place else "")
+            raise PolicyError(error.problem, place=place, expected=error.expected, remedy=error.remedy) from error
+        if error is not None:
+            raise PolicyError(f"{type(error).__name__}: {error}", place=f"policy {self._name!r}") from error
+        return answer

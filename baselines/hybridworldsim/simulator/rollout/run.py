@@ -1,0 +1,267 @@
+"""A rollout with a policy, written to a folder: states, scenario, map, controls and video; `run.json` comes last."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from hybridworldsim.simulator.ego.vehicle import Controls
+from hybridworldsim.simulator.policies.protocol import CameraSpec, Policy
+from hybridworldsim.simulator.renderers.protocol import CameraRenderer
+from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
+from hybridworldsim.simulator.rollout.deadline import PolicyError, PolicyRunner
+from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
+from hybridworldsim.simulator.simulation import Simulation, start_simulation
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import EGO, Snapshot
+from mirror.arrays import UInt8
+from mirror.errors import MirrorError, UsageError
+from mirror.metrics.safety import StateLogWriter
+from mirror.metrics.safety.report import SafetyReport, score_rollout
+from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.files import write_json
+from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.road_map import write_road_map
+from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Ending, Rollout, list_files
+from mirror.schema.scenario import Scenario, write_scenario
+from mirror.version import __version__
+from mirror.view.video import write_video
+
+VIDEO_FILE: Final = "video.mp4"
+REQUEST_FILE: Final = "request.json"
+_DRIVING: Final = ".driving"
+_PACKAGES: Final = ("numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutRequest:
+    """What is driven.
+
+    Attributes:
+        street: the street.
+        scenario: the scenario.
+        policy: the policy.
+        policy_name: its name.
+        cameras: cameras that the policy and the video may show, by name.
+        factory: makes the renderer.
+        seed: seed of the rollout; None: that of the scenario.
+        video: names of the cameras in the video; empty: there is no video.
+        deadline_s: time for an action of the policy.
+        dataset_hash: hash of the dataset that was driven in.
+        model_hash: hash of the model that renders.
+        arguments: what to write down so that the rollout can be repeated.
+    """
+
+    street: Street
+    scenario: Scenario
+    policy: Policy
+    policy_name: str
+    cameras: Mapping[str, CameraSpec]
+    factory: RendererFactory
+    seed: int | None = None
+    video: tuple[str, ...] = ()
+    deadline_s: float = math.inf
+    dataset_hash: str | None = None
+    model_hash: str | None = None
+    arguments: Mapping[str, object] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutResult:
+    """What a rollout gave.
+
+    Attributes:
+        folder: its folder.
+        rollout: its document.
+        safety: its safety.
+        rendered: number of images rendered.
+        error: why the policy ended the rollout; None: it did not.
+    """
+
+    folder: Path
+    rollout: Rollout
+    safety: SafetyReport
+    rendered: int
+    error: MirrorError | None
+
+
+def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter | None = None) -> RolloutResult:
+    """Drive a rollout and write its folder.
+
+    A policy that fails ends the rollout: the folder is complete up to there, and the result has the error. What an
+    interrupted call left in the folder is replaced.
+
+    Args:
+        request: what is driven.
+        out: a new or empty folder, or that of an interrupted rollout.
+        reporter: receives the progress.
+
+    Raises:
+        UsageError: the folder has other contents, the scenario does not fit on the street, or a camera is unknown.
+        DatasetError: the folder cannot be written.
+    """
+    kind = require_output_folder(out, FolderKind.ROLLOUT)
+    if kind is not None and (out / ROLLOUT).exists():
+        raise UsageError(
+            "there is a complete rollout: nothing was written", file=out, place="--out", expected="a new folder",
+            remedy="name another folder, or remove this one",
+        )  # fmt: skip
+    needed = dict.fromkeys((*request.policy.cameras, *request.video))
+    missing = next((name for name in needed if name not in request.cameras), None)
+    if missing is not None:
+        raise UsageError(
+            f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"of {', '.join(request.cameras)}"
+        )
+    simulation = start_simulation(request.street, request.scenario, request.seed)
+    renderer = request.factory.make(simulation, request.cameras) if needed else None
+    drive = _Drive(request, simulation, renderer, tuple(needed), reporter or NullProgress())
+    if kind is not None:
+        shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _DRIVING).touch()
+    write_scenario(out / SCENARIO_FILE, request.scenario.model_copy(update={"seed": simulation.seed}))
+    write_road_map(out / MAP_FILE, request.street.road_map)
+    signals = tuple(simulation.now.signals)
+    with StateLogWriter(
+        out / STATES_FILE, rear_axle_to_center_m=request.street.vehicle.rear_axle_to_center_m, signals=signals
+    ) as log:
+        frames = drive.frames(log)
+        if request.video:
+            write_video(out / VIDEO_FILE, frames, request.scenario.rate_hz)
+        else:
+            for _ in frames:
+                pass
+    write_actions(out / ACTIONS_FILE, drive.actions)
+    if request.arguments is not None:
+        write_json(out / REQUEST_FILE, dict(request.arguments))
+    rollout = _document(request, simulation, drive, out)
+    write_json(out / ROLLOUT, rollout)
+    (out / _DRIVING).unlink()
+    route = simulation.route.way.points
+    safety = score_rollout(simulation.recorder.log(), request.street.road_map, route)
+    rendered = 0 if renderer is None else renderer.rendered
+    return RolloutResult(out, rollout, safety, rendered, drive.error)
+
+
+class _Drive:
+    """A running rollout, which yields a frame of the video for each instant."""
+
+    def __init__(
+        self,
+        request: RolloutRequest,
+        simulation: Simulation,
+        renderer: CameraRenderer | None,
+        cameras: Sequence[str],
+        reporter: ProgressReporter,
+    ) -> None:
+        self._request, self._simulation, self._renderer = request, simulation, renderer
+        self._cameras, self._reporter = tuple(cameras), reporter
+        self.actions: list[Controls] = []
+        self.ending: Ending = "interrupted"
+        self.error: MirrorError | None = None
+
+    def frames(self, log: StateLogWriter) -> Iterator[UInt8]:
+        request, simulation = self._request, self._simulation
+        runner = PolicyRunner(request.policy, request.policy_name, request.deadline_s)
+        specs = {name: request.cameras[name] for name in request.policy.cameras}
+        self._reporter.start("drive", request.scenario.steps)
+        ending = None
+        try:
+            runner.reset(simulation.observation_spec(specs))
+            while True:
+                append_states(log, request.street, simulation.now)
+                images = self._render()
+                if request.video:
+                    yield mosaic({name: images[name] for name in request.video}, bird_eye(simulation))
+                if ending is not None:
+                    self.ending = ending
+                    break
+                seen = {name: images[name] for name in request.policy.cameras}
+                action = runner.act(simulation.observe(seen, privileged=request.policy.privileged))
+                try:
+                    ending = simulation.advance(action)
+                except UsageError as error:
+                    raise PolicyError(
+                        error.problem, place=f"policy {request.policy_name!r}, step {simulation.now.step}",
+                        expected=error.expected,
+                    ) from error  # fmt: skip
+                self.actions.append(simulation.controls)
+                self._reporter.advance(1)
+            runner.close()
+        except PolicyError as error:
+            self.error, self.ending = error, "policy"
+
+    def _render(self) -> Mapping[str, UInt8]:
+        if self._renderer is None:
+            return {}
+        return self._renderer.render(self._simulation.now, self._cameras)
+
+
+def append_states(log: StateLogWriter, street: Street, snapshot: Snapshot) -> None:
+    """Append the states of all present actors at an instant to a log."""
+    boxes, states = snapshot.boxes().states, snapshot.states
+    rows = np.flatnonzero(boxes[:, 6])
+    agents = [snapshot.agents[row - 1] for row in rows[1:]]
+    from hybridworldsim.simulator.ego.vehicle import center_velocity
+
+    vx, vy = center_velocity(snapshot.vehicle, snapshot.ego)
+    unknown = np.full(len(rows), np.nan)
+    acceleration, steering = unknown.copy(), unknown.copy()
+    acceleration[0], steering[0] = snapshot.ego.acceleration_mps2, snapshot.ego.steering_rad
+    columns = {
+        "x_m": boxes[rows, 0],
+        "y_m": boxes[rows, 1],
+        "z_m": np.asarray(street.ground.height_m(boxes[rows, 0], boxes[rows, 1])),
+        "yaw_rad": np.remainder(boxes[rows, 2] + math.pi, 2.0 * math.pi) - math.pi,
+        "vx_mps": np.concatenate([[vx], states.vx_mps[rows[1:] - 1]]),
+        "vy_mps": np.concatenate([[vy], states.vy_mps[rows[1:] - 1]]),
+        "length_m": 2.0 * boxes[rows, 4],
+        "width_m": 2.0 * boxes[rows, 5],
+        "height_m": np.array([snapshot.vehicle.height_m, *(agent.size_m[2] for agent in agents)]),
+        "acceleration_mps2": acceleration,
+        "steering_rad": steering,
+    }
+    log.append(
+        snapshot.stamp_ns,
+        [EGO, *(agent.agent_id for agent in agents)],
+        [EGO, *(agent.category for agent in agents)],
+        columns,
+        list(snapshot.signals.values()),
+    )
+
+
+def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, out: Path) -> Rollout:
+    versions = {"mirror": __version__, **{name: version(name) for name in _PACKAGES}}
+    threads = None
+    if request.video or request.policy.cameras:
+        threads = 1
+        if request.factory.name == "reconstructed":
+            import torch
+
+            threads, versions["torch"] = torch.get_num_threads(), torch.__version__
+    return Rollout(
+        scene_id=request.street.scene_id,
+        scenario=request.scenario.name,
+        scenario_version=request.scenario.version,
+        policy=request.policy_name,
+        world=request.factory.name,  # type: ignore[arg-type]
+        model_hash=request.model_hash,
+        dataset_hash=request.dataset_hash,
+        seed=simulation.seed,
+        rate_hz=request.scenario.rate_hz,
+        steps=simulation.now.step,
+        ending=drive.ending,
+        reason=None if drive.error is None else str(drive.error),
+        route_m=tuple((float(x), float(y)) for x, y in simulation.route.way.points),
+        threads=threads,
+        versions=versions,
+        files=list_files(out),
+    )

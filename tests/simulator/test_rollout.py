@@ -1,0 +1,194 @@
+"""Rollouts with a policy: the folder, the repetition, policies that fail, and what is refused."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybridworldsim.simulator.ego.vehicle import Controls
+from hybridworldsim.simulator.policies.protocol import Observation, ObservationSpec, PlannedTrajectory
+from hybridworldsim.simulator.policies.references import LaneKeeping, Log, Stop
+from hybridworldsim.simulator.policies.registry import make_policy, policy_names
+from hybridworldsim.simulator.renderers.protocol import rig_cameras
+from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
+from hybridworldsim.simulator.rollout.run import VIDEO_FILE, RolloutRequest, run_rollout
+from mirror.errors import UsageError
+from mirror.metrics.safety import read_state_log
+from mirror.schema.road_map import read_road_map
+from mirror.schema.rollout import STATES_FILE, read_rollout
+from mirror.schema.scenario import read_scenario
+from tests.simulator.streets import scenario, straight_street
+
+STREET = straight_street()
+BRAKE = scenario(
+    {"id": "lead", "behaviour": {"kind": "hard-brake", "ahead_m": 25.0, "trigger": {"ttc_s": 2.0, "latest_s": 1.0}}},
+    duration_s=3.0,
+)
+
+
+class Scripted:
+    """Answers by a function of the number of the step; counts what it gets."""
+
+    privileged = False
+
+    def __init__(self, answer, cameras: tuple[str, ...] = ()) -> None:
+        self.cameras, self.answer, self.seen, self.closed = cameras, answer, [], 0
+
+    def reset(self, spec: ObservationSpec) -> None:
+        self.spec = spec
+
+    def act(self, observation: Observation):
+        self.seen.append(observation)
+        return self.answer(len(self.seen) - 1)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def request(policy, **more) -> RolloutRequest:
+    chosen = RolloutRequest(
+        STREET, BRAKE, policy, "test", rig_cameras(STREET, tuple(STREET.rig), 48), RendererFactory("boxes")
+    )
+    return replace(chosen, **more)
+
+
+def test_the_folder_of_a_rollout_is_complete(tmp_path: Path) -> None:
+    result = run_rollout(request(LaneKeeping(), video=("front_wide", "rear")), tmp_path / "run")
+    rollout = read_rollout(tmp_path / "run")
+    assert (rollout.ending, rollout.steps, rollout.world) == ("duration", 30, "boxes")
+    assert set(rollout.files) == {STATES_FILE, "scenario.toml", "map.parquet", ACTIONS_FILE, VIDEO_FILE}
+    assert not list((tmp_path / "run").glob(".*"))
+    log = read_state_log(tmp_path / "run" / STATES_FILE)
+    assert len(log.stamps_ns) == 31
+    assert log.ids == ("ego", "lead")
+    assert np.diff(log.stamps_ns).tolist() == [100_000_000] * 30
+    assert set(read_road_map(tmp_path / "run" / "map.parquet").lanes) == set(STREET.road_map.lanes)
+    assert read_scenario(tmp_path / "run" / "scenario.toml").agents == BRAKE.agents
+    assert result.rendered == 2 * 31
+    assert result.safety.figures["collisions"].value == 0.0
+
+
+def test_a_repeated_rollout_has_the_same_states_to_the_bit(tmp_path: Path) -> None:
+    run_rollout(request(LaneKeeping()), tmp_path / "first")
+    actions = read_actions(tmp_path / "first" / ACTIONS_FILE)
+    run_rollout(request(Repeat(actions)), tmp_path / "second")
+    first, second = ((tmp_path / name / STATES_FILE).read_bytes() for name in ("first", "second"))
+    assert first == second
+    changed = [*actions[:-1], Controls(actions[-1].acceleration_mps2 + 1e-9, actions[-1].curvature_radpm)]
+    run_rollout(request(Repeat(changed)), tmp_path / "third")
+    assert (tmp_path / "third" / STATES_FILE).read_bytes() != first
+
+
+def test_a_policy_gets_the_cameras_that_it_asks_for_and_no_others(tmp_path: Path) -> None:
+    policy = Scripted(lambda step: Controls(0.0, 0.0), ("rear",))
+    result = run_rollout(request(policy), tmp_path / "run")
+    assert list(policy.spec.cameras) == ["rear"]
+    assert {name for seen in policy.seen for name in seen.images} == {"rear"}
+    assert all(seen.privileged is None for seen in policy.seen)
+    assert result.rendered == result.rollout.steps + 1
+    assert policy.closed == 1
+    blind = run_rollout(request(Stop()), tmp_path / "blind")
+    assert blind.rendered == 0
+
+
+def test_a_trajectory_is_kept_until_the_next_action(tmp_path: Path) -> None:
+    times = np.array([2.0, 4.0])
+    plan = PlannedTrajectory(times, np.column_stack([6.0 * times, np.zeros(2), np.zeros(2)]))
+    policy = Scripted(lambda step: plan if step == 0 else None)
+    run_rollout(request(policy, scenario=scenario(duration_s=2.0)), tmp_path / "run")
+    log = read_state_log(tmp_path / "run" / STATES_FILE)
+    assert log.vx_mps[-1, 0] == pytest.approx(6.0, abs=0.7)
+
+
+def fail(step: int) -> Controls:
+    if step == 7:
+        raise ValueError("out of ideas")
+    return Controls(0.0, 0.0)
+
+
+def sleep(step: int) -> Controls:
+    if step == 7:
+        time.sleep(3.0)
+    return Controls(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("answer", "deadline_s", "reason"),
+    [
+        (fail, 5.0, "ValueError: out of ideas"),
+        (fail, np.inf, "ValueError: out of ideas"),
+        (sleep, 0.3, "no answer within 0.3 s"),
+        (lambda step: Controls(np.nan if step == 7 else 0.0, 0.0), np.inf, "acceleration_mps2 is nan"),
+        (lambda step: "left" if step == 7 else None, np.inf, "an action of type str"),
+        (lambda step: PlannedTrajectory(np.zeros(0), np.zeros((0, 3))) if step == 7 else None, np.inf, "shape"),
+    ],
+)
+def test_a_policy_that_fails_ends_the_rollout_with_its_name_and_a_complete_log(
+    tmp_path: Path, answer, deadline_s: float, reason: str
+) -> None:
+    result = run_rollout(request(Scripted(answer, ("rear",)), deadline_s=deadline_s, video=("rear",)), tmp_path / "run")
+    assert result.error is not None
+    rollout = read_rollout(tmp_path / "run")
+    assert rollout.ending == "policy"
+    assert rollout.reason is not None
+    assert reason in rollout.reason and "'test'" in rollout.reason
+    assert rollout.steps == 7
+    assert len(read_state_log(tmp_path / "run" / STATES_FILE).stamps_ns) == 8
+    assert len(read_actions(tmp_path / "run" / ACTIONS_FILE)) == 7
+    assert (tmp_path / "run" / VIDEO_FILE).is_file()
+
+
+def test_an_interrupted_rollout_leaves_its_log_and_is_driven_again(tmp_path: Path) -> None:
+    def interrupt(step: int) -> Controls:
+        if step == 12:
+            raise KeyboardInterrupt
+        return Controls(0.0, 0.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_rollout(request(Scripted(interrupt)), tmp_path / "run")
+    assert len(read_state_log(tmp_path / "run" / STATES_FILE).stamps_ns) == 13
+    assert not (tmp_path / "run" / "run.json").exists()
+    again = run_rollout(request(Stop()), tmp_path / "run")
+    assert again.rollout.steps == 30
+
+
+def test_a_collision_ends_the_rollout(tmp_path: Path) -> None:
+    wall = scenario({"id": "queue", "behaviour": {"kind": "stopped-queue", "ttc_s": 1.0}})
+    result = run_rollout(request(Scripted(lambda step: Controls(0.0, 0.0)), scenario=wall), tmp_path / "run")
+    assert result.rollout.ending == "collision"
+    assert [collision.agent for collision in result.safety.collisions] == ["queue"]
+    assert result.safety.collisions[0].impact_speed_mps == pytest.approx(10.0)
+
+
+def test_the_log_policy_follows_the_recording(tmp_path: Path) -> None:
+    recorded = scenario(ego={"start": {"kind": "recorded", "after_s": 2.0}}, duration_s=5.0)
+    run_rollout(request(Log(), scenario=recorded), tmp_path / "run")
+    log = read_state_log(tmp_path / "run" / STATES_FILE)
+    recording = STREET.recordings["drive-1"]
+    expected = np.interp(2.0 + log.times_s, recording.times_s, recording.poses[:, 0])
+    assert np.abs(log.x_m[:, 0] - log.rear_axle_to_center_m - expected).max() < 0.05
+    result = run_rollout(request(Log()), tmp_path / "elsewhere")
+    assert "no recorded trajectory" in str(result.error)
+
+
+def test_complete_folders_and_unknown_cameras_are_refused(tmp_path: Path) -> None:
+    run_rollout(request(Stop()), tmp_path / "run")
+    before = (tmp_path / "run" / STATES_FILE).read_bytes()
+    with pytest.raises(UsageError, match="complete rollout"):
+        run_rollout(request(Stop()), tmp_path / "run")
+    assert (tmp_path / "run" / STATES_FILE).read_bytes() == before
+    with pytest.raises(UsageError, match="needs camera 'side'"):
+        run_rollout(request(Scripted(fail, ("side",))), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_installed_policies_are_found_by_name() -> None:
+    assert {"constant-velocity", "idm", "log", "stop"} <= set(policy_names())
+    assert isinstance(make_policy("idm"), LaneKeeping)
+    with pytest.raises(UsageError, match="no policy 'chauffeur'"):
+        make_policy("chauffeur")

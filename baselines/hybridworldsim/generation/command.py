@@ -22,6 +22,10 @@ _SCENE_EXAMPLES = (
     "mirror generate scene demo/block/dataset generator --background demo/block/model --out generated",
     "mirror generate scene dataset generator --background exact:block --edit move:7:dy=1.5 --frames 20 --out moved",
 )
+_DISTIL_EXAMPLES = (
+    "mirror generate distil clips generator --steps 2000 --out distilled",
+    "mirror generate distil clips generator --steps 2000 --segments 2 --out two_steps",
+)
 _TRAIN_EXAMPLES = (
     "mirror generate train clips --steps 4000 --out generator",
     "mirror generate train clips --steps 4000 --no-background --autoencoder generator/autoencoder/model.safetensors "
@@ -97,6 +101,44 @@ class Train:
 
 
 @dataclass(frozen=True)
+class Distil:
+    """Distil a trained generator to few steps, without guidance: its student jumps where the teacher walks.
+
+    Ctrl-C leaves a checkpoint, and the same command continues. At the same number of threads the result is the same,
+    bit for bit.
+    """
+
+    clips: tyro.conf.Positional[Path]
+    """Folder of clips, with clips.json: those of the training."""
+    generator: tyro.conf.Positional[Path]
+    """Folder that `mirror generate train` wrote, or model.safetensors of a generator."""
+    out: Annotated[Path, help_text(metavar="FOLDER")]
+    """A new folder, or that of an interrupted run with the same options."""
+    steps: int
+    """Number of steps of the training."""
+    segments: int = 4
+    """Steps of the sampler that the student is made for."""
+    teacher_steps: int = 32
+    """Small steps of the teacher, a multiple of --segments."""
+    autoencoder: Annotated[Path | None, help_text(default="beside the generator", metavar="FILE")] = None
+    """Autoencoder that the generator was trained with."""
+    batch: int = 4
+    """Windows of a step."""
+    learning_rate: float = 2e-4
+    """Highest learning rate. It rises in 100 steps, then falls to 0 behind the last step."""
+    ema: float = 0.995
+    """Highest decay of the averaged parameters, which are the student's targets and those of the model."""
+    seed: int = 0
+    """Seed of all random choices."""
+    threads: int = 1
+    """Number of threads."""
+    device: str = "cpu"
+    """Where the student is trained: cpu, cuda, cuda:1."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
 class Scene:
     """Generate the road users of a scene over its static street: frames and a video, or a submission.
 
@@ -155,6 +197,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     subcommands = {
         "train": Subcommand("train a generator on a folder of clips", _train),
+        "distil": Subcommand("distil a trained generator to few steps", _distil),
         "scene": Subcommand("generate the road users of a scene over its static street", _scene),
     }
     return run_subcommand(argv, "mirror generate", subcommands)
@@ -192,6 +235,33 @@ def _train(argv: Sequence[str]) -> int:
     if result.autoencoder_outcome is not None:
         bound = result.autoencoder_outcome.psnr_db
         print(f"{result.autoencoder}: {bound:.2f} dB on its training images, which bounds what is generated")
+    return ExitCode.DONE
+
+
+def _distil(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Distil, argv, "mirror generate distil", examples=_DISTIL_EXAMPLES)
+
+    from hybridworldsim.generation.training.distillation import DistillationSettings
+    from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
+    from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+    from mirror.progress import progress_bar
+
+    generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
+    options = DistillationOptions(
+        steps=arguments.steps,
+        distillation=DistillationSettings(arguments.segments, arguments.teacher_steps),
+        settings=GeneratorSettings(batch=arguments.batch, learning_rate=arguments.learning_rate, ema=arguments.ema),
+        seed=arguments.seed,
+        threads=arguments.threads,
+        device=arguments.device,
+    )
+    with progress_bar(quiet=arguments.json) as bar:
+        model, outcome = distil_on_clips(arguments.clips, generator, autoencoder, arguments.out, options, bar)
+    if arguments.json:
+        print(json.dumps({"generator": str(model), **outcome.model_dump(exclude={"psnr_db"})}))
+        return ExitCode.DONE
+    print(f"{model}: {outcome.steps} steps, {outcome.core_s / 60.0:.1f} core-minutes, loss {outcome.loss:.5f}")
+    print(f"next: mirror generate scene DATASET {model} --autoencoder {autoencoder} --steps {arguments.segments} ...")
     return ExitCode.DONE
 
 

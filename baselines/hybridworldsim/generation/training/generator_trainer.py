@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TINY, TINY_REFERENCES, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import TIMESTEPS, Weighting, add_noise, draw_levels, loss_weight
@@ -84,17 +85,45 @@ class _Loss(nn.Module):
         count = batch.references.shape[1]
         noisy = add_noise(batch.target, noise[:, count:], level)
         references = add_noise(batch.references, noise[:, :count], reference_level)
-        prepared = self.network.prepare(batch.conditions)
-        steps, reference_steps = TIMESTEPS * level, TIMESTEPS * reference_level
-        if self.network.config.reference_channels:
-            stacked = torch.cat([noisy, references.transpose(1, 2).flatten(2, 3)[:, None]], dim=3)
-            velocity = self.network(stacked, steps, prepared, reference_timestep=reference_steps[:, :1])
-        else:
-            window = torch.cat([references, noisy], dim=1)
-            velocity = self.network(window, torch.cat([reference_steps, steps], dim=1), prepared)[:, count:]
+        velocity = predict_velocity(self.network, noisy, references, batch.conditions, level, reference_level)
         square = (velocity.float() - (noise[:, count:] - batch.target)).square().mean(dim=(3, 4, 5))
-        weighted = square * loss_weight(level, self._weighting) * batch.present
-        return weighted.sum() / batch.present.sum().clamp(min=1)
+        return mean_over_present(square * loss_weight(level, self._weighting), batch.present)
+
+
+def predict_velocity(
+    network: Transformer,
+    noisy: Tensor,
+    references: Tensor,
+    conditions: Conditions,
+    level: Tensor,
+    reference_level: Tensor,
+) -> Tensor:
+    """The velocity of a noisy target, in training.
+
+    Args:
+        network: the network.
+        noisy: (B, 1, V, C, H, W) target at its noise level.
+        references: (B, T, V, C, H, W) at their noise level.
+        conditions: of the window, from `join_conditions`.
+        level: (B, 1, V) noise level of the target.
+        reference_level: (B, T, V) noise level of the references.
+
+    Returns:
+        (B, 1, V, C, H, W).
+    """
+    count = references.shape[1]
+    prepared = network.prepare(conditions)
+    steps, reference_steps = TIMESTEPS * level, TIMESTEPS * reference_level
+    if network.config.reference_channels:
+        stacked = torch.cat([noisy, references.transpose(1, 2).flatten(2, 3)[:, None]], dim=3)
+        return network(stacked, steps, prepared, reference_timestep=reference_steps[:, :1])
+    window = torch.cat([references, noisy], dim=1)
+    return network(window, torch.cat([reference_steps, steps], dim=1), prepared)[:, count:]
+
+
+def mean_over_present(values: Tensor, present: Tensor) -> Tensor:
+    """Mean of values (B, 1, V) over the views that exist (B, 1, V)."""
+    return (values * present).sum() / present.sum().clamp(min=1)
 
 
 class GeneratorTrainer:
@@ -140,8 +169,16 @@ class GeneratorTrainer:
             self.network.parameters(), lr=settings.learning_rate, betas=(0.9, 0.99), weight_decay=settings.weight_decay
         )
         self._averaged = {name: one.detach().clone() for name, one in self.network.named_parameters()}
-        loss: nn.Module = _Loss(self.network, settings.weighting)
+        loss = self._make_loss()
         self._loss = nn.parallel.DistributedDataParallel(loss) if processes > 1 else loss
+
+    def _make_loss(self) -> nn.Module:
+        """The loss of a batch, level, reference level and noise, as a module that holds the network."""
+        return _Loss(self.network, self._settings.weighting)
+
+    def _draw_levels(self, count: int, generator: torch.Generator) -> Tensor:
+        """Noise levels (count,) of the targets of a part."""
+        return draw_levels((count,), generator)
 
     def step(self, number: int) -> dict[str, float]:
         """Do a step; returns the losses by name."""
@@ -174,7 +211,7 @@ class GeneratorTrainer:
         generator = torch.Generator().manual_seed(int(state >> np.uint64(1)))
         batch = self._windows.batch(drawn[first : first + size].tolist())
         _, views = batch.target.shape[1:3]
-        level = draw_levels((size,), generator)[:, None, None].expand(size, 1, views)
+        level = self._draw_levels(size, generator)[:, None, None].expand(size, 1, views)
         reference_level = settings.context_noise * torch.rand((size, 1, 1), generator=generator)
         reference_level = reference_level.expand(size, batch.references.shape[1], views)
         noise = torch.randn((size, batch.references.shape[1] + 1, *batch.target.shape[2:]), generator=generator)

@@ -97,7 +97,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     listed = read_list(clips).training
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
-    clips_hash = _clips_hash(clips, listed)
+    clips_hash = hash_clips(clips, listed)
     loaded = read_clips(clips, listed)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
@@ -194,7 +194,12 @@ def _flat(images: UInt8) -> UInt8:
     return images.reshape(-1, *images.shape[2:])
 
 
-def _clips_hash(folder: Path, clip_ids: tuple[str, ...]) -> str:
+def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:
+    """SHA-256 over the ids and files of clips.
+
+    Raises:
+        DatasetError: a file is missing.
+    """
     digest = hashlib.sha256()
     for clip_id in clip_ids:
         path = clip_path(folder, clip_id)

@@ -18,7 +18,6 @@ from hybridworldsim.generation.training.windows import ClipWindows
 from mirror.schema.files import write_bytes
 
 _ENLARGED: Final = 2
-_STEPS: Final = 10
 
 
 def write_samples(
@@ -30,6 +29,7 @@ def write_samples(
     *,
     count: int = 6,
     device: str = "cpu",
+    steps: int = 10,
 ) -> None:
     """Write an image with a row for each of some windows, evenly chosen.
 
@@ -43,6 +43,7 @@ def write_samples(
         codec: the autoencoder.
         count: number of windows.
         device: where the network is.
+        steps: steps of the sampler.
     """
     chosen = np.linspace(0, len(windows) - 1, count).round().astype(int).tolist()
     rows = []
@@ -52,7 +53,7 @@ def write_samples(
         noise = draw_noise(batch.target.shape, (number,), device=device)
         with torch.no_grad():
             latents = sample_frame(
-                model, batch.references.to(device), batch.conditions.to(device), noise, SamplerSettings(_STEPS)
+                model, batch.references.to(device), batch.conditions.to(device), noise, SamplerSettings(steps)
             )
             columns = [codec.decode(one[0, 0].cpu()) for one in (batch.target, latents)]
         background = batch.conditions.background

@@ -1,0 +1,113 @@
+"""Distils a generator on a folder of clips; an interrupted run continues."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+
+from hybridworldsim.generation.clips.folder import read_clips, read_list
+from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_generator
+from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+from hybridworldsim.generation.training.loop import run_steps
+from hybridworldsim.generation.training.run import hash_clips
+from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
+from hybridworldsim.generation.training.samples import write_samples
+from hybridworldsim.generation.training.windows import ClipWindows
+from mirror.errors import DatasetError, UsageError
+from mirror.progress import ProgressReporter
+from mirror.weights.resolve import file_sha256
+
+_LOSS = "velocity"
+
+
+@dataclass(frozen=True)
+class DistillationOptions:
+    """Options of a distillation.
+
+    Attributes:
+        steps: steps of the student's training.
+        distillation: segments and steps of the teacher.
+        settings: how steps are made; the network is the teacher's.
+        seed: seed of all random numbers.
+        threads: number of torch threads.
+        device: where the networks are.
+        checkpoint_s: a checkpoint is written at the first step after this many seconds.
+    """
+
+    steps: int
+    distillation: DistillationSettings = field(default_factory=DistillationSettings)
+    settings: GeneratorSettings = field(default_factory=lambda: GeneratorSettings(learning_rate=2e-4))
+    seed: int = 0
+    threads: int = 1
+    device: str = "cpu"
+    checkpoint_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.threads) < 1:
+            raise UsageError("steps or threads below 1", expected="at least 1")
+
+
+def distil_on_clips(
+    clips: Path,
+    generator: Path,
+    autoencoder: Path,
+    out: Path,
+    options: DistillationOptions,
+    reporter: ProgressReporter,
+) -> tuple[Path, GenerationOutcome]:
+    """Distil a generator on the training clips of a folder.
+
+    Args:
+        clips: the folder of clips.
+        generator: file of the teacher.
+        autoencoder: file of its autoencoder.
+        out: folder of the run; another call with the same options continues.
+        options: see `DistillationOptions`.
+        reporter: receives the progress.
+
+    Returns:
+        The file of the student, and the outcome of the run.
+
+    Raises:
+        DatasetError: clips or models are missing or broken, or the loss is not finite.
+        UsageError: `out` holds another run, or the models do not fit the clips.
+    """
+    torch.set_num_threads(options.threads)
+    listed = read_list(clips).training
+    if not listed:
+        raise DatasetError("no training clips", file=clips, expected="at least one clip")
+    teacher, references = read_generator(generator)
+    settings = replace(options.settings, network=teacher.config, references=references)
+    folder = GenerationRunFolder(out)
+    document = {**settings.document, "distillation": options.distillation.document, "teacher": file_sha256(generator)}
+    run = GenerationRun(
+        part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
+        processes=1, clips_hash=hash_clips(clips, listed), autoencoder_hash=file_sha256(autoencoder),
+    )  # fmt: skip
+    outcome = folder.begin(run)
+    if outcome is not None:
+        return folder.model, outcome
+    with folder.lock():
+        codec = read_autoencoder(autoencoder)
+        windows = ClipWindows(read_clips(clips, listed), codec, teacher.config, OWN_STYLE, references)
+        trainer = DistillationTrainer(
+            settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device
+        )
+
+        def sample(step: int) -> None:
+            write_samples(
+                folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=options.device,
+                steps=options.distillation.segments,
+            )  # fmt: skip
+
+        position = run_steps(
+            trainer, options.steps, folder, reporter, phase="distillation", checkpoint_s=options.checkpoint_s,
+            sample=sample,
+        )  # fmt: skip
+        network = trainer.averaged_network()
+        done = folder.finish(lambda file: write_generator(file, network, references), position, _LOSS)
+    return folder.model, done

@@ -17,7 +17,6 @@ from mirror.cli.verbs import HEADINGS, all_commands
 
 DATASET_FIRST = (
     "annotate",
-    "annotate train",
     "baseline",
     "calibrate check",
     "calibrate refine",

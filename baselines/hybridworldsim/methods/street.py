@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.methods.appearance_fitting import fit_appearances
+from hybridworldsim.methods.interactive import InteractiveStreet
 from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
@@ -42,6 +43,11 @@ class StreetMethod(StaticMethod):
     def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""
         return StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
+
+    def open_interactive(self, model: Path) -> InteractiveStreet:
+        """See `mirror.methods.interactive.InteractiveMethod`."""
+        opened = [_open(folder) for folder in block_folders(model)]
+        return InteractiveStreet([(block.block, block.street, block.run.sources) for block in opened])
 
     def export_ply(
         self,

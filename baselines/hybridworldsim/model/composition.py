@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -41,7 +41,6 @@ class Composition:
         self._split = split_street(blocks)
         self._parts = [_RenderablePart(part) for part in self._split.parts]
 
-    @torch.inference_mode()
     def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
         """Render a view.
 
@@ -55,6 +54,20 @@ class Composition:
         Raises:
             UsageError: the view's lens is not a pinhole.
         """
+        decoded = self.decode(view, select_latents)
+        counts = {
+            "blocks": len(self._parts),
+            "nodes": 3 * len(self._parts),
+            "nodes_drawn": len(decoded.splats),
+            "held": sum(renderable.part.stored_count for renderable in self._parts),
+            "decoded": sum(splats.decoded_count for splats in decoded.splats),
+            "drawn": sum(len(splats) for splats in decoded.splats),
+        }
+        return self.draw(view, decoded), counts
+
+    @torch.inference_mode()
+    def decode(self, view: RenderView, select_latents: LatentSelector) -> Decoded:
+        """Decode the Gaussians that a view may see; see `render`."""
         sky_weights = self._split.sky_weights(view.pose.translation[0])
         home = self._parts[int(sky_weights.argmax())].part.block
         shown = []
@@ -62,16 +75,27 @@ class Composition:
             shift = np.array(renderable.part.block.origin_m) - np.array(home.origin_m)
             viewpoint = to_viewpoint(view, np.array(renderable.part.block.origin_m))
             shown += [_translate(splats, shift) for splats in renderable.decode(viewpoint, sky, select_latents)]
-        output = render(to_viewpoint(view, np.array(home.origin_m)), tuple(shown)) if shown else _empty_render(view)
-        counts = {
-            "blocks": len(self._parts),
-            "nodes": 3 * len(self._parts),
-            "nodes_drawn": len(shown),
-            "held": sum(renderable.part.stored_count for renderable in self._parts),
-            "decoded": sum(splats.decoded_count for splats in shown),
-            "drawn": sum(len(splats) for splats in shown),
-        }
-        return output, counts
+        return Decoded(np.array(home.origin_m), tuple(shown))
+
+    @torch.inference_mode()
+    def draw(self, view: RenderView, decoded: Decoded) -> RenderOutput:
+        """Draw decoded Gaussians in a view, which need not be the one that they were decoded for."""
+        if not decoded.splats:
+            return _empty_render(view)
+        return render(to_viewpoint(view, decoded.origin_m), decoded.splats)
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """Gaussians of all blocks that a view may see.
+
+    Attributes:
+        origin_m: (3,) origin of their frame in the world.
+        splats: the Gaussians of each node.
+    """
+
+    origin_m: Float64
+    splats: tuple[Splats, ...]
 
 
 class _RenderablePart:

@@ -1,0 +1,149 @@
+"""``mirror view DATASET [MODEL]``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from mirror.command_line import help_text, parse_arguments
+from mirror.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mirror.dataset.dataset import Dataset
+
+_EXAMPLES = (
+    "mirror view demo/block/dataset demo/block/model",
+    "mirror view demo/dataset --scene street --save street.rrd",
+)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Look at a dataset in rerun, or drive and fly through a reconstructed street in the browser.
+
+    With MODEL, a server prints its address and renders the street on the CPU: sliders move along a traversal, beside
+    its line, and from day to night. Without MODEL, rerun shows the cameras, trajectories, boxes, points and masks of a
+    scene.
+    """
+
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset."""
+    model: tyro.conf.Positional[Annotated[Path | None, help_text(default="look at the dataset")]] = None
+    """Folder that `mirror reconstruct` wrote."""
+    scene: Annotated[str | None, help_text(default="the only one, or that of the model", metavar="ID")] = None
+    """Scene to look at."""
+    traversal: Annotated[tuple[str, ...], help_text(default="all; for MODEL its first", metavar="ID ...")] = ()
+    """Traversals to look at."""
+    camera: Annotated[tuple[str, ...], help_text(default="all; for MODEL one", metavar="NAME ...")] = ()
+    """Cameras to look at."""
+    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
+    """Layer of boxes."""
+    save: Annotated[Path | None, help_text(default="open the viewer", metavar="FILE.rrd")] = None
+    """File of rerun to write."""
+    width: Annotated[int, help_text(metavar="PIXELS")] = 640
+    """Images of rerun that are wider are scaled down."""
+    every: int = 1
+    """Show every n-th frame in rerun."""
+    host: str = "127.0.0.1"
+    """Address of the server for MODEL; 0.0.0.0 lets other machines connect."""
+    port: int = 8080
+    """Port of the server for MODEL."""
+    measure: Annotated[int | None, help_text(default="no", metavar="MOVES")] = None
+    """Measure the time of moves at 480 x 270 pixels, print it and end."""
+    json: bool = False
+    """Print JSON."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = parse_arguments(Arguments, argv, "mirror view", examples=_EXAMPLES)
+    if arguments.every < 1 or arguments.width < 16:
+        raise UsageError(
+            f"--every {arguments.every}, --width {arguments.width}", expected="at least 1 frame and 16 pixels"
+        )
+    if arguments.model is not None and arguments.save is not None:
+        raise UsageError("MODEL and --save exclude each other", place="--save", expected="one of them")
+    if arguments.save is not None and arguments.save.suffix != ".rrd":
+        raise UsageError(f"{arguments.save}", place="--save", expected="a name that ends in .rrd")
+
+    import mirror
+
+    if arguments.model is None and (Path(arguments.dataset) / "reconstruction.json").is_file():
+        raise UsageError(
+            "this is a model, not a dataset", file=arguments.dataset, place="DATASET",
+            expected="the dataset of its images, which are shown beside it",
+            remedy=f"mirror view DATASET {arguments.dataset}",
+        )  # fmt: skip
+    dataset = mirror.open(arguments.dataset).with_layers(boxes=arguments.boxes)
+    return _view_dataset(dataset, arguments) if arguments.model is None else _view_model(dataset, arguments)
+
+
+def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
+    from mirror.progress import progress_bar
+    from mirror.schema.folders import require_output_file
+    from mirror.view.rerun_log import RerunOptions, log_scene
+
+    if arguments.save is not None:
+        require_output_file(arguments.save)
+    view = dataset.where(traversal=arguments.traversal or None, camera=arguments.camera or None)
+    scenes = view.scenes()
+    if arguments.scene is None and len(scenes) != 1:
+        raise UsageError(
+            f"the dataset has {len(scenes)} scenes: {', '.join(scenes[:8])}", file=dataset.root, place="--scene",
+            expected="one scene", remedy="choose one with --scene",
+        )  # fmt: skip
+    options = RerunOptions(arguments.save, arguments.width, arguments.every)
+    with progress_bar(quiet=arguments.json) as progress:
+        logged = log_scene(view, arguments.scene or scenes[0], options, progress=progress)
+    if arguments.json:
+        print(json.dumps({"out": None if arguments.save is None else str(arguments.save), **asdict(logged)}))
+    else:
+        counts = ", ".join(f"{count:,} {name}" for name, count in asdict(logged).items() if count)
+        print(f"{counts}: {arguments.save or 'rerun'}")
+    return ExitCode.DONE
+
+
+def _view_model(dataset: Dataset, arguments: Arguments) -> int:
+    from mirror.methods.interactive import find_interactive
+    from mirror.methods.model_document import read_reconstruction, require_matching_split
+    from mirror.view.street_path import read_path
+    from mirror.view.street_viewer import StreetViewer, ViewerOptions, measure_moves
+
+    model = arguments.model
+    if model is None:
+        raise UsageError("no model", place="MODEL", expected="the folder of a model")
+    document = read_reconstruction(model)
+    require_matching_split(dataset, document.split, document)
+    if arguments.scene not in (None, document.scene):
+        raise UsageError(f"the model is of {document.scene}", place="--scene", expected=document.scene)
+    view = dataset.where(scene=document.scene, traversal=arguments.traversal or sorted(document.trained))
+    path = read_path(view, view.traversals()[0], arguments.camera[0] if arguments.camera else None)
+    renderer = find_interactive(document.method).open_interactive(model)
+    if arguments.measure is not None:
+        return _print_times(measure_moves(renderer, path, arguments.measure), as_json=arguments.json)
+    viewer = StreetViewer(renderer, path, ViewerOptions(arguments.host, arguments.port))
+    print(json.dumps({"url": viewer.url}) if arguments.json else f"open {viewer.url} (Ctrl-C ends)", flush=True)
+    try:
+        viewer.wait()
+    finally:
+        viewer.close()
+    return ExitCode.DONE
+
+
+def _print_times(seconds: Sequence[float], *, as_json: bool) -> int:
+    import numpy as np
+
+    median, mean = float(np.median(seconds)), float(np.mean(seconds))
+    if as_json:
+        print(json.dumps({"moves": len(seconds), "median_s": median, "mean_s": mean}))
+    else:
+        print(
+            f"{len(seconds)} moves of 0.5 m at 480 x 270: median {1e3 * median:.0f} ms ({1 / median:.1f} a second),"
+            f" mean {1e3 * mean:.0f} ms ({1 / mean:.1f} a second)"
+        )
+    return ExitCode.DONE

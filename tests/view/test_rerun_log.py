@@ -1,0 +1,53 @@
+"""A scene in a file of rerun has the poses, lenses, images, boxes and points of the dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mirror.cli.main import main
+from mirror.dataset.dataset import Dataset
+from mirror.view.rerun_log import RerunOptions, log_scene
+from tests.export.street import make_street
+
+rerun_chunk = pytest.importorskip("rerun.chunk", reason="the extra view is not installed")
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make_street(tmp_path_factory.mktemp("street") / "dataset", ("front_wide", "rear"))
+
+
+def test_the_file_has_what_the_dataset_has(street: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "street.rrd"
+    logged = log_scene(street, "a", RerunOptions(out))
+    assert (logged.frames, logged.images, logged.boxes, logged.points) == (10, 20, 20, 14)
+    chunks = list(rerun_chunk.RrdReader(str(out)).stream())
+    assert chunks
+    paths = {str(chunk.entity_path).lstrip("/") for chunk in chunks}
+    traversal = street.traversals()[0]
+    wanted = {f"world/{traversal}/{name}" for name in ("ego", "boxes", "front_wide", "rear/image")}
+    assert wanted <= paths
+    assert {"world/points", f"world/trajectories/{traversal}"} <= paths
+    found = [
+        row
+        for chunk in chunks
+        if str(chunk.entity_path).lstrip("/") == f"world/{traversal}/front_wide"
+        for row in chunk.to_record_batch().to_pylist()
+    ]
+    frames = list(street.where(traversal=traversal).frames())
+    positions = [row["Transform3D:translation"][0] for row in found if row.get("Transform3D:translation")]
+    expected = np.array([frame.images["front_wide"].world_SE3_camera.translation[0] for frame in frames])
+    np.testing.assert_allclose(np.array(positions), expected, atol=1e-4)
+
+
+def test_the_verb(street: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "night.rrd"
+    words = ["view", street.root, "--traversal", street.traversals()[1], "--camera", "rear", "--every", "2"]
+    assert main([*words, "--save", str(out)]) == 0
+    assert capsys.readouterr().out.startswith("3 frames, 3 images, 6 boxes, 7 points")
+    assert out.stat().st_size > 1000
+    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".tmp")]
+    assert main([*words, "--save", f"{street.root}/x.rrd"]) == 2

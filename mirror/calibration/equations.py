@@ -120,9 +120,9 @@ class JointProblem:
         """(C, 3, 3) rotations of the recorded mountings."""
         return np.concatenate([matrix_from_quaternion(one.rotation) for one in self.rig.ego_SE3_camera.values()])
 
-    def _linearise(self, start: Float64, unknowns: Float64) -> Linearised:
-        rig, rows = self.rig, self.rows
-        frames = len(rig.time_s)
+    def _poses(self, start: Float64, unknowns: Float64) -> tuple[Float64, Float64, Float64, Float64]:
+        """Mountings: rotations (C, 3, 3) and positions (C, 3); the vehicle's: rotations (C, F, 3, 3), positions."""
+        rig, frames = self.rig, len(self.rig.time_s)
         poses = unknowns[: _POSE * frames].reshape(-1, _POSE)
         mount = unknowns[_POSE * frames :].reshape(-1, _POSE)
         ego_R_camera = start @ exp_rotations(mount[:, :3])
@@ -130,7 +130,12 @@ class JointProblem:
         recorded = [rig.world_SE3_ego[name] for name in rig.names]
         turns = np.stack([matrix_from_quaternion(one.rotation) for one in recorded]) @ exp_rotations(poses[:, :3])
         places = np.stack([one.translation for one in recorded])
-        places = places - places[:, :1] + poses[:, 3:]
+        return ego_R_camera, ego_t_camera, turns, places - places[:, :1] + poses[:, 3:]
+
+    def _linearise(self, start: Float64, unknowns: Float64) -> Linearised:
+        rows = self.rows
+        frames = len(self.rig.time_s)
+        ego_R_camera, ego_t_camera, turns, places = self._poses(start, unknowns)
         arm = ego_t_camera[self.camera]
         in_ego, world, slopes, turn_of = [], [], [], []
         for side, frame in enumerate((self.first, self.second)):
@@ -235,6 +240,21 @@ class Solution:
     def frames(self) -> int:
         """Number of frames."""
         return len(self.problem.rig.time_s)
+
+    def distances_m(self) -> Float64:
+        """(M,) distances of the tracked points, from the angle between their two rays; infinite without an angle."""
+        problem = self.problem
+        ego_R_camera, ego_t_camera, turns, places = problem._poses(self.start, self.unknowns)
+        ways, at = [], []
+        for side, frame in enumerate((problem.first, problem.second)):
+            turn = turns[problem.camera, frame]
+            whole = (turn @ ego_R_camera[problem.camera])[problem.rows]
+            ways.append(np.einsum("mij,mj->mi", whole, problem.rays[side]))
+            at.append(places[problem.camera, frame] + np.einsum("kij,kj->ki", turn, ego_t_camera[problem.camera]))
+        base = (at[1] - at[0])[problem.rows]
+        across = np.linalg.norm(np.cross(base, ways[1]), axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(across / np.linalg.norm(np.cross(*ways), axis=1), nan=np.inf, posinf=np.inf)
 
     @property
     def rotation(self) -> Float64:

@@ -11,7 +11,7 @@ second is the bias of the tracker, which every pair shares and which no scatter 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -24,6 +24,8 @@ from mirror.calibration.tracking import pixel_rad
 AXES: Final = ("roll", "pitch", "yaw")
 OBSERVABLE_DEG: Final = 0.1
 """An axis is unobservable if the standard deviation of the error about it is larger."""
+FARTHEST_M: Final = 200.0
+"""Tracks of points farther away are left out."""
 TRACKER_BIAS_PX: Final = 0.25
 """1-sigma of the error that all tracks of a camera share, about each axis, measured on the synthetic street."""
 
@@ -87,7 +89,23 @@ def estimate_rotations(
     Raises:
         UsageError: no pair of images has tracks and motion.
     """
-    return summarise(JointProblem(rig, prior).solve(), tracker_bias_px=tracker_bias_px)
+    first = JointProblem(rig, prior).solve()
+    near = _near_rig(first)
+    # A drive of nothing but far points is estimated from these.
+    solution = JointProblem(near, prior).solve() if near.pairs else first
+    return summarise(solution, tracker_bias_px=tracker_bias_px)
+
+
+def _near_rig(solution: Solution) -> TrackedRig:
+    """The rig without tracks of far points: clouds move, and their tracks would turn the cameras that see them."""
+    near = solution.distances_m() < FARTHEST_M
+    ends = np.cumsum(solution.problem.counts)[:-1]
+    pairs = [
+        replace(pair, first_px=pair.first_px[own], second_px=pair.second_px[own])
+        for pair, own in zip(solution.problem.pairs, np.split(near, ends))
+        if own.any()
+    ]
+    return replace(solution.problem.rig, pairs=pairs)
 
 
 def summarise(solution: Solution, *, tracker_bias_px: float = TRACKER_BIAS_PX) -> list[CameraEstimate]:

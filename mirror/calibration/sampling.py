@@ -128,9 +128,10 @@ def track_traversal(
 
 
 def static_pixels(frame: Frame, image: Image) -> Bool:
-    """(H, W) pixels that show neither the recording vehicle nor a moving road user.
+    """(H, W) pixels that show neither the recording vehicle, nor a moving road user, nor the sky, whose clouds move.
 
-    Masks of the kind ``dynamic`` count, and the rectangles of the boxes that move or whose speed is unknown.
+    Masks of the kinds ``dynamic``, ``ego`` and ``sky`` count, and the rectangles of boxes that move or have an unknown
+    speed.
 
     Raises:
         UsageError: the traversal has several box layers and none was chosen.
@@ -140,7 +141,7 @@ def static_pixels(frame: Frame, image: Image) -> Bool:
     if own is not None and own.shape == still.shape:
         still &= own == 0
     for mask in image.masks():
-        if mask.kind in ("dynamic", "ego"):
+        if mask.kind in ("dynamic", "ego", "sky"):
             still &= mask.decode() == 0
     boxes = frame.boxes(f"camera:{image.camera}")
     if len(boxes):

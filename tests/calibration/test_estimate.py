@@ -12,7 +12,7 @@ from mirror.calibration.estimate import Conditions, estimate_rotations, explain
 from mirror.calibration.rig import PosePrior
 from mirror.errors import UsageError
 from mirror.geometry import Poses
-from tests.calibration.exact_rig import CAMERAS, exact_rig
+from tests.calibration.exact_rig import CAMERAS, exact_rig, mountings
 
 ERRORS = {"ahead": np.array([0.3, -0.5, 0.4]), "left": np.array([-0.6, 0.2, 0.1]), "right": np.array([0.0, 0.05, -0.9])}
 TURNING = Conditions(80.0, 22.0, dict.fromkeys(CAMERAS, 120.0), dict.fromkeys(CAMERAS, 500.0))
@@ -73,6 +73,35 @@ def test_wrong_tracks_have_little_influence() -> None:
         pairs.append(replace(pair, second_px=pair.second_px + wrong[:, None] * rng.normal(0.0, 20.0, (len(pair), 2))))
     for one in estimate_rotations(replace(rig, pairs=pairs)):
         assert np.abs(one.error_deg - ERRORS[one.camera]).max() < 0.08
+
+
+def test_moving_clouds_are_left_out() -> None:
+    rig = exact_rig(80.0, errors_deg=ERRORS)
+    pairs = []
+    for pair in rig.pairs:
+        camera, (one, two) = (
+            CAMERAS[pair.camera],
+            (rig.world_SE3_ego[pair.camera][at] for at in (pair.first, pair.second)),
+        )
+        true = mountings()[pair.camera]
+        ways = camera.unproject(np.random.default_rng(pair.first).uniform((100, 20), (860, 200), (60, 2))).direction
+        world = (one @ true).transform(1e5 * ways)[0]
+        # The wind turns all clouds by 0.15 degrees between two frames.
+        drifted = Poses.exp([[0.0, 0.0, np.radians(0.15), 0.0, 0.0, 0.0]]).transform(world)[0]
+        seen = [camera.project((pose @ true).inverse().transform(p)[0]) for pose, p in ((one, world), (two, drifted))]
+        valid = seen[0].valid & seen[1].valid
+        pairs.append(replace(pair, first_px=np.concatenate([pair.first_px, seen[0].uv_px[valid]]),
+                             second_px=np.concatenate([pair.second_px, seen[1].uv_px[valid]])))  # fmt: skip
+    for one in estimate_rotations(replace(rig, pairs=pairs)):
+        assert np.abs(one.error_deg - ERRORS[one.camera]).max() < 5e-3
+
+
+def test_distances_are_those_of_the_points() -> None:
+    rig = exact_rig(80.0)
+    distances = JointProblem(rig).solve().distances_m()
+    # The points lie 8 to 45 m around the middle of a way of 22 m.
+    assert 2.0 < np.median(distances) < 45.0
+    assert (distances < 60.0).mean() > 0.98
 
 
 def test_derivatives_are_those_of_the_residuals() -> None:

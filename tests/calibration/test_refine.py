@@ -24,7 +24,7 @@ from tests.dataset.builders import Builder, Pass
 
 CAMERAS = ("front_wide", "front_narrow", "rear")
 ERRORS_DEG = {"front_wide": np.array([0.1, 0.3, -0.4]), "front_narrow": np.array([-0.3, -0.2, 0.5])}
-CHOICE = FrameChoice(frames=8, step_m=2.0)
+CHOICE = FrameChoice(frames=6, step_m=2.0)
 BYTES = 400_000
 
 
@@ -46,8 +46,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     builder.scene("a")
     images = dict.fromkeys(CAMERAS, b"x" * BYTES)
     passes = [
-        Pass("a", frames=9, heading_deg=90.0, speed_mps=21.0, images=images, codec="png"),
-        Pass("a", frames=9, heading_deg=90.0, speed_mps=21.0, offset_m=1.5, images=images, codec="png",
+        Pass("a", frames=7, heading_deg=90.0, speed_mps=21.0, images=images, codec="png"),
+        Pass("a", frames=7, heading_deg=90.0, speed_mps=21.0, offset_m=1.5, images=images, codec="png",
              entry_ns=Pass("a").entry_ns + 10**12),
         Pass("a", frames=4, entry_ns=Pass("a").entry_ns + 2 * 10**12, speed_mps=0.0, images=images, codec="png"),
     ]  # fmt: skip
@@ -150,7 +150,7 @@ def test_recorded_files_do_not_change_and_layers_are_kept(made: Path, refined: t
     assert [item.status for item in again.traversals] == ["existing", "existing", "not refined"]
     assert files_of(root) == after
     with pytest.raises(DatasetError, match="other inputs"):
-        refine_calibrations(mirror.open(root), choice=FrameChoice(frames=6, step_m=2.0))
+        refine_calibrations(mirror.open(root), choice=FrameChoice(frames=5, step_m=2.0))
 
 
 def test_an_interrupted_refinement_continues_to_the_same_bytes(
@@ -166,7 +166,7 @@ def test_an_interrupted_refinement_continues_to_the_same_bytes(
         patched.setattr("mirror.calibration.refinement.run.choose_pairs", interrupt)
         with pytest.raises(KeyboardInterrupt):
             refine_calibrations(mirror.open(root), choice=CHOICE)
-    assert len(list(root.glob(".refine/*/*.npz"))) == 2 * 8 * 3
+    assert len(list(root.glob(".refine/*/*.npz"))) == 2 * 6 * 3
     monkeypatch.setattr("mirror.calibration.refinement.scene.find_features", None)
     refine_calibrations(mirror.open(root), choice=CHOICE)
     assert not (root / ".refine").exists()

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+from mirror.calibration.estimate import FARTHEST_M
 from mirror.calibration.refinement.adjustment import RigState, _Adjuster, adjust_rigs
 from mirror.calibration.refinement.features import Features, find_features, match_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
-from mirror.calibration.refinement.triangulation import FARTHEST_M, triangulate
+from mirror.calibration.refinement.triangulation import triangulate
 from mirror.calibration.rig import PosePrior
 from mirror.calibration.tracking import TrackedImage
 from mirror.errors import UsageError

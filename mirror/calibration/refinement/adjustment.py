@@ -20,9 +20,10 @@ import numpy as np
 
 from mirror.arrays import Bool, Float64
 from mirror.calibration.equations import exp_rotations, rays_with_slopes
+from mirror.calibration.estimate import FARTHEST_M
 from mirror.calibration.refinement.equations import MOUNT, POSE, reduce_equations, residuals_px, step_points
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
-from mirror.calibration.refinement.triangulation import FARTHEST_M, triangulate
+from mirror.calibration.refinement.triangulation import triangulate
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera

@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Float64
+from mirror.calibration.estimate import FARTHEST_M
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs
 from mirror.geometry import matrix_from_quaternion
 
 _LEAST_ANGLE_DEG: Final = 0.7
-FARTHEST_M: Final = 200.0
-"""Points farther away are left out: clouds move."""
 _WORST_DEG: Final = 6.0
 
 
@@ -25,7 +24,7 @@ def triangulate(rigs: MovingRigs, tracks: FeatureTracks) -> tuple[Float64, Bool]
 
     Returns:
         Points (T, 3), and which observations (M,) are usable: a track's rays meet at an angle, the point lies in front
-        of its cameras, at most 250 m away, and within 6 degrees of each ray.
+        of its cameras, at most 200 m away, and within 6 degrees of each ray.
     """
     poses = rigs.world_SE3_cameras()
     turns = matrix_from_quaternion(poses.rotation)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,12 @@ from mirror.schema.documents import Roi
 from mirror.schema.files import write_table
 from mirror.schema.tables import BOXES
 from tests.ingest.recordings import LAT, LON, START_NS, street, write_recording
+from tests.recordings.formats.argoverse2 import write_argoverse2
+from tests.recordings.formats.colmap import write_colmap
+from tests.recordings.formats.nuplan import write_nuplan
+from tests.recordings.formats.nuscenes import write_nuscenes
+from tests.recordings.formats.street import straight_drive
+from tests.recordings.formats.waymo import write_waymo
 
 SECONDS = np.arange(0.0, 12.05, 0.1)
 SPEED_MPS = 8.0
@@ -37,11 +44,18 @@ class Base:
         reader: name of its reader.
         path: its folder.
         roi: a scene that it passes through once.
+        drive: the recording's path in the folder; empty: the folder itself.
     """
 
     reader: str
     path: Path
     roi: Roi
+    drive: str = ""
+
+    @property
+    def recording(self) -> Path:
+        """The path that is ingested."""
+        return self.path / self.drive
 
     @property
     def files(self) -> list[Path]:
@@ -206,6 +220,46 @@ def mcap(root: Path) -> Base:
     return Base("mcap", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=200.0))
 
 
+def nuscenes(root: Path) -> Base:
+    """One scene of two cameras, in a map of no known place."""
+    path = write_nuscenes(root / "nuscenes", [straight_drive()], location="town")
+    return Base("nuscenes", path, Roi(scene_id="s", frame="town", x_m=8.0, y_m=0.0, radius_m=60.0))
+
+
+def argoverse2(root: Path) -> Base:
+    """One log in the city's frame."""
+    path = write_argoverse2(root, straight_drive().placed((5122.0, 2432.0, 66.0)))
+    return Base("argoverse2", path, _roi_around(path, "argoverse2"))
+
+
+def colmap(root: Path) -> Base:
+    """A text model of two cameras without a rig."""
+    path = write_colmap(root / "photos", [straight_drive()], text=True, rigs=False)
+    return Base("colmap", path, Roi(scene_id="s", frame="colmap_photos", x_m=0.0, y_m=0.0, radius_m=60.0))
+
+
+def colmap_rig(root: Path) -> Base:
+    """A binary model of a rig of two cameras."""
+    base = colmap(root)
+    shutil.rmtree(base.path)
+    write_colmap(base.path, [straight_drive()])
+    return base
+
+
+def nuplan(root: Path) -> Base:
+    """A log with the images of one camera."""
+    drive = straight_drive().placed((664_400.0, 3_998_300.0, 605.0)).with_cameras(("front_wide",))
+    database = write_nuplan(root / "nuplan", drive)
+    roi = _roi_around(database, "nuplan")
+    return Base("nuplan", root / "nuplan", roi, database.relative_to(root / "nuplan").as_posix())
+
+
+def waymo(root: Path) -> Base:
+    """One segment with one camera."""
+    path = write_waymo(root / "waymo", [straight_drive().with_cameras(("front_wide",))])
+    return Base("waymo", path, Roi(scene_id="s", frame="waymo_straight_000_020", x_m=8.0, y_m=0.0, radius_m=60.0))
+
+
 def real_boreas(root: Path, real_data: Path) -> Base:
     """20 s of a real sequence, without images."""
     path = root / "boreas-2021-08-05-13-34"
@@ -244,4 +298,10 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "dgp": dgp,
     "comma2k19": comma2k19,
     "mcap": mcap,
+    "nuscenes": nuscenes,
+    "argoverse2": argoverse2,
+    "colmap": colmap,
+    "colmap_rig": colmap_rig,
+    "nuplan": nuplan,
+    "waymo": waymo,
 }

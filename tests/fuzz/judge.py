@@ -48,6 +48,22 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
     },
     "comma2k19": {"": frozenset({POSES})},
     "mcap": {"": ALL},
+    "nuscenes": {"v1.0-mini/": ALL, "samples/": frozenset({SHOTS}), "sweeps/": frozenset({SHOTS})},
+    "argoverse2": {
+        "city_SE3_egovehicle": frozenset({POSES}),
+        "calibration/": frozenset({CAMERAS}),
+        "annotations": frozenset({OBJECTS}),
+        "sensors/": frozenset({SHOTS}),
+        "map/": ALL,
+    },
+    "colmap": {"sparse/": ALL, "images/": frozenset({SHOTS})},
+    "nuplan": {"splits/": ALL, "sensor_blobs/": frozenset({SHOTS})},
+    "waymo": {
+        "vehicle_pose/": frozenset({POSES}),
+        "camera_image/": frozenset({POSES, SHOTS, CAMERAS}),
+        "camera_calibration/": frozenset({CAMERAS}),
+        "lidar_box/": frozenset({OBJECTS}),
+    },
 }
 KEYS = {
     POSES: ("timestamp_ns",),
@@ -162,7 +178,9 @@ def untouched_stamps(reference: Reference, damaged: Base, files: set[str]) -> se
         start += len(same)
     if any(name not in pose_files(reference.base) for name in files):
         rows[:] = False
-    stamps, counts = np.unique(open_recording(damaged.path, damaged.reader).track().timestamp_ns, return_counts=True)
+    stamps, counts = np.unique(
+        open_recording(damaged.recording, damaged.reader).track().timestamp_ns, return_counts=True
+    )
     return set(stamps[counts == 1].tolist()) & set(reference.stamps_ns[rows].tolist())
 
 
@@ -174,6 +192,11 @@ def pose_files(base: Base) -> list[str]:
         "boreas": ["camera_poses.csv"],
         "dgp": [],
         "mcap": [],
+        "nuscenes": [],
+        "argoverse2": [],
+        "colmap": [],
+        "nuplan": [],
+        "waymo": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }
     return names[base.reader]

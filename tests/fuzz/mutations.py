@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.feather as feather
 import pyarrow.parquet as pq
 
 NUMBERS = ("1e308", "-1e308", "1e400", "99999999999999999999", "9223372036854775807", "-1", "0", "5e-324", "1e15")
 NO_NUMBERS = ("nan", "NaN", "inf", "-inf", "", "null", "[/b]", "x" * 70_000, "\x00", "\N{SNOWMAN}")
 _NUMBER = re.compile(rb"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?")
+_COLUMNAR = (".parquet", ".feather")
 _TEXTS = (".csv", ".json", ".txt")
 
 Generator = np.random.Generator
@@ -78,7 +80,7 @@ def put_number(root: Path, file: Path, random: Generator) -> None:
     """Replace one of the file's numbers by a huge, tiny or negative number, or by a text that is not a number."""
     words = NUMBERS if random.random() < 0.5 else NO_NUMBERS
     word = words[int(random.integers(len(words)))]
-    if file.suffix == ".parquet":
+    if file.suffix in _COLUMNAR:
         _change_cell(file, word, random)
     elif _is_array(file):
         array = np.load(file)
@@ -94,7 +96,7 @@ def put_number(root: Path, file: Path, random: Generator) -> None:
 
 
 def _change_cell(file: Path, word: str, random: Generator) -> None:
-    table = pq.read_table(file)
+    table = _read_table(file)
     name = table.column_names[int(random.integers(table.num_columns))]
     values = table.column(name).to_pylist()
     row = int(random.integers(len(values)))
@@ -102,15 +104,25 @@ def _change_cell(file: Path, word: str, random: Generator) -> None:
     if pa.types.is_floating(kind):
         values[row] = float(word) if word in NUMBERS else float("nan")
     elif pa.types.is_integer(kind):
-        values[row] = (-1, 2**62, None)[int(random.integers(3))]
+        largest = 2 ** min(kind.bit_width - 2, 62)
+        values[row] = (0 if pa.types.is_unsigned_integer(kind) else -1, largest, None)[int(random.integers(3))]
+    elif pa.types.is_nested(kind):
+        values[row] = None
     else:
         values[row] = word
     _write_table(file, table.set_column(table.column_names.index(name), name, pa.array(values, kind)))
 
 
+def _read_table(file: Path) -> pa.Table:
+    return feather.read_table(file, memory_map=False) if file.suffix == ".feather" else pq.read_table(file)
+
+
 def _write_table(file: Path, table: pa.Table) -> None:
     file.unlink()
-    pq.write_table(table, file)
+    if file.suffix == ".feather":
+        feather.write_feather(table, file)
+    else:
+        pq.write_table(table, file)
 
 
 def _save(file: Path, array: np.ndarray) -> None:
@@ -122,8 +134,8 @@ def _save(file: Path, array: np.ndarray) -> None:
 def change_columns(root: Path, file: Path, random: Generator) -> None:
     """Repeat, remove or rename a column, key or axis."""
     how = int(random.integers(3))
-    if file.suffix == ".parquet":
-        table = pq.read_table(file)
+    if file.suffix in _COLUMNAR:
+        table = _read_table(file)
         at = int(random.integers(table.num_columns))
         name = table.column_names[at]
         if how == 0:
@@ -203,8 +215,8 @@ def change_rows(root: Path, file: Path, random: Generator) -> None:
         array = np.load(file)
         at = int(random.integers(len(array)))
         _save(file, (np.concatenate([array, array]), array[::-1], np.delete(array, at, axis=0), array[:0])[how])
-    elif file.suffix == ".parquet":
-        table = pq.read_table(file)
+    elif file.suffix in _COLUMNAR:
+        table = _read_table(file)
         tables = (pa.concat_tables([table, table]), table.take(list(range(len(table)))[::-1]), table[1:], table[:0])
         _write_table(file, tables[how])
     else:

@@ -48,11 +48,11 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reference_of(base: Base, kept: Path, folder: Path) -> Reference:
-    report = ingest_recordings([base.path], [base.roi], linked(kept, folder))
+    report = ingest_recordings([base.recording], [base.roi], linked(kept, folder))
     assert not report.failures and len(report.traversals) == 1, report.failures
     rows = rows_of(folder, report.traversals[0].traversal_id)
     assert not faults_of_values(rows)
-    return Reference(base, rows, open_recording(base.path, base.reader).track().timestamp_ns)
+    return Reference(base, rows, open_recording(base.recording, base.reader).track().timestamp_ns)
 
 
 def judge(
@@ -120,13 +120,14 @@ def run_trials(base: Base, trials: int, tmp_path: Path, kept: Path) -> None:
             kind, file = mutate(path, random)
             out = linked(kept, folder / "d")
             start_s = time.monotonic()
-            answer = worker.ask(Request(path, reader, base.roi, out))
+            damaged = Base(reader, path, base.roi, base.drive)
+            answer = worker.ask(Request(damaged.recording, reader, base.roi, out))
             if "hang" in answer:
                 # On a busy machine the first compilation of a kernel takes as long, but it ends.
                 shutil.rmtree(out)
-                answer = worker.ask(Request(path, reader, base.roi, linked(kept, out)), timeout_s=120.0)
+                answer = worker.ask(Request(damaged.recording, reader, base.roi, linked(kept, out)), timeout_s=120.0)
             slowest = max(slowest, time.monotonic() - start_s)
-            outcome, fault = judge(answer, before, reference, Base(reader, path, base.roi), out)
+            outcome, fault = judge(answer, before, reference, damaged, out)
             counts[outcome] += 1
             damage = f"trial {trial}: {kind} of {file.relative_to(path)}"
             if fault is not None:

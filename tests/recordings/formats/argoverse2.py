@@ -31,7 +31,7 @@ def write_argoverse2(root: Path, drive: StreetDrive, *, city: str | None = "PIT"
     _write(path / "city_SE3_egovehicle.feather", {"timestamp_ns": stamps, **_columns(drive.poses_at(stamps))})
     (path / "sensors" / "lidar").mkdir(parents=True)
     for stamp in drive.box_ns.tolist():
-        (path / "sensors" / "lidar" / f"{stamp}.feather").write_bytes(b"")
+        _write(path / "sensors" / "lidar" / f"{stamp}.feather", {"x": [1.0]})
     names = [name for name in CAMERAS if name in drive.cameras]
     lenses = [drive.cameras[name] for name in names]
     mountings = [drive.ego_SE3_camera[name] for name in names]

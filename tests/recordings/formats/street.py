@@ -198,7 +198,7 @@ def straight_drive() -> StreetDrive:
             "rear": Poses(np.array([backward]), np.array([[-0.5, 0.0, 1.6]])),
         },
         image_ns={
-            name: start_ns + 2_000 + 7_000_000 * number + np.arange(0, 12 * SECOND_NS, 3 * SECOND_NS)
+            name: start_ns + 2_000 + 7_000_000 * number + np.arange(0, 12 * SECOND_NS, 3 * SECOND_NS // 2)
             for number, name in enumerate(names)
         },
         box_ns=box_ns,

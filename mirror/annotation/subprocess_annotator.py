@@ -1,30 +1,19 @@
-"""The annotator ``subprocess``: a program in another environment, which answers lines of JSON (docs/annotation.md).
-
-One request, one answer, in order, on the program's standard input and output; its standard error is the user's. A
-program that ends, hangs or answers anything else is killed and started again, and the frame is asked once more.
-"""
+"""The annotator ``subprocess``: a program in another environment, which answers lines of JSON (docs/annotation.md)."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import queue
-import shlex
-import subprocess
-import tempfile
-import threading
 from collections.abc import Mapping
-from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from mirror.annotation.detections import AnnotationError, Detections
+from mirror.annotation.frame_program import FrameProgram, program_settings
 from mirror.annotation.protocol import Annotator, require_settings
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
-from mirror.errors import UsageError
-from mirror.schema.strict_json import decode_json
 
 FORMAT: Final = "mirror-annotate/1"
 _SETTINGS: Final = {
@@ -46,131 +35,23 @@ class SubprocessAnnotator:
     def __init__(self, command: list[str], limit_s: float, name: str) -> None:
         self.name, self.version = name, "1"
         self.fingerprint = f"subprocess {hashlib.sha256(json.dumps(command).encode()).hexdigest()}"
-        self.restarts = 0
-        self._command, self._limit_s = command, limit_s
-        self._program: _Program | None = None
-        self._images = tempfile.TemporaryDirectory(prefix="mirror-annotate-")
+        self._program = FrameProgram(command, limit_s, FORMAT)
+
+    @property
+    def restarts(self) -> int:
+        """How often the program was killed."""
+        return self._program.restarts
 
     def annotate(self, frame: Frame) -> Detections:
         """Ask the program; a program that fails is started again and asked once more."""
-        request = self._request(frame)
-        for attempt in (1, 2):
-            if self._program is None:
-                self._program = _Program(self._command)
-            try:
-                answer = self._program.ask(request, self._limit_s)
-                break
-            except AnnotationError:
-                self._stop()
-                self.restarts += 1
-                if attempt == 2:
-                    raise
-        return _read_answer(answer, frame)
+        return _read_answer(self._program.ask(frame), frame)
 
     def close(self) -> None:
         """End the program and remove the images."""
-        self._stop()
-        self._images.cleanup()
-
-    def _stop(self) -> None:
-        if self._program is not None:
-            self._program.stop()
-            self._program = None
-
-    def _request(self, frame: Frame) -> dict[str, Any]:
-        images = []
-        for camera, image in frame.images.items():
-            suffix = "png" if image.codec != "jpeg" else "jpg"
-            path = Path(self._images.name) / f"{camera}.{suffix}"
-            path.write_bytes(image.read() if image.codec in ("jpeg", "png") else _png(image.decode()))
-            row = image.calibration.row
-            images.append(
-                {
-                    "camera": camera,
-                    "path": str(path),
-                    "timestamp_ns": image.timestamp_ns,
-                    "calibration": {key: value for key, value in row.items() if _is_plain(value)},
-                }
-            )
-        return {
-            "format": FORMAT,
-            "traversal_id": frame.traversal_id,
-            "frame_index": frame.frame_index,
-            "timestamp_ns": frame.timestamp_ns,
-            "world_SE3_ego": {key: float(value[0]) for key, value in frame.world_SE3_ego.to_columns().items()},
-            "images": images,
-        }
-
-
-class _Program:
-    """One process, whose lines a thread reads."""
-
-    def __init__(self, command: list[str]) -> None:
-        try:
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        except OSError as error:
-            raise UsageError(
-                f"the program cannot be started: {error.strerror}", file=command[0], expected="a program that runs"
-            ) from error
-        self._lines: queue.Queue[bytes | None] = queue.Queue()
-        threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True).start()
-
-    def _read(self, pipe: IO[bytes]) -> None:
-        while line := pipe.readline():
-            self._lines.put(line)
-        self._lines.put(None)
-
-    def ask(self, request: Mapping[str, Any], limit_s: float) -> dict[str, Any]:
-        """Send a request and wait for its answer."""
-        pipe = self._process.stdin
-        try:
-            if pipe is None:
-                raise BrokenPipeError
-            pipe.write(json.dumps(request).encode() + b"\n")
-            pipe.flush()
-            line = self._lines.get(timeout=limit_s)
-        except BrokenPipeError:
-            line = None
-        except queue.Empty as error:
-            raise AnnotationError(
-                f"no answer within {limit_s:g} s", place="subprocess", remedy="allow more with --set limit_s=SECONDS"
-            ) from error
-        if line is None:
-            code = self._process.wait()
-            raise AnnotationError(f"the program ended with {code} before it answered", place="subprocess")
-        try:
-            answer = decode_json(line)
-        except ValueError as error:
-            raise AnnotationError(
-                f"the answer {line[:60]!r} is not JSON",
-                place="subprocess",
-                expected="one line of JSON a frame, and nothing else on standard output",
-            ) from error
-        if not isinstance(answer, dict):
-            raise AnnotationError(f"the answer is {type(answer).__name__}", place="subprocess", expected="an object")
-        return answer
-
-    def stop(self) -> None:
-        """Kill the process."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                try:
-                    pipe.close()
-                except BrokenPipeError:
-                    continue
+        self._program.close()
 
 
 def _read_answer(answer: Mapping[str, Any], frame: Frame) -> Detections:
-    if answer.get("timestamp_ns") != frame.timestamp_ns:
-        raise AnnotationError(
-            f"the answer is for timestamp_ns {answer.get('timestamp_ns')}",
-            place="subprocess",
-            expected=f"the request's, {frame.timestamp_ns}",
-        )
-    if "error" in answer:
-        raise AnnotationError(f"the program reports: {answer['error']}", place="subprocess")
     boxes = answer.get("boxes")
     if not isinstance(boxes, list) or not all(isinstance(box, dict) for box in boxes):
         raise AnnotationError("no list `boxes`", place="subprocess", expected="boxes, or an error")
@@ -198,32 +79,13 @@ def _numbers(boxes: list[dict[str, Any]], key: str, count: int, *, optional: boo
     return rows
 
 
-def _png(pixels: Any) -> bytes:
-    import cv2
-
-    return bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
-
-
-def _is_plain(value: object) -> bool:
-    items = value if isinstance(value, list) else [value]
-    return all(item is None or isinstance(item, str | int | float) for item in items)
-
-
 class _Installed:
     settings: Mapping[str, str] = _SETTINGS
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:
         """Check the settings."""
         require_settings("subprocess", settings, self.settings)
-        words = shlex.split(settings.get("command", ""))
-        if not words:
-            raise UsageError("no command", place="--set", expected="command='PROGRAM ARGUMENT...'")
-        try:
-            limit_s = float(settings.get("limit_s", "60"))
-        except ValueError:
-            limit_s = 0.0
-        if not 0.0 < limit_s < float("inf"):
-            raise UsageError(f"limit_s={settings['limit_s']}", place="--set", expected="seconds above 0")
+        words, limit_s = program_settings(settings)
         return SubprocessAnnotator(words, limit_s, settings.get("name", "subprocess"))
 
 

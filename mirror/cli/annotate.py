@@ -31,6 +31,10 @@ _TRAIN_EXAMPLES = (
     "mirror annotate train demo/dataset --annotator petr-tiny --minutes 3 --out detector",
     "mirror annotate train streets/1 streets/2 --annotator petr-tiny --steps 2000 --threads 1 --out detector",
 )
+_DESCRIBE_EXAMPLES = (
+    "mirror annotate describe demo/dataset --out descriptions.jsonl",
+    "mirror annotate describe demo/dataset --describer subprocess --set command='python caption.py' --out captions",
+)
 _EXPORT_EXAMPLES = ("mirror annotate export demo/dataset --boxes synth@0.1.0 --out review.json",)
 
 
@@ -39,9 +43,9 @@ class Arguments:
     """Find the road users in all frames of a dataset, and write a layer of boxes for each traversal.
 
     `mirror annotate train` trains an annotator, `mirror annotate track` makes tracks of a layer of boxes, `mirror
-    annotate masks` writes masks of its road users, and `mirror annotate export` writes it as a file. Layers lie side by
-    side and are never replaced. Finished frames are kept when the run is interrupted or a frame fails: the same command
-    continues there.
+    annotate masks` writes masks of its road users, `mirror annotate export` writes it as a file, and `mirror annotate
+    describe` writes captions. Layers lie side by side and are never replaced. Finished frames are kept when the run is
+    interrupted or a frame fails: the same command continues there.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -157,6 +161,30 @@ class ReportArguments:
     """Number of frames on the page."""
     video: Annotated[Path | None, help_text(default="none", metavar="FILE.mp4")] = None
     """Also write a video of the boxes from above, of the traversal with the worst frame; --against is drawn in grey."""
+    json: bool = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True)
+class DescribeArguments:
+    """Describe the frames of a dataset: a caption, the light and the weather, one line of JSON each.
+
+    Finished frames are kept when the run is interrupted or a frame fails: the same command continues there.
+    """
+
+    dataset: tyro.conf.Positional[str]
+    """Folder or URL of the dataset."""
+    out: Annotated[Path, help_text(metavar="FILE")]
+    """The file (JSON lines): a new one, or that of an interrupted run."""
+    describer: Annotated[str, help_text(metavar="NAME")] = "recorded"
+    """An installed describer (entry points mirror.describers): recorded says what the sun and the recording say,
+    subprocess runs a program of yours."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=VALUE")] = ()
+    """A setting of the describer, such as command='python caption.py'."""
+    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
+    """Describe this scene only."""
+    device: str = "cpu"
+    """Device of networks: cpu or cuda."""
     json: bool = False
     """Print JSON."""
 
@@ -372,6 +400,30 @@ def _report(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
+def _describe(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(DescribeArguments, argv, "mirror annotate describe", examples=_DESCRIBE_EXAMPLES)
+
+    import mirror
+    from mirror.annotation.descriptions import describe_frames, installed_describer
+    from mirror.progress import progress_bar
+
+    installed = installed_describer(arguments.describer)
+    dataset = mirror.open(arguments.dataset)
+    if arguments.scene is not None:
+        dataset = dataset.where(scene=arguments.scene)
+    describer = installed.open(dataset, _settings(arguments.set), arguments.device)
+    try:
+        with progress_bar(quiet=arguments.json) as bar:
+            report = describe_frames(dataset, describer, arguments.out, bar)
+    finally:
+        describer.close()
+    if arguments.json:
+        print(json.dumps({"dataset": arguments.dataset, **asdict(report)}))
+    else:
+        print(f"{report.path}: {report.frames} frames described, {report.kept} kept, {len(report.failed)} failed")
+    return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
+
+
 def _export(argv: Sequence[str]) -> int:
     arguments = parse_arguments(ExportArguments, argv, "mirror annotate export", examples=_EXPORT_EXAMPLES)
 
@@ -398,5 +450,6 @@ _SUBCOMMANDS: Final = {
     "track": Subcommand("make tracks of a layer of boxes", _track),
     "masks": Subcommand("write masks of road users from a layer of boxes", _masks),
     "report": Subcommand("write a page of the frames to review, the worst first", _report),
+    "describe": Subcommand("describe frames: captions, light and weather", _describe),
     "export": Subcommand("write a layer of boxes as nuScenes results, for review", _export),
 }

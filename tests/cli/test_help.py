@@ -32,6 +32,7 @@ DATASET_FIRST = (
     "export nuscenes",
     "export-ply",
     "index",
+    "plot",
     "reconstruct",
     "release build",
     "release review",

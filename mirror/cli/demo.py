@@ -60,6 +60,8 @@ def main(argv: Sequence[str]) -> int:
     )
     print(f"{out / 'results'} has the scores of the baselines, {out / 'site' / 'index.html'} the leaderboard.")
     if _has_reconstruction(arguments):
+        if _has_drive(arguments):
+            print(f"{out / 'block' / 'drive' / 'report.html'} shows a drive through a reconstructed block,")
         print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} has its scores:")
         return _compare_block(out / "block" / "results")
     if not arguments.quick:
@@ -148,8 +150,13 @@ def _has_reconstruction(arguments: Arguments) -> bool:
     return not arguments.quick and find_spec("torch") is not None
 
 
+def _has_drive(arguments: Arguments) -> bool:
+    needed = ("gymnasium", "scipy", "av")
+    return _has_reconstruction(arguments) and all(find_spec(package) is not None for package in needed)
+
+
 def _block(arguments: Arguments) -> Iterator[list[str]]:
-    """The commands that reconstruct one block of another street and compare it with the nearest recorded images."""
+    """The commands that reconstruct one block of another street, compare it with recorded images, and drive in it."""
     out, seed = arguments.out / "block", str(arguments.seed)
     recordings, dataset, model = out / "recordings", str(out / "dataset"), str(out / "model")
     rois = str(recordings / "rois.geojson")
@@ -166,6 +173,9 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
         yield ["mirror", "evaluate", dataset, submission, "--out", results[submission], "--report", *beside]
         yield _board(arguments, results[submission], submission, dataset, f"demo block (seed {seed})")
     yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results.values())]
+    if _has_drive(arguments):
+        drive = ["--scenario", "hard-brake", "--policy", "idm", "--duration", "10", "--cameras", "front_wide,rear"]
+        yield ["mirror", "simulate", model, "--dataset", dataset, *drive, "--report", "--out", str(out / "drive")]
 
 
 def _typed(words: Sequence[str]) -> str:

@@ -16,7 +16,6 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult
-    from mirror.metrics.safety.report import SafetyReport
 
 _EXAMPLES = (
     "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
@@ -61,6 +60,10 @@ class Arguments:
     """Height of the images."""
     video: bool = True
     """Write a video of the cameras with a bird's-eye view beside them."""
+    report: bool = False
+    """Write report.html: the video and the figures of the safety."""
+    duration: Annotated[float | None, help_text(default="that of the scenario", metavar="SECONDS")] = None
+    """Duration of the drive."""
     seed: Annotated[int | None, help_text(default="that of the scenario")] = None
     """Seed of the rollout."""
     deadline: Annotated[float | None, help_text(default="none", metavar="SECONDS")] = None
@@ -97,10 +100,11 @@ def _request(arguments: Arguments) -> RolloutRequest:
     from hybridworldsim.simulator.rollout.run import RolloutRequest
     from hybridworldsim.simulator.street.opening import open_street
     from mirror.schema.rollout import SCENARIO_FILE, read_rollout
-    from mirror.schema.scenario import read_scenario
+    from mirror.schema.scenario import Scenario, read_scenario
 
-    if arguments.deadline is not None and not arguments.deadline > 0.0:
-        raise UsageError(f"{arguments.deadline:g} s", place="--deadline", expected="a positive number of seconds")
+    for option, seconds in (("--deadline", arguments.deadline), ("--duration", arguments.duration)):
+        if seconds is not None and not 0.0 < seconds <= 3600.0:
+            raise UsageError(f"{seconds:g} s", place=option, expected="a number of seconds above 0, at most 3600")
     is_model = (Path(arguments.source) / "reconstruction.json").is_file()
     if is_model and arguments.dataset is None:
         raise UsageError(
@@ -130,6 +134,9 @@ def _request(arguments: Arguments) -> RolloutRequest:
         )
     else:
         scenario, policy = read_scenario(arguments.scenario), make_policy(policy_name)
+    if arguments.duration is not None:
+        plain = {**scenario.model_dump(), "duration_s": arguments.duration}
+        scenario = Scenario.model_validate(plain)
     source = arguments.dataset if is_model and arguments.dataset is not None else arguments.source
     street = open_street(source, scene=arguments.scene, road_map=arguments.map)
     shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
@@ -143,6 +150,7 @@ def _request(arguments: Arguments) -> RolloutRequest:
         factory=factory,
         seed=seed,
         video=shown if arguments.video else (),
+        page=arguments.report,
         deadline_s=math.inf if arguments.deadline is None else arguments.deadline,
         dataset_hash=_dataset_hash(source),
         model_hash=_model_hash(Path(arguments.source)) if is_model else None,
@@ -190,6 +198,8 @@ def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
 
 
 def _print(result: RolloutResult, same: bool | None) -> None:
+    from hybridworldsim.simulator.rollout.run import describe_safety
+
     rollout = result.rollout
     print(f"{result.folder}: {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
     if rollout.reason is not None:
@@ -199,20 +209,3 @@ def _print(result: RolloutResult, same: bool | None) -> None:
     if same is not None:
         print("  the states are those of the earlier rollout, bit for bit" if same else "  the states differ")
     print(f"next: mirror evaluate {result.folder} --protocol safety")
-
-
-def describe_safety(safety: SafetyReport) -> list[str]:
-    """Return the collision, the least time to collision and the margin of a rollout as lines of text."""
-    figures, lines = safety.figures, []
-    if safety.collisions:
-        first = safety.collisions[0]
-        lines.append(f"collision with {first.agent} ({first.kind.value}) at {first.impact_speed_mps:.1f} m/s")
-    else:
-        lines.append("no collision")
-    ttc = figures["least_ttc"]
-    least = f"{ttc.value:.2f} s, to {ttc.cause}" if math.isfinite(ttc.value) else "none within 3 s"
-    lines.append(f"least time to collision: {least}")
-    margin = figures["drivable_margin"]
-    if margin.is_valid:
-        lines.append(f"margin to the edge of the drivable area: {margin.value:.2f} m")
-    return lines

@@ -19,6 +19,7 @@ from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
 from hybridworldsim.simulator.rollout.deadline import PolicyError, PolicyRunner
 from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
+from hybridworldsim.simulator.rollout.page import PAGE_FILE, write_page
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import EGO, Snapshot
@@ -36,7 +37,6 @@ from mirror.version import __version__
 from mirror.view.video import write_video
 
 VIDEO_FILE: Final = "video.mp4"
-REQUEST_FILE: Final = "request.json"
 _DRIVING: Final = ".driving"
 _PACKAGES: Final = ("numpy", "scipy", "numba")
 
@@ -57,7 +57,7 @@ class RolloutRequest:
         deadline_s: time for an action of the policy.
         dataset_hash: hash of the dataset that was driven in.
         model_hash: hash of the model that renders.
-        arguments: what to write down so that the rollout can be repeated.
+        page: write a page with the video and the figures of the safety.
     """
 
     street: Street
@@ -71,7 +71,7 @@ class RolloutRequest:
     deadline_s: float = math.inf
     dataset_hash: str | None = None
     model_hash: str | None = None
-    arguments: Mapping[str, object] | None = None
+    page: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +140,17 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
             for _ in frames:
                 pass
     write_actions(out / ACTIONS_FILE, drive.actions)
-    if request.arguments is not None:
-        write_json(out / REQUEST_FILE, dict(request.arguments))
+    route = simulation.route.way.points
+    safety = score_rollout(simulation.recorder.log(), request.street.road_map, route)
+    if request.page:
+        video = out / VIDEO_FILE if request.video else None
+        start_ns = simulation.recorder.snapshots[0].stamp_ns
+        lines = describe_safety(safety)
+        names = request.policy_name, request.factory.name
+        write_page(out / PAGE_FILE, request.scenario, *names, lines, safety, start_ns, video)
     rollout = _document(request, simulation, drive, out)
     write_json(out / ROLLOUT, rollout)
     (out / _DRIVING).unlink()
-    route = simulation.route.way.points
-    safety = score_rollout(simulation.recorder.log(), request.street.road_map, route)
     rendered = 0 if renderer is None else renderer.rendered
     return RolloutResult(out, rollout, safety, rendered, drive.error)
 
@@ -265,3 +269,20 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         versions=versions,
         files=list_files(out),
     )
+
+
+def describe_safety(safety: SafetyReport) -> list[str]:
+    """Return the collision, the least time to collision and the margin of a rollout as lines of text."""
+    figures, lines = safety.figures, []
+    if safety.collisions:
+        first = safety.collisions[0]
+        lines.append(f"collision with {first.agent} ({first.kind.value}) at {first.impact_speed_mps:.1f} m/s")
+    else:
+        lines.append("no collision")
+    ttc = figures["least_ttc"]
+    least = f"{ttc.value:.2f} s, to {ttc.cause}" if math.isfinite(ttc.value) else "none within 3 s"
+    lines.append(f"least time to collision: {least}")
+    margin = figures["drivable_margin"]
+    if margin.is_valid:
+        lines.append(f"margin to the edge of the drivable area: {margin.value:.2f} m")
+    return lines

@@ -1,9 +1,10 @@
-"""Masks of road users: the projected hulls of boxes, as a layer for reconstruction and scoring."""
+"""Masks of road users, as a layer for reconstruction and scoring: instance masks where given, else hulls of boxes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,6 +15,7 @@ from mirror.annotation.tracking.options import group_of
 from mirror.arrays import Bool, Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
+from mirror.dataset.image import Image, Mask
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
@@ -104,6 +106,8 @@ def mask_layer(
 ) -> MaskReport:
     """Write masks of kind ``dynamic`` for all images: where the boxes of road users are.
 
+    An image with a mask of kind ``instance`` gets its non-zero pixels in place of hulls.
+
     Boxes with a velocity are moved to the time of each image. Parked vehicles are masked too, as other vehicles stand
     there in other traversals; barriers and cones are not. The layer is ``<source>-hulls@<version>``.
 
@@ -122,7 +126,9 @@ def mask_layer(
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-hulls", version or own_version
-    settings = json.dumps([options.margin, options.min_score, dataset.layers.poses, dataset.layers.calibrations])
+    settings = json.dumps(
+        ["instances", options.margin, options.min_score, dataset.layers.poses, dataset.layers.calibrations]
+    )
     digest = hashlib.sha256(settings.encode()).hexdigest()
     layout = dataset.layout
     written, kept = [], []
@@ -157,11 +163,19 @@ def mask_layer(
 
 
 def frame_masks(frame: Frame, options: MaskOptions) -> dict[str, UInt8]:
-    """The masks (H, W) of the images of a frame, by camera; all images have one, also without boxes."""
+    """The masks (H, W) of the images of a frame, by camera; all images have one, also without boxes.
+
+    Raises:
+        DatasetError: an instance mask is missing, broken, or of another size than its image.
+    """
     boxes = frame.boxes("world")
     chosen = _road_users(boxes, options)
     masks = {}
     for camera, image in frame.images.items():
+        instances = [mask for mask in image.masks() if mask.kind == "instance"]
+        if instances:
+            masks[camera] = _join_instances(instances, image)
+            continue
         seconds = (image.timestamp_ns - boxes.timestamp_ns) * 1e-9
         centre = boxes.pose.translation[chosen] + seconds * np.nan_to_num(boxes.velocity_mps[chosen])
         pose = Poses.unchecked(boxes.pose.rotation[chosen], centre)
@@ -169,6 +183,19 @@ def frame_masks(frame: Frame, options: MaskOptions) -> dict[str, UInt8]:
         camera_SE3_box = image.world_SE3_camera.inverse() @ pose if len(pose) else pose
         masks[camera] = draw_hulls(image.camera_model, camera_SE3_box, size)
     return masks
+
+
+def _join_instances(instances: Sequence[Mask], image: Image) -> UInt8:
+    joined = np.zeros((image.height_px, image.width_px), np.uint8)
+    for mask in instances:
+        pixels = mask.decode()
+        if pixels.shape != joined.shape:
+            raise DatasetError(
+                f"an instance mask of {pixels.shape[1]} x {pixels.shape[0]} px", file=mask.uri,
+                expected=f"{image.width_px} x {image.height_px} px, as its image",
+            )  # fmt: skip
+        joined[pixels > 0] = 255
+    return joined
 
 
 def _road_users(boxes: FrameBoxes, options: MaskOptions) -> Bool:

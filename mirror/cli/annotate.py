@@ -121,7 +121,7 @@ class TrackArguments:
 
 @dataclass(frozen=True)
 class MaskArguments:
-    """Write masks of road users: the projected hulls of a layer of boxes, for reconstruction and scoring.
+    """Write masks of road users for reconstruction and scoring: instance masks where given, else hulls of boxes.
 
     The masks of SOURCE@VERSION become the layer SOURCE-hulls@VERSION, of kind dynamic, which the static reconstruction
     and the protocols leave out. Parked vehicles are masked too; barriers and cones are not.

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import mirror
 from mirror.annotation import annotate
-from mirror.annotation.masks import MaskOptions, draw_hulls
+from mirror.annotation.masks import MaskOptions, draw_hulls, mask_layer
 from mirror.cli.main import main
+from mirror.dataset.index.build import build_index
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import UsageError
 from mirror.geometry import Camera, Poses, matrix_from_quaternion
+from mirror.schema.tables import MASKS
 from tests.annotation.known import Known
 
 CAMERAS = (
@@ -80,6 +84,35 @@ def test_masks_become_a_layer_that_images_have(root: Path, capsys: pytest.Captur
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["kept"] == report["written"]
     assert main([*words, "--margin", "0.5"]) == 2
+
+
+def test_instance_masks_replace_hulls_where_they_are_given(root: Path) -> None:
+    annotate(mirror.open(root), Known())
+    dataset = mirror.open(root)
+    name = dataset.traversals()[0]
+    images = [frame.images["front_wide"] for frame in dataset.where(traversal=name).frames()]
+    writer = LayerWriter(dataset.layout, name, MASKS.name, "seen", "1")
+    rows = []
+    for number, image in enumerate(images[:2]):
+        pixels = np.zeros((image.height_px, image.width_px), np.uint8)
+        pixels[3:9, 5 : 10 + number] = 7
+        file = writer.file(f"front_wide/{image.timestamp_ns}.png", cv2.imencode(".png", pixels)[1].tobytes())
+        rows.append({"camera": "front_wide", "timestamp_ns": image.timestamp_ns, "kind": "instance", **file})
+    writer.finish(MASKS, rows, {})
+    build_index(root)
+    mask_layer(mirror.open(root), "known@1")
+    masks = {}
+    for frame in mirror.open(root).where(traversal=name).frames():
+        for camera, image in frame.images.items():
+            (dynamic,) = [mask.decode() for mask in image.masks() if mask.kind == "dynamic"]
+            masks[frame.frame_index, camera] = dynamic
+    for number in range(2):
+        expected = np.zeros_like(masks[number, "front_wide"])
+        expected[3:9, 5 : 10 + number] = 255
+        np.testing.assert_array_equal(masks[number, "front_wide"], expected)
+    # The other images have hulls, which are not that rectangle.
+    assert masks[2, "front_wide"].any()
+    assert masks[2, "front_wide"][3:9, 5:10].sum() != 255 * 30
 
 
 def test_statistics_count_categories_by_layer(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,10 @@
-"""Calibration checking on the synthetic street, compared with injected errors.
+"""Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [--draws N]``. Drives of three vehicle types by day and by night: 20 frames of 7
-cameras on a turn, stored as JPEG, tracked once. Then rotation errors of 0.05 to 1.0 degrees are injected into every
-mounting, and poses, lenses and mounting positions get recorded errors, many times. Figures are total angles of the
-remaining error; the column ``error`` has the worst camera. A trial is one camera in one draw.
+``python -m benchmarks calibration [check|refine] [--draws N]``; for ``refine`` see `benchmarks.calibration.refinement`.
+Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
+once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
+positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
+worst camera. A trial is one camera in one draw.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from benchmarks.calibration.recording import (
     straightest_instants,
     track_drive,
 )
+from benchmarks.calibration.refinement import refine_rows
 from benchmarks.report import Row, report
 from mirror.arrays import Bool, Float64
 from mirror.calibration.estimate import estimate_rotations
@@ -112,8 +114,14 @@ def straight_rows(draws: int) -> Iterator[Row]:
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks calibration")
+    parser.add_argument("what", nargs="?", choices=("check", "refine"), default="check", help="default: check")
+    parser.add_argument("--vehicles", default=",".join(VEHICLES), help="rigs of the refinement, separated by commas")
+    parser.add_argument("--lights", default=",".join(LIGHTS), help="light of the refinement, separated by commas")
     parser.add_argument("--draws", type=int, default=20, help="number of draws of the recorded errors for each drive")
     options = parser.parse_args(argv)
+    if options.what == "refine":
+        rows = refine_rows(options.draws, options.vehicles.split(","), options.lights.split(","))
+        return report("calibration_refine", {"refinement": rows}, errors="worst error")
     return report(
         "calibration",
         {"straight": straight_rows(options.draws), "turns": turn_rows(options.draws)},

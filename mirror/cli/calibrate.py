@@ -15,6 +15,7 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 if TYPE_CHECKING:
     from mirror.calibration.check import CalibrationCheck
     from mirror.calibration.refinement.report import RefinementReport
+    from mirror.calibration.refinement.summary import CameraRefinement
 
 _CHECK_EXAMPLES = (
     "mirror calibrate check demo/dataset --out calibration",
@@ -220,15 +221,7 @@ def _print_refinement(report: RefinementReport, arguments: Refine) -> None:
         else:
             console.print(f"{item.traversal_id}: {item.images} images of {item.frames} frames")
         for one in item.cameras:
-            vehicle = ", ".join(
-                f"{error:+.3f} +- {sigma:.3f}" for error, sigma in zip(one.vehicle_deg, one.vehicle_sigma_deg)
-            )
-            console.print(
-                f"  {one.camera:<13} {one.status:<8} was off by {one.relative_deg:.3f} +- {one.relative_sigma_deg:.3f}"
-                f" degrees relative to {one.reference}; roll, pitch, yaw to the vehicle {vehicle}"
-                + (f"; {one.reason}" if one.reason else "")
-                + (f"; {', '.join(one.held)} kept: unobservable" if one.held else "")
-            )
+            console.print(f"  {one.camera:<13} {_describe(one)}")
         for message in item.unread:
             console.print(f"  could not read: {message}")
     if any(item.status in ("refined", "existing") for item in report.traversals):
@@ -236,3 +229,15 @@ def _print_refinement(report: RefinementReport, arguments: Refine) -> None:
             f"layer: calibrations/{report.layer}\n"
             f"next: mirror reconstruct {arguments.dataset} --calibrations {report.layer} --split NAME --out MODEL"
         )
+
+
+def _describe(one: CameraRefinement) -> str:
+    """The result of one camera in words."""
+    if one.status != "refined":
+        return f"keeps its calibration: {one.reason}"
+    relative = f"was off by {one.relative_deg:.3f} +- {one.relative_sigma_deg:.3f} degrees relative to {one.reference}"
+    axes = ", ".join(
+        f"{axis} kept (unobservable)" if axis in one.held else f"{axis} {error:+.3f} +- {sigma:.3f}"
+        for axis, error, sigma in zip(("roll", "pitch", "yaw"), one.vehicle_deg, one.vehicle_sigma_deg)
+    )
+    return f"{'is the reference' if one.camera == one.reference else relative}; to the vehicle {axes}"

@@ -19,6 +19,7 @@ from mirror.schema.files import write_bytes
 from mirror.version import __version__
 
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 420, 170, 34, 24
+_LARGEST_PX: Final = 640
 _BINS: Final = 24
 _COLOURS: Final = {"factory": "#8a8a8a", "online": "#4c78a8", "refined": "#54a24b"}
 _CSS: Final = (
@@ -51,8 +52,8 @@ def write_calibration_page(check: CalibrationCheck, out: Path) -> None:
         "<h2>Stages beside each other</h2>",
         _stage_table(check.history.between_stages),
         "<h2>Validity and jumps in time</h2>",
-        f'<p class="dim">Each bar is a validity interval; a red line is a jump above {JUMP_DEG:g} degrees or '
-        f"{JUMP_CM:g} cm within one stage.</p>",
+        '<p class="dim">Each bar is a validity interval (grey: factory, blue: online, green: refined); a red line is a '
+        f"jump above {JUMP_DEG:g} degrees or {JUMP_CM:g} cm within one stage.</p>",
         _validity(check),
         "<h2>Localisation drift</h2>",
         _drift(check.traversals),
@@ -160,7 +161,8 @@ def _vertical(x: float) -> str:
 
 
 def _figure(title: str, drawing: str, height: int = _HEIGHT) -> str:
-    svg = f'<svg viewBox="0 0 {_WIDTH + 12} {height}" role="img" aria-label="{escape(title)}">{drawing}</svg>'
+    box = f'viewBox="0 0 {_WIDTH + 12} {height}" style="max-width:{_LARGEST_PX}px"'
+    svg = f'<svg {box} role="img" aria-label="{escape(title)}">{drawing}</svg>'
     return f"<figure><figcaption>{escape(title)}</figcaption>{svg}</figure>"
 
 
@@ -244,9 +246,15 @@ def _validity(check: CalibrationCheck) -> str:
                     f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{y - 2}" y2="{y + 11}" stroke="#c0392b" stroke-width="2">'
                     f"<title>{jump.angle_deg:.3f} degrees, {jump.distance_cm:.1f} cm</title></line>"
                 )
+    low = 14 * len(lines) + 14
+    days = (datetime.fromtimestamp(at * 1e-9, UTC).date().isoformat() for at in (first, last))
+    drawn += [
+        f'<text x="{x}" y="{low}" text-anchor="{anchor}">{day}</text>'
+        for x, anchor, day in zip((180, _WIDTH), ("start", "end"), days)
+    ]
     jumps = [one for one in check.history.in_time if one.is_jump]
     title = f"{len(rows)} calibrations, {len(jumps)} jumps"
-    return _figure(title, "".join(drawn), 14 * len(lines) + 12)
+    return _figure(title, "".join(drawn), low + 6)
 
 
 def _drift(traversals: Sequence[TraversalCheck]) -> str:

@@ -206,7 +206,7 @@ def test_the_verb(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main(words) == 3
     text = capsys.readouterr().out
     assert "relative to front_wide" in text
-    assert "roll kept: unobservable" in text
+    assert "roll kept (unobservable)" in text
     assert "layer: calibrations/refined@six" in text
     assert main([*words, "--json"]) == 3
     plain = json.loads(capsys.readouterr().out)

@@ -101,7 +101,7 @@ def _read_with_retries(store: Store, name: str, is_right: Callable[[bytes], bool
     problem = "the bytes differ from the hash in bundle.json"
     for _ in range(_ATTEMPTS):
         data = store.read_or_error(name)
-        if isinstance(data, FileNotFoundError):
+        if isinstance(data, FileNotFoundError | NotADirectoryError):
             raise DatasetError(
                 "missing", file=store.full_path(name), expected="a file of a bundle that `mirror dataset publish` wrote"
             )

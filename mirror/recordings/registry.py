@@ -91,13 +91,19 @@ def find_reader(path: str | Path, reader: str | None = None) -> Reader:
         return known[reader]
     holder = path if path.exists() else path.parent
     matching = [name for name, candidate in known.items() if candidate.recognises(holder)]
-    if len(matching) != 1:
-        listed = matching or list(known)
+    if len(matching) > 1:
         raise RecordingError(
-            f"several readers recognise it: {' and '.join(matching)}" if matching else "no reader recognises this path",
+            f"several readers recognise it: {' and '.join(matching)}",
             file=path,
-            expected="; ".join(f"{name}: {known[name].expects}" for name in listed),
-            remedy=f"name the reader: --reader {listed[0]} (or {', '.join(listed[1:])})",
+            expected="; ".join(f"{name}: {known[name].expects}" for name in matching),
+            remedy=f"name the reader: --reader {' or '.join(matching)}",
+        )
+    if not matching:
+        raise RecordingError(
+            "no reader recognises this path",
+            file=path,
+            expected=f"a recording of one of the formats {', '.join(sorted(known))}",
+            remedy="check the path, or name the format, so that its reader says what is missing: --reader NAME",
         )
     return known[matching[0]]
 

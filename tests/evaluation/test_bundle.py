@@ -200,6 +200,8 @@ def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:
         publish(root, str(tmp_path / "b"), options(split="none"))
     with pytest.raises(DatasetError, match="missing"):
         fetch(str(root), tmp_path / "d")
+    with pytest.raises(DatasetError, match="missing"):
+        fetch(str(bundle / "bundle.json"), tmp_path / "d")
     with pytest.raises(UsageError, match="it is a dataset"):
         fetch(str(bundle), root)
     fetch(str(bundle), tmp_path / "d")

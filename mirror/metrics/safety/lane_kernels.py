@@ -9,6 +9,21 @@ from numba import njit
 
 from mirror.arrays import Float64, Int64
 
+# Segments in one bounding box; points outside it are farther from them than half of the lane's width.
+_GROUP = 16
+
+
+@njit(cache=True, nogil=True)
+def _bounds(line: Float64, reach: float) -> Float64:
+    """Bounding boxes (G, 4) of groups of segments, widened: least x, least y, largest x, largest y."""
+    groups = (len(line) - 1 + _GROUP - 1) // _GROUP
+    bounds = np.empty((groups, 4))
+    for group in range(groups):
+        part = line[group * _GROUP : (group + 1) * _GROUP + 1]
+        bounds[group, 0], bounds[group, 1] = part[:, 0].min() - reach, part[:, 1].min() - reach
+        bounds[group, 2], bounds[group, 3] = part[:, 0].max() + reach, part[:, 1].max() + reach
+    return bounds
+
 
 @njit(cache=True, nogil=True)
 def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64) -> tuple[Float64, Float64, Float64]:
@@ -29,29 +44,34 @@ def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64
     for lane in range(lanes):
         begin, end = first[lane], first[lane + 1]
         reach = half[begin:end].max()
-        low_x, high_x = line[begin:end, 0].min() - reach, line[begin:end, 0].max() + reach
-        low_y, high_y = line[begin:end, 1].min() - reach, line[begin:end, 1].max() + reach
+        bounds = _bounds(line[begin:end], reach)
+        low_x, low_y = bounds[:, 0].min(), bounds[:, 1].min()
+        high_x, high_y = bounds[:, 2].max(), bounds[:, 3].max()
         for point in range(len(points)):
             x, y = points[point, 0], points[point, 1]
             if not (low_x <= x <= high_x and low_y <= y <= high_y):
                 continue
             least, nearest, share = math.inf, -1, 0.0
-            for k in range(begin, end - 1):
-                ax, ay = x - line[k, 0], y - line[k, 1]
-                ux, uy = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-                square = ux * ux + uy * uy
-                if square == 0.0:
+            for group in range(len(bounds)):
+                box = bounds[group]
+                if not (box[0] <= x <= box[2] and box[1] <= y <= box[3]):
                     continue
-                foot = (ax * ux + ay * uy) / square
-                # Beyond the ends of the lane the foot is outside it.
-                at = foot
-                if not ((k == begin and foot < 0.0) or (k == end - 2 and foot > 1.0)):
-                    at = min(max(foot, 0.0), 1.0)
-                near = min(max(at, 0.0), 1.0)
-                dx, dy = ax - near * ux, ay - near * uy
-                distance = dx * dx + dy * dy
-                if distance < least:
-                    least, nearest, share = distance, k, at
+                low = begin + group * _GROUP
+                for k in range(low, min(low + _GROUP, end - 1)):
+                    ax, ay = x - line[k, 0], y - line[k, 1]
+                    ux, uy = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+                    square = ux * ux + uy * uy
+                    if square == 0.0:
+                        continue
+                    # Beyond the ends of the lane the foot is outside it.
+                    at = (ax * ux + ay * uy) / square
+                    if not ((k == begin and at < 0.0) or (k == end - 2 and at > 1.0)):
+                        at = min(max(at, 0.0), 1.0)
+                    near = min(max(at, 0.0), 1.0)
+                    dx, dy = ax - near * ux, ay - near * uy
+                    distance = dx * dx + dy * dy
+                    if distance < least:
+                        least, nearest, share = distance, k, at
             if nearest < 0 or share < 0.0 or share > 1.0:
                 continue
             if least > ((1.0 - share) * half[nearest] + share * half[nearest + 1]) ** 2:

@@ -103,7 +103,7 @@ def angles_deg(turns: Float64, true: Float64) -> tuple[Float64, Float64]:
     return tuple(
         np.degrees(np.linalg.norm(rotations(np.swapaxes(b, 1, 2) @ a).log()[:, :3], axis=1))
         for a, b in (tuple(relative), (turns, true))
-    )  # type: ignore[return-value]
+    )
 
 
 def is_covered(adjusted: Adjustment, true: Float64) -> Bool:
@@ -124,7 +124,7 @@ def adjust_with_pycolmap(rigs: MovingRigs, tracks: FeatureTracks) -> Float64:
     """
     pycolmap = colmap()
     points, usable = triangulate(rigs, tracks)
-    usable &= np.isfinite(points).all(axis=1)[tracks.track]
+    usable = usable & np.isfinite(points[tracks.track]).all(axis=1)
     reconstruction, sensor = pycolmap.Reconstruction(), pycolmap.SensorType.CAMERA
     mountings = rigs.ego_SE3_camera.inverse() @ rigs.ego_SE3_camera[np.zeros(len(rigs.cameras), np.int64)]
     rig = pycolmap.Rig(rig_id=1)
@@ -155,10 +155,10 @@ def adjust_with_pycolmap(rigs: MovingRigs, tracks: FeatureTracks) -> Float64:
         reconstruction.register_frame(number + 1)
     starts = tracks.starts
     for number in range(len(tracks)):
-        rows = [row for row in range(starts[number], starts[number + 1]) if usable[row]]
-        if len(rows) >= 2:
+        kept = [row for row in range(int(starts[number]), int(starts[number + 1])) if usable[row]]
+        if len(kept) >= 2:
             elements = [
-                pycolmap.TrackElement(int(tracks.image[row]) + 1, places[int(tracks.image[row])][row]) for row in rows
+                pycolmap.TrackElement(int(tracks.image[row]) + 1, places[int(tracks.image[row])][row]) for row in kept
             ]
             reconstruction.add_point3D(points[number], pycolmap.Track(elements))
     _solve_with_pycolmap(pycolmap, reconstruction, len(rigs.frame))
@@ -201,7 +201,10 @@ def refine_rows(
         for vehicle in vehicles:
             matched = match_drive(light, vehicle)
             true = true_rotations(matched.drive)
-            relative, whole, before, times = [], [], [], []
+            relative: list[Float64] = []
+            whole: list[Float64] = []
+            before: list[Float64] = []
+            times: list[float] = []
             others: list[Float64] = []
             other_times: list[float] = []
             for draw in range(draws):
@@ -222,7 +225,7 @@ def refine_rows(
             size = f"{len(matched.drive.instants_ns)} x {len(true)}, {draws} draws"
             rms = np.sqrt(np.mean(np.square(relative), axis=0))
             every.setdefault(light, []).append(rms)
-            peers = ()
+            peers: tuple[Peer, ...] = ()
             if others:
                 peer_rms = np.sqrt(np.mean(np.square(others), axis=0))
                 peers = (
@@ -240,8 +243,8 @@ def refine_rows(
                       float(angle.max()), unit="deg worst")  # fmt: skip
             yield Row(f"{light}, {vehicle}: features and matches", size,
                       1e3 * (matched.features_s + matched.matches_s))  # fmt: skip
-    for light, found in every.items():
-        rms = np.concatenate(found)
+    for light, of_rigs in every.items():
+        rms = np.concatenate(of_rigs)
         yield Row(f"{light}: all rigs, rms angle to the reference camera, median (deg)", f"{len(rms)} cameras",
                   float(np.median(rms)), float(rms.max()), unit="deg worst", bar=_MEDIAN_DEG,
                   error_bar=_WORST_DEG)  # fmt: skip

@@ -26,6 +26,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "dataset": ("data", "publish a dataset without held-out images, or fetch a published one"),
     "report": ("data", "write an HTML report of a dataset"),
     "export": ("data", "write a scene for COLMAP, nerfstudio, gsplat, nuScenes or KITTI"),
+    "plot": ("data", "draw figures of a dataset for print: map, coverage, conditions, cameras, privacy"),
     "view": ("data", "look at a dataset in rerun, or drive through a reconstructed street in the browser"),
     "deidentify": ("data", "remove faces, number plates and metadata from the images of a dataset"),
     "release": ("data", "check, review, build or withdraw a public release of a de-identified dataset"),

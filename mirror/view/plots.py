@@ -74,8 +74,8 @@ def traversals_figure(statistics: Statistics) -> Figure:
     """Plot the traversals of each scene as bars, divided by light; at most the 50 scenes with the most traversals."""
     scenes = sorted(statistics.scenes, key=lambda scene: (-scene.traversals, scene.scene_id))
     shown = scenes[:_MAX_SCENES]
-    figure = _figure(7.0, 1.4 + 0.28 * len(shown))
-    axes = _axes(figure)
+    figure = new_figure(7.0, 1.4 + 0.28 * len(shown))
+    axes = new_axes(figure)
     left = [0] * len(shown)
     for light, colour in LIGHT_COLOURS.items():
         counts = [scene.light.get(light, 0) for scene in shown]
@@ -85,7 +85,7 @@ def traversals_figure(statistics: Statistics) -> Figure:
     axes.set_yticks(range(len(shown)), [_scene_name(scene) for scene in shown])
     axes.invert_yaxis()
     axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.xaxis.set_major_locator(_whole_numbers())
+    axes.xaxis.set_major_locator(whole_numbers())
     axes.set_xlabel("traversals")
     more = f" (the {len(shown)} with the most of {len(scenes)})" if len(scenes) > len(shown) else ""
     title = f"{_number(statistics.traversals, 'traversal')} of {_number(statistics.row.scenes, 'scene')}{more}"
@@ -97,8 +97,8 @@ def traversals_figure(statistics: Statistics) -> Figure:
 
 def speed_figure(speed: Speed) -> Figure:
     """Plot the share of time at each speed, in m/s with km/h above."""
-    figure = _figure(7.0, 3.6)
-    axes = _axes(figure)
+    figure = new_figure(7.0, 3.6)
+    axes = new_axes(figure)
     total = sum(speed.hours)
     share = [100 * hours / total for hours in speed.hours]
     width = speed.edges_mps[1] - speed.edges_mps[0]
@@ -128,8 +128,8 @@ def conditions_figure(statistics: Statistics) -> Figure:
     hours = [[0.0] * len(weathers) for _ in lights]
     for condition in statistics.conditions:
         hours[lights.index(condition.light)][weathers.index(condition.weather)] = condition.hours
-    figure = _figure(2.4 + 1.35 * len(weathers), 1.5 + 0.75 * len(lights))
-    axes = _axes(figure)
+    figure = new_figure(2.4 + 1.35 * len(weathers), 1.5 + 0.75 * len(lights))
+    axes = new_axes(figure)
     most = max(max(row) for row in hours)
     axes.imshow(hours, cmap="Blues", vmin=0.0, vmax=1.3 * most, aspect="auto")
     for condition in statistics.conditions:
@@ -171,13 +171,19 @@ def _from_kmh(kmh: npt.ArrayLike) -> Float64:
     return np.asarray(kmh, np.float64) / _KMH
 
 
-def _whole_numbers() -> MaxNLocator:
+def whole_numbers() -> MaxNLocator:
+    """Ticks at whole numbers."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(integer=True)
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, in inches.
+
+    Raises:
+        UsageError: matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -185,7 +191,8 @@ def _figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _axes(figure: Figure) -> Axes:
+def new_axes(figure: Figure) -> Axes:
+    """The only axes of a figure, without a frame above and on the right."""
     axes: Any = figure.add_subplot()
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

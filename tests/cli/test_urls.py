@@ -33,6 +33,7 @@ OUTPUTS = {
     "export": "export colmap there --out {url}",
     "export-ply": "export-ply there there --out {url}/x.ply",
     "export-ply with a model": "export-ply there {url} --out x.ply",
+    "plot": "plot there --out {url}",
     "view": "view there --save {url}/x.rrd",
     "view with a model": "view there {url}",
     "compare": "compare {url} there",

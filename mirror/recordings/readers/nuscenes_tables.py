@@ -314,6 +314,8 @@ class Tables:
             scene = np.asarray(samples.column("scene"))[sample]
             tokens = pa.array([sensor.token for sensor in self.sensors], pa.string())
             sensor = find_tokens(table.column("calibrated_sensor_token"), tokens)
+            # Tokens that are followed are not needed any more; the next table is as large.
+            table = table.drop_columns(["sample_token", "calibrated_sensor_token"])
             poses = read_columns(self.file("ego_pose"), _EGO_POSE)
             pose = find_tokens(table.column("ego_pose_token"), poses.column("token").combine_chunks())
             stamps = np.asarray(table.column("timestamp"))
@@ -333,6 +335,8 @@ class Tables:
                 matrix_of(poses.column("translation")),
             )
             starts = np.searchsorted(scene[order], np.arange(len(self.scenes) + 1))
+            del table, poses
+            pa.default_memory_pool().release_unused()
             return data, ego, starts
 
     @property

@@ -37,7 +37,7 @@ def interrupted(command: str) -> str:
 def terminable() -> Iterator[None]:
     """SIGTERM is heard as Ctrl-C while the block runs; only in the main thread, as no other hears signals."""
 
-    def hear(number: int, frame: FrameType | None) -> None:
+    def on_signal(number: int, frame: FrameType | None) -> None:
         if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
             # In the background of a script Ctrl-C is ignored, and a scheduler's signal is not.
             raise KeyboardInterrupt
@@ -46,7 +46,7 @@ def terminable() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, hear)
+    before = signal.signal(signal.SIGTERM, on_signal)
     try:
         yield
     finally:
@@ -79,7 +79,7 @@ class Stops:
         """Hear signals from now on, to the end of the process."""
         for number in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(number) != signal.SIG_IGN:
-                signal.signal(number, self._hear)
+                signal.signal(number, self._on_signal)
         reader, writer = os.pipe()
         os.set_blocking(writer, False)
         # Python's handlers run only between steps of the main thread; this is written at once, whoever handles it.
@@ -119,7 +119,7 @@ class Stops:
             os.write(2, f"{interrupted(self._command)}\n".encode() if say else b"")
         os._exit(INTERRUPTED)
 
-    def _hear(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self._asked or not self._working:
             self.end()
         self._asked = True

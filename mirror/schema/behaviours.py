@@ -155,7 +155,7 @@ class OncomingOvertake(Document):
 
 
 class PullOut(Document):
-    """A vehicle that is parked beside the ego's lane pulls out into it. For the trigger it counts as standing.
+    """A vehicle that is parked beside the ego's lane drives out into it. For the trigger it counts as standing.
 
     Attributes:
         kind: always ``pull-out``.

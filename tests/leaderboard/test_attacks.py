@@ -125,7 +125,7 @@ def test_deleting_the_worse_half_of_the_frames_is_found(result: Path, root: Path
 
 
 def test_forged_log_of_scores_is_found(scored: Path, result: Path, root: Path, tmp_path: Path) -> None:
-    """A log of scores beside the submission raises the result that it is given to; `add` scores the renders anew."""
+    """A log of scores beside the submission raises the result that it is given to; `add` scores the renders again."""
     shutil.copytree(scored / "out", tmp_path / "out")
     log = tmp_path / "out" / "work" / "scored.jsonl"
     rows = [json.loads(line) for line in log.read_text().splitlines()]

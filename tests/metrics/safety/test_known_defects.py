@@ -1,6 +1,6 @@
 """Defects of other simulators' safety metrics that ours do not have; each test is named after one.
 
-They are listed, with their places in the source, in the study of rivals that this project was designed from.
+They are listed, with their places in the source, in the study of other projects that this one was designed from.
 """
 
 from __future__ import annotations

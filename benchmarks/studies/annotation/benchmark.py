@@ -32,6 +32,7 @@ def main(argv: list[str]) -> int:
     for name, text in (
         ("train", "train with each budget and seed; continues"),
         ("score", "score the finished runs that have no outcome yet"),
+        ("curve", "score copies of checkpoints of a run, in the folder --out"),
         ("references", "score what needs no training"),
     ):
         verb = verbs.add_parser(name, help=text)
@@ -39,7 +40,7 @@ def main(argv: list[str]) -> int:
         if name != "train":
             verb.add_argument("--recordings", type=Path, required=True, help="the recordings, with truth of boxes")
         if name != "references":
-            verb.add_argument("--out", type=Path, required=True, help="folder of the runs")
+            verb.add_argument("--out", type=Path, required=True, help="folder of the runs, or of checkpoints")
         if name == "train":
             verb.add_argument("--minutes", type=float, help="this budget alone")
             verb.add_argument("--seed", type=int, help="this seed alone")
@@ -51,6 +52,8 @@ def main(argv: list[str]) -> int:
             _train(declaration, arguments)
         case "score":
             _score(declaration, arguments)
+        case "curve":
+            _score_checkpoints(declaration, arguments)
         case "references":
             _references(declaration, arguments)
         case "show":
@@ -130,6 +133,25 @@ def _score(declaration: Declaration, arguments: argparse.Namespace) -> None:
         print(json.dumps(row))
 
 
+def _score_checkpoints(declaration: Declaration, arguments: argparse.Namespace) -> None:
+    from hybridworldsim.petr.tiny.network import TinyPetr
+    from hybridworldsim.petr.tiny.settings import NetworkSettings
+    from hybridworldsim.training.run.checkpoint import read_checkpoint
+
+    frames = _test_frames(declaration, arguments)
+    for path in sorted(arguments.out.glob("*.safetensors")):
+        state, position = read_checkpoint(path)
+        network = TinyPetr(NetworkSettings()).eval()
+        averaged = {
+            name.removeprefix("averaged."): value for name, value in state.items() if name.startswith("averaged.")
+        }
+        network.load_state_dict(averaged)
+        scores = score(frames, _finder(network), declaration.bar)
+        row = {"checkpoint": path.stem, "steps": position.steps, "core_s": position.spent_s, **asdict(scores)}
+        _append(declaration, row)
+        print(json.dumps(row), flush=True)
+
+
 def _finder(network: TinyPetr) -> Callable[[TestFrame], Found]:
     from hybridworldsim.petr.tiny.detect import find_boxes
     from hybridworldsim.petr.tiny.settings import CLASSES
@@ -174,6 +196,8 @@ def _show(declaration: Declaration) -> None:
     for row in rows:
         if "reference" in row:
             _print_row((row["reference"], "", "", ""), [row])
+    for row in sorted((row for row in rows if "checkpoint" in row), key=lambda row: row["core_s"]):
+        _print_row(("on the way", f"{row['core_s'] / 60:.1f}", str(row["steps"]), ""), [row])
     for minutes in declaration.core_minutes:
         chosen = [row for row in rows if row.get("minutes") == minutes]
         for row in chosen:

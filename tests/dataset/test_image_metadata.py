@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mirror.dataset.images.metadata import segments, strip_metadata
+from mirror.dataset.images.metadata import list_metadata, segments, strip_metadata
 
 
 def test_fill_bytes_after_a_scan() -> None:
@@ -20,3 +20,12 @@ def test_fill_bytes_after_a_scan() -> None:
         cv2.imdecode(np.frombuffer(stripped, np.uint8), cv2.IMREAD_COLOR),
         cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR),
     )
+
+
+def test_segments_after_a_marker_without_length() -> None:
+    data = cv2.imencode(".jpg", np.full((16, 24, 3), 90, np.uint8))[1].tobytes()
+    comment = b"\xff\xfe" + (2 + 5).to_bytes(2, "big") + b"words"
+    marked = data[:2] + b"\xff\x01" + comment + data[2:]
+    assert [one.marker for one in segments(marked, "a.jpg")][:2] == [0x01, 0xFE]
+    assert list_metadata(marked, "a.jpg") == list_metadata(data[:2] + comment + data[2:], "a.jpg")
+    assert list_metadata(data, "a.jpg") != list_metadata(marked, "a.jpg")

@@ -280,6 +280,7 @@ def test_from_a_row_and_what_is_no_camera() -> None:
         ({"fx_px": 0.0}, "fx, fy > 0"),
         ({"width_px": 0}, "pixel"),
         ({"model": "f_theta", "distortion": [1.0, 600.0]}, "c0 = 0"),
+        ({"model": "f_theta", "distortion": [0.0, 0.0, 600.0]}, "c1 > 0"),
     ):
         with pytest.raises(UsageError) as error:
             camera_from_row({**row, **change})
@@ -287,6 +288,19 @@ def test_from_a_row_and_what_is_no_camera() -> None:
         assert "camera front_wide" in str(error.value)
     with pytest.raises(UsageError, match="cx_px"):
         camera_from_row({key: value for key, value in row.items() if key != "cx_px"})
+
+
+def test_later_coefficients_of_f_theta_have_any_sign() -> None:
+    camera = Camera("f_theta", 1000, 800, 1.0, 1.0, 500.0, 400.0, (0.0, 400.0, -5.0, 1.0))
+    assert np.allclose(camera.project(np.array([[np.sin(0.3), 0.0, np.cos(0.3)]])).uv_px, [[500.0 + 119.577, 400.0]])
+
+
+@each_model
+@pytest.mark.parametrize("distance_m", [1e-9, 0.5, 1e9])
+def test_the_axis_is_imaged_at_the_principal_point_at_any_distance(camera: Camera, distance_m: float) -> None:
+    projection = camera.project(np.array([[0.0, 0.0, distance_m], [0.0, 0.0, -distance_m]]))
+    assert projection.defined.tolist() == [True, False]
+    assert projection.uv_px[0].tolist() == [camera.cx_px, camera.cy_px]
 
 
 @each_model

@@ -37,6 +37,11 @@ def test_boxes_beyond_the_threshold_are_missed_and_false() -> None:
     assert scores.idf1 == pytest.approx(2 * 1 / 4)
 
 
+def test_a_single_frame() -> None:
+    scores = score_tracks([[frame(3, 0.0)]], [[frame(7, 9.0)]], threshold_m=2.0)
+    assert (scores.misses, scores.false_per_frame) == (1.0, 1.0)
+
+
 def test_frames_must_correspond() -> None:
     with pytest.raises(UsageError, match="different frames"):
         score_tracks([[frame(0, 0.0)]], [[]])

@@ -25,6 +25,7 @@ from mirror.schema.tables import BOXES
 from tests.ingest.recordings import LAT, LON, START_NS, street, write_recording
 from tests.recordings.formats.argoverse2 import write_argoverse2
 from tests.recordings.formats.colmap import write_colmap
+from tests.recordings.formats.kitti360 import write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
 from tests.recordings.formats.street import straight_drive
@@ -260,6 +261,13 @@ def waymo(root: Path) -> Base:
     return Base("waymo", path, Roi(scene_id="s", frame="waymo_straight_000_020", x_m=8.0, y_m=0.0, radius_m=60.0))
 
 
+def kitti360(root: Path) -> Base:
+    """One drive of one camera."""
+    drive = straight_drive().placed((1107.0, 3826.0, 115.0)).with_cameras(("front_wide",))
+    path = write_kitti360(root / "kitti", [drive])
+    return Base("kitti360", path, _roi_around(path, "kitti360"))
+
+
 def real_boreas(root: Path, real_data: Path) -> Base:
     """20 s of a real sequence, without images."""
     path = root / "boreas-2021-08-05-13-34"
@@ -304,4 +312,5 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "colmap_rig": colmap_rig,
     "nuplan": nuplan,
     "waymo": waymo,
+    "kitti360": kitti360,
 }

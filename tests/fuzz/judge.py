@@ -58,6 +58,11 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
     },
     "colmap": {"sparse/": ALL, "images/": frozenset({SHOTS})},
     "nuplan": {"splits/": ALL, "sensor_blobs/": frozenset({SHOTS})},
+    "kitti360": {
+        "data_poses/": frozenset({POSES}),
+        "calibration/": frozenset({CAMERAS}),
+        "data_2d_raw/": frozenset({POSES, SHOTS}),
+    },
     "waymo": {
         "vehicle_pose/": frozenset({POSES}),
         "camera_image/": frozenset({POSES, SHOTS, CAMERAS}),
@@ -197,6 +202,7 @@ def pose_files(base: Base) -> list[str]:
         "colmap": [],
         "nuplan": [],
         "waymo": [],
+        "kitti360": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }
     return names[base.reader]

@@ -7,6 +7,7 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -261,6 +262,27 @@ def test_outputs_that_are_not_finite_fail_by_frame(tiny_dataset: Dataset) -> Non
         network.backbone.lateral.weight.fill_(math.nan)
     with pytest.raises(AnnotationError, match="not finite"):
         TinyAnnotator(network, "0" * 64, "cpu", 0.2).annotate(tiny_dataset.frames()[0])
+
+
+@pytest.mark.parametrize("cameras", [("rear",), ("rear_left", "front_wide")])
+def test_rigs_with_fewer_cameras_are_annotated(tiny_dataset: Dataset, cameras: tuple[str, ...]) -> None:
+    torch.manual_seed(2)
+    annotator = TinyAnnotator(TinyPetr(SETTINGS).eval(), "0" * 64, "cpu", 0.0)
+    frame = tiny_dataset.where(camera=cameras).frames()[0]
+    assert set(frame.images) == set(cameras)
+    found = annotator.annotate(frame)
+    assert len(found) > 0
+    assert np.isfinite(found.ego_SE3_box.translation).all()
+    assert np.isnan(found.velocity_mps).all()
+    again = annotator.annotate(frame)
+    np.testing.assert_array_equal(again.ego_SE3_box.translation, found.ego_SE3_box.translation)
+
+
+def test_a_frame_without_images_fails_by_name(tiny_dataset: Dataset) -> None:
+    frame = tiny_dataset.frames()[0]
+    empty = SimpleNamespace(images={}, frame_index=frame.frame_index)
+    with pytest.raises(AnnotationError, match="no image"):
+        camera_input(empty, SETTINGS)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from mirror.calibration.localisation import LENGTHS_M, compute_drift
 from mirror.calibration.rig import PosePrior
 from mirror.calibration.sampling import choose_frames, track_traversal
 from mirror.calibration.stages import StageHistory, compare_stages
-from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics
+from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics, require_scipy
 from mirror.calibration.tracking import TrackingOptions
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, ExitCode, MirrorError, UsageError
@@ -159,8 +159,9 @@ def check_calibration(
         progress: receives the progress.
 
     Raises:
-        UsageError: the dataset has no traversal with images, or the layer of reference poses does not exist.
+        UsageError: no traversal has images, the layer of reference poses does not exist, or scipy is not installed.
     """
+    require_scipy()
     chosen, weights, tracker = choice or FrameChoice(), prior or PosePrior(), options or TrackingOptions()
     rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]
     if not rows:

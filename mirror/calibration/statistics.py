@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.errors import UsageError
+from mirror.installation import install_command
 
 LIMIT_DEG: Final = 0.3
 SHARE: Final = 0.997
@@ -57,6 +58,18 @@ class FleetStatistics:
     corrected_rms_deg: float
     verdict: Verdict
     needed: int
+
+
+def require_scipy() -> None:
+    """Require the package of the extra ``calibration``, before minutes are spent on images.
+
+    Raises:
+        UsageError: scipy is not installed.
+    """
+    try:
+        import scipy  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise UsageError("calibration needs scipy", remedy=install_command("calibration")) from error
 
 
 def clopper_pearson(successes: int, samples: int, confidence: float = CONFIDENCE) -> tuple[float, float]:

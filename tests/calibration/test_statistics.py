@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
 from mirror.calibration.localisation import compute_drift
 from mirror.calibration.stages import compare_rows
-from mirror.calibration.statistics import clopper_pearson, compute_fleet_statistics, samples_needed
+from mirror.calibration.statistics import clopper_pearson, compute_fleet_statistics, require_scipy, samples_needed
 from mirror.errors import UsageError
 from mirror.geometry import Poses, quaternion_exp
 
@@ -31,6 +33,15 @@ def test_the_bounds_are_those_of_binomial_tails(successes: int, samples: int) ->
         assert binom.cdf(successes, samples, upper) == pytest.approx(0.05, abs=1e-9)
     else:
         assert upper == 1.0
+
+
+def test_without_scipy_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_scipy()
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    with pytest.raises(UsageError, match="needs scipy") as caught:
+        require_scipy()
+    assert "calibration" in str(caught.value)
+    assert "pip install" in str(caught.value)
 
 
 def test_no_samples_and_wrong_counts() -> None:

@@ -21,6 +21,7 @@ from mirror.calibration.refinement.report import METHOD, RefinementReport, Trave
 from mirror.calibration.refinement.rigs import FeatureTracks, RefinementPrior
 from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gather_rigs, open_traversal, read_features
 from mirror.calibration.refinement.summary import CameraRefinement, summarise
+from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
 from mirror.dataset.lock import writer_lock
@@ -62,9 +63,10 @@ def refine_calibrations(
         progress: receives the phases and their progress.
 
     Raises:
-        UsageError: no traversal has images, or the dataset is not local.
+        UsageError: no traversal has images, the dataset is not local, or scipy is not installed.
         DatasetError: a layer of this version was made from other inputs, or another process writes the dataset.
     """
+    require_scipy()
     settings, reporter = _Settings(choice, prior or RefinementPrior(), matching or MatchingOptions()), progress
     report = RefinementReport(dataset.root, f"{SOURCE}@{version}")
     rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]

@@ -16,10 +16,12 @@ from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import CANONICAL_CAMERAS, Roi
 from mirror.schema.files import write_json
+from mirror.schema.road_map import write_road_map
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Effects
+from mirror.synth.maps import street_map
 from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
 from mirror.synth.writing.journal import Counts, open_journal
 from mirror.synth.writing.poses import pose_stamps, write_poses
@@ -28,6 +30,8 @@ from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
 from mirror.version import __version__
 
 LICENCE: Final = "CC0-1.0"
+MAPS: Final = "maps"
+"""Folder of the scenes' exact road maps, beside the recordings."""
 
 
 @dataclass
@@ -70,7 +74,7 @@ def write_recordings(
     workers: int | None = None,
     progress: ProgressReporter | None = None,
 ) -> SynthReport:
-    """Write the recordings of a preset, and ``rois.geojson`` beside them.
+    """Write the recordings of a preset, with ``rois.geojson`` and the scenes' exact road maps beside them.
 
     The files depend on the arguments only, not on the number of workers. ``recording.json`` is written last. A
     second call with the same arguments keeps the complete recordings and writes the missing ones.
@@ -127,6 +131,7 @@ def write_recordings(
                 # The next drive is simulated while the images of this drive are rendered.
                 missing = missing[1:]
                 ahead = [pool.submit(_simulate, coming) for coming in missing[:1]]
+                _write_map(out, drive)
                 start = partial(progress.start, f"recording {number} of {len(drives)}, images")
                 counts = _write(folder, drive, seed, errors, truth, pool, start, progress.advance)
                 done.add(drive.drive_id, counts)
@@ -149,6 +154,13 @@ def _require_on_demand(preset: str, effects: Effects | None, truth: Sequence[Tru
             expected="poses alone: its images are rendered when they are loaded",
             remedy="take another preset",
         )
+
+
+def _write_map(out: Path, drive: SynthDrive) -> None:
+    """Write the exact map of a drive's scene beside the recordings, once."""
+    path = out / MAPS / f"{drive.roi.scene_id}.parquet"
+    if not path.is_file():
+        write_road_map(path, street_map(drive.world.plan))
 
 
 def _simulate(drive: SynthDrive) -> None:

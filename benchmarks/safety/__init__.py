@@ -1,0 +1,1 @@
+"""Safety metrics of state logs, and maps fitted to driven lines: time beside error."""

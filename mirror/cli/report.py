@@ -14,18 +14,22 @@ from mirror.errors import ExitCode, UsageError
 
 _EXAMPLES = (
     "mirror report demo/dataset --out report.html",
-    "mirror report demo/block/dataset --title 'One block' --out block.html",
+    "mirror report demo/dataset --title 'My fleet' --out site",
 )
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write an HTML page on a dataset: images of every camera, maps, charts and the ledger of refused passes."""
+    """Write an HTML page on a dataset: images of every camera, maps, charts and the ledger of refused passes.
+
+    For a large dataset name a folder: the report becomes a small site with a page for each scene, and tables to filter,
+    sort and save.
+    """
 
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset."""
     out: Path = Path("report.html")
-    """HTML file to write."""
+    """HTML file to write, or a folder for a site."""
     title: str = "MIRROR dataset"
     """Title of the page."""
     json: bool = False
@@ -36,15 +40,25 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror report", examples=_EXAMPLES)
 
+    is_page = arguments.out.suffix == ".html"
     folder = arguments.out.absolute().parent
     if not folder.is_dir():
         raise UsageError("no such folder", file=folder, place="--out", remedy="create it first, or name another folder")
 
     import mirror
     from mirror.schema.folders import require_output_file
-    from mirror.view.report import write_report
 
-    require_output_file(arguments.out)
-    write_report(mirror.open(arguments.dataset), arguments.out, arguments.title)
-    print(json.dumps({"report": str(arguments.out)}) if arguments.json else f"report: {arguments.out}")
+    page = arguments.out
+    if is_page:
+        from mirror.view.report import write_report
+
+        require_output_file(page)
+        write_report(mirror.open(arguments.dataset), page, arguments.title)
+    else:
+        from mirror.progress import progress_bar
+        from mirror.view.report_site import write_site
+
+        with progress_bar(quiet=arguments.json) as progress:
+            page = write_site(mirror.open(arguments.dataset), page, arguments.title, progress=progress)
+    print(json.dumps({"report": str(page)}) if arguments.json else f"report: {page}")
     return ExitCode.DONE

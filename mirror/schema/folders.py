@@ -47,6 +47,7 @@ class FolderKind(Enum):
     DEMO = "the folder of a demo"
     BOARD = "a leaderboard's folder"
     SITE = "the site of a leaderboard"
+    REPORT = "the site of `mirror report`"
     OTHER = "a folder with other files"
 
 
@@ -83,6 +84,7 @@ _KINDS: Final[Mapping[FolderKind, _Signs]] = {
     FolderKind.DEMO: _Signs(marks=(".made-by-mirror-demo",)),
     FolderKind.BOARD: _Signs(marks=("entries",)),
     FolderKind.SITE: _Signs(marks=(".made-by-mirror-leaderboard",)),
+    FolderKind.REPORT: _Signs(marks=(".made-by-mirror-report",)),
 }
 
 

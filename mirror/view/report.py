@@ -56,16 +56,16 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
-    tiles = _format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
+    tiles = format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
     parts = [
         f"<header><h1>{escape(title)}</h1>{tiles}</header>",
         *_format_instant(dataset, traversals),
         *_format_places(dataset, scenes, traversals),
         "<h2>Maps</h2>",
         map_legend({row["light"] for row in traversals}),
-        f'<div class="grid two">{"".join(_draw_map(dataset, scene, traversals) for scene in scenes)}</div>',
+        f'<div class="grid two">{"".join(draw_scene_map(dataset, scene, traversals) for scene in scenes)}</div>',
         "<h2>Conditions and contents</h2>",
-        f'<div class="grid">{"".join(_draw_charts(dataset, traversals))}</div>',
+        f'<div class="grid">{"".join(draw_charts(dataset, traversals))}</div>',
         *_format_splits(dataset, traversals),
         "<h2>Traversals</h2>",
         traversal_table(traversals),
@@ -84,12 +84,13 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     write_bytes(out, page.encode())
 
 
-def _format_tiles(
+def format_tiles(
     totals: TableRow,
     traversals: Sequence[Mapping[str, Any]],
     passes: Sequence[Mapping[str, Any]],
     boxes: int,
 ) -> str:
+    """Format the figures at the head of a report."""
     cameras = {camera for row in traversals for camera in row["cameras"]}
     tiles = {
         "scenes": f"{totals.scenes}",
@@ -144,14 +145,15 @@ def _format_places(
         own = [row for row in traversals if row["scene_id"] == scene["scene_id"]]
         passages = same_place(dataset, own)
         if len(passages) > 1:
-            parts.append(f"<h3>{escape(_scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
+            parts.append(f"<h3>{escape(scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
     if parts:
         yield "<h2>One place, every traversal</h2>"
         yield '<p class="dim">The same view in every traversal that passes a place; times are UTC.</p>'
         yield from parts
 
 
-def _scene_name(scene: Mapping[str, Any]) -> str:
+def scene_name(scene: Mapping[str, Any]) -> str:
+    """A scene's id with its city and type."""
     where = ", ".join(str(scene[name]) for name in ("city", "scene_type") if scene[name])
     return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 
@@ -166,7 +168,8 @@ def map_legend(lights: Iterable[str]) -> str:
     )
 
 
-def _draw_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
+def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
+    """Draw the map of a scene with the lines of its traversals."""
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
     for row in traversals:
@@ -179,11 +182,12 @@ def _draw_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[M
         about = f"{row['traversal_id']}: {row['light']}, {row['weather']}, {row['duration_s']:.0f} s"
         lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], row["light"], about))
     return scene_map(
-        f"{_scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines, north=scene["frame"] is None
+        f"{scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines, north=scene["frame"] is None
     )
 
 
-def _draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+def draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    """Draw the charts of conditions, boxes, speeds, vehicles and images."""
     by_condition: dict[str, dict[str, float]] = {light: {} for light in _LIGHTS}
     for row in traversals:
         counts = by_condition.setdefault(row["light"], {})

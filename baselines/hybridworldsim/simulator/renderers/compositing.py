@@ -1,10 +1,17 @@
-"""Composes agents into images of the empty street: hidden by what is nearer, with a contact shadow under them."""
+"""Composes agents into images of the empty street: hidden by what is nearer, with a contact shadow under them.
+
+The depth of a reconstruction has errors: mist that the training left in the air seems near. Nothing fixed stands on a
+road, so what seems to hide an agent from a place above the drivable area, or from just before the camera, is ignored.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -14,6 +21,11 @@ from mirror.arrays import Bool, Float32, Float64, UInt8
 TOLERANCE_M: Final = 0.4
 TOLERANCE_SHARE: Final = 0.03
 """An agent is hidden where the street is nearer than it by more than this distance and share of the depth."""
+NEAREST_M: Final = 3.0
+"""Nothing fixed is so near to a camera of a vehicle that drives on a road."""
+CELL_M: Final = 0.25
+_BEYOND_M: Final = 60.0
+_SHIFT: Final = 4
 _SHADE: Final = 0.75
 _FADE_M: Final = 0.25
 _REACH_M: Final = 0.9
@@ -21,22 +33,66 @@ _HEIGHT_M: Final = 0.45
 _FARTHEST_M: Final = 70.0
 
 
-def compose(rgb: UInt8, depth_m: Float32, agents: AgentImage) -> tuple[UInt8, Bool]:
+@dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """The drivable area as a grid: places where nothing fixed stands.
+
+    Attributes:
+        is_free: (rows, columns) cells along y and x.
+        origin_m: (x, y) of the corner of the first cell.
+    """
+
+    is_free: Bool
+    origin_m: Float64
+
+
+def free_space(rings: Sequence[Float64], middle_m: tuple[float, float], radius_m: float) -> FreeSpace:
+    """Rasterize the rings of a drivable area around a place."""
+    reach = radius_m + _BEYOND_M
+    side = int(2.0 * reach / CELL_M) + 1
+    origin = np.array(middle_m) - reach
+    image = np.zeros((side, side), np.uint8)
+    scaled = [np.round((ring - origin) / CELL_M * (1 << _SHIFT)).astype(np.int32) for ring in rings]
+    if scaled:
+        cv2.fillPoly(image, scaled, 1, cv2.LINE_8, _SHIFT)
+    return FreeSpace(image.astype(np.bool_), origin)
+
+
+def compose(
+    rgb: UInt8, depth_m: Float32, agents: AgentImage, lens: Float64, rotation: Float64, origin: Float64, free: FreeSpace
+) -> tuple[UInt8, Bool]:
     """Put agents into an image.
 
     Args:
         rgb: (H, W, 3) image of the empty street, with its shadows.
         depth_m: (H, W) camera z of the empty street; 0 or less: nothing is there.
         agents: the agents in the same camera.
+        lens: fx, fy, cx, cy of the camera.
+        rotation: (3, 3) world_R_camera.
+        origin: (3,) position of the camera in the world.
+        free: where nothing fixed stands.
 
     Returns:
         The image, and (H, W) where it shows an agent.
     """
-    return _compose(rgb, depth_m, agents.rgb, agents.alpha, agents.depth_m)
+    return _compose(
+        rgb, depth_m, agents.rgb, agents.alpha, agents.depth_m, lens, rotation, origin, free.is_free, free.origin_m
+    )
 
 
 @njit(cache=True, nogil=True)
-def _compose(rgb: UInt8, depth_m: Float32, agent_rgb: UInt8, alpha: Float32, agent_m: Float32) -> tuple[UInt8, Bool]:
+def _compose(
+    rgb: UInt8,
+    depth_m: Float32,
+    agent_rgb: UInt8,
+    alpha: Float32,
+    agent_m: Float32,
+    lens: Float64,
+    rotation: Float64,
+    origin: Float64,
+    is_free: Bool,
+    free_origin: Float64,
+) -> tuple[UInt8, Bool]:
     height, width = alpha.shape
     out, shown = rgb.copy(), np.zeros((height, width), np.bool_)
     for row in range(height):
@@ -44,9 +100,14 @@ def _compose(rgb: UInt8, depth_m: Float32, agent_rgb: UInt8, alpha: Float32, age
             share = alpha[row, column]
             if share <= 0.0:
                 continue
-            behind, own = depth_m[row, column], agent_m[row, column]
-            if behind > 0.0 and own > behind * (1.0 + TOLERANCE_SHARE) + TOLERANCE_M:
-                continue
+            far, own = depth_m[row, column], agent_m[row, column]
+            if far > NEAREST_M and own > far * (1.0 + TOLERANCE_SHARE) + TOLERANCE_M:
+                a, b = (column + 0.5 - lens[2]) / lens[0] * far, (row + 0.5 - lens[3]) / lens[1] * far
+                x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * far + origin[0]
+                y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * far + origin[1]
+                i, j = int((y - free_origin[1]) / CELL_M), int((x - free_origin[0]) / CELL_M)
+                if not (0 <= i < is_free.shape[0] and 0 <= j < is_free.shape[1] and is_free[i, j]):
+                    continue
             shown[row, column] = share >= 0.5
             for channel in range(3):
                 mixed = share * agent_rgb[row, column, channel] + (1.0 - share) * rgb[row, column, channel]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ import numpy as np
 from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
-from hybridworldsim.simulator.renderers.compositing import add_contact_shadows, compose
+from hybridworldsim.simulator.renderers.compositing import add_contact_shadows, compose, free_space
 from hybridworldsim.simulator.renderers.protocol import ego_pose
 from hybridworldsim.simulator.street.street import Recording, Street
 from hybridworldsim.simulator.world import Snapshot
@@ -81,13 +82,27 @@ class OpenModel:
         return cls(path, document.scene, trained or tuple(sorted(document.trained)), renderer)
 
 
-@dataclass(eq=False)
 class Seconds:
-    """Time spent in each part of rendering, in seconds since the beginning."""
+    """Time that threads spent in each part of rendering, measured by thread clocks."""
 
-    street: float = 0.0
-    agents: float = 0.0
-    composition: float = 0.0
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._parts = dict.fromkeys(("street", "agents", "composition"), 0.0)
+
+    def add(self, part: str, begin_s: float) -> float:
+        """Add the time since a reading of `time.thread_time` to a part, and return the present reading."""
+        now = time.thread_time()
+        with self._lock:
+            self._parts[part] += now - begin_s
+        return now
+
+    def parts(self) -> dict[str, float]:
+        """Return the seconds by part."""
+        return dict(self._parts)
+
+    def clear(self) -> None:
+        """Begin again."""
+        self._parts = dict.fromkeys(self._parts, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +139,8 @@ class ReconstructedRenderer:
         self._model, self._street, self._cameras = model, street, cameras
         self._appearance = choose_appearance(model, street, scenario)
         condition = _condition(street, self._appearance, scenario)
-        self._layer = AgentLayer(street, condition, start.agents, cameras)
+        self.layer = AgentLayer(street, condition, start.agents, cameras)
+        self._free = free_space(street.road_map.drivable_rings, street.middle_m, street.radius_m)
         self._shown: dict[str, Int32] = {}
 
     def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
@@ -132,33 +148,30 @@ class ReconstructedRenderer:
         if not cameras:
             return {}
         world_SE3_ego = ego_pose(self._street, snapshot)
-        begin = time.perf_counter()
-        instant = self._layer.at(snapshot)
+        begin = time.thread_time()
+        instant = self.layer.at(snapshot)
         boxes = _ground_boxes(self._street, snapshot)
-        self.seconds.agents += time.perf_counter() - begin
+        self.seconds.add("agents", begin)
         jobs = [_Job(name, self._cameras[name], world_SE3_ego @ self._cameras[name].ego_SE3_camera) for name in cameras]
         images: dict[str, UInt8] = {}
 
         def work(number: int) -> None:
             job = jobs[number]
-            start = time.perf_counter()
+            clock = time.thread_time()
             rgb, depth = self._background(job, snapshot)
-            behind = time.perf_counter()
-            agents = self._layer.draw(instant, job.name, job.pose)
-            drawn = time.perf_counter()
+            clock = self.seconds.add("street", clock)
+            agents = self.layer.draw(instant, job.name, job.pose)
+            clock = self.seconds.add("agents", clock)
             rotation = matrix_from_quaternion(job.pose.rotation)[0]
             lens = job.spec.camera
             numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
             add_contact_shadows(rgb, depth, numbers, rotation, job.pose.translation[0], boxes)
             shown: Bool = np.zeros(depth.shape, np.bool_)
             if agents is not None:
-                rgb, shown = compose(rgb, depth, agents)
+                rgb, shown = compose(rgb, depth, agents, numbers, rotation, job.pose.translation[0], self._free)
             self._shown[job.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
             images[job.name] = rgb
-            end = time.perf_counter()
-            self.seconds.street += behind - start
-            self.seconds.agents += drawn - behind
-            self.seconds.composition += end - drawn
+            self.seconds.add("composition", clock)
 
         in_parallel(work, len(jobs))
         self.rendered += len(jobs)

@@ -45,14 +45,14 @@ def check_free(street: Street, agent_id: str, category: str, box: Float64) -> No
                 f"it starts off the drivable area, at ({box[0]:.1f}, {box[1]:.1f})", place=place,
                 expected="all corners on the drivable area", remedy="change its offset or its place ahead of the ego",
             )  # fmt: skip
-    if street.drive is not None and (label := _wall_at(street, np.concatenate([corners, box[None, :2]]))):
+    if street.drive is not None and (label := wall_at(street, np.concatenate([corners, box[None, :2]]))):
         raise UsageError(
             f"it starts in a {label}, at ({box[0]:.1f}, {box[1]:.1f})", place=place,
             expected="a free place", remedy="change its offset or its place ahead of the ego",
         )  # fmt: skip
 
 
-def _wall_at(street: Street, points: Float64) -> str | None:
+def wall_at(street: Street, points: Float64) -> str | None:
     """Name of the fixed object that stands over one of the points (N, 2), up to the height of a person."""
     from mirror.synth.model import Label
     from mirror.synth.truth.casting import cast_rays

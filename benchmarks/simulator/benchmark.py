@@ -1,0 +1,151 @@
+"""Closed loop: steps a second of a reconstructed street by part, errors of the vehicle, masks of composed agents.
+
+``python -m benchmarks simulator`` trains the block of `mirror demo` first (4 core-minutes) or takes ``--block FOLDER``.
+The wall time of a step needs two idle cores; the processor time beside it does not.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.report import Row, median_ms, report
+from benchmarks.simulator.block import open_block, trained_block
+from benchmarks.simulator.masks import Mask, measure_masks
+from hybridworldsim.simulator.agents.bodies import draw_body
+from hybridworldsim.simulator.agents.replay import RecordedTrack
+from hybridworldsim.simulator.agents.states import Agent
+from hybridworldsim.simulator.ego.vehicle import Controls, EgoState, VehicleParameters, advance
+from hybridworldsim.simulator.policies.references import Log
+from hybridworldsim.simulator.renderers.protocol import rig_cameras
+from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
+from hybridworldsim.simulator.simulation import Simulation, start_simulation
+from hybridworldsim.simulator.street.street import Street
+from mirror.command_line import parse_arguments
+from mirror.schema.scenario import Scenario
+
+_AGENTS = 20
+_STEPS = 40
+_SLOWEST_STEP_MS = 1000.0 / 6.0
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Measure the closed loop: the vehicle, a step without images, a step with seven cameras, masks of agents."""
+
+    block: Path | None = None
+    """Folder with dataset/ and model/ of a block; default: benchmarks/out/simulator/block, made if it is missing."""
+    places: int = 8
+    """Number of places at which masks are compared."""
+    threads: int = 2
+    """Number of threads."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    arguments = parse_arguments(
+        Arguments, argv, "python -m benchmarks simulator",
+        examples=("python -m benchmarks simulator", "python -m benchmarks simulator --block demo/block"),
+    )  # fmt: skip
+    import torch
+
+    torch.set_num_threads(arguments.threads)
+    dataset, model_folder = trained_block(arguments.block)
+    street = open_block(dataset)
+    model = OpenModel.read(model_folder, street)
+    groups = {
+        "vehicle": _vehicle(),
+        "steps": _steps(street, model),
+        "masks": _masks(list(measure_masks(street, model, arguments.places, 480))),
+    }
+    return report("simulator", groups, errors="error")
+
+
+def _vehicle() -> Iterator[Row]:
+    """Error of steps of 0.1 s against steps of 0.1 ms over 4 s, with controls that change every step."""
+    car, rng = VehicleParameters(), np.random.default_rng(0)
+    commands = [Controls(float(a), float(k)) for a, k in rng.uniform((-6.0, -0.2), (4.0, 0.2), (40, 2))]
+    start = EgoState(0.0, 0.0, 0.0, 12.0)
+
+    def drive(parts: int) -> EgoState:
+        state = start
+        for command in commands:
+            for _ in range(parts):
+                state = advance(car, state, command, 0.1 / parts)
+        return state
+
+    coarse, fine = drive(1), drive(1000)
+    error = math.hypot(coarse.x_m - fine.x_m, coarse.y_m - fine.y_m)
+    yield Row("vehicle, step of 0.1 s", "40 steps", median_ms(lambda: drive(1)) / 40.0, error, unit="m", error_bar=1e-6)
+
+
+def _steps(street: Street, model: OpenModel) -> Iterator[Row]:
+    street, scenario = _with_traffic(street), _scenario()
+    simulation = start_simulation(street, scenario, stops_at_collision=False)
+    size = f"{len(simulation.now.agents)} agents"
+    times, _ = _drive(simulation, None)
+    yield Row("step without images", size, 1e3 * float(np.median(times)))
+    cameras = rig_cameras(street, tuple(street.rig), 240, 135)
+    simulation = start_simulation(street, scenario, stops_at_collision=False)
+    renderer = ReconstructedRenderer(model, street, scenario, simulation.now, cameras)
+    renderer.render(simulation.now, tuple(cameras))
+    renderer.seconds.clear()
+    times, cores = _drive(simulation, renderer)
+    size = f"7 x 240x135, {size}"
+    yield Row("step, reconstructed (wall)", size, 1e3 * float(np.median(times)), bar=_SLOWEST_STEP_MS)
+    yield Row("step, reconstructed (core time)", size, 1e3 * float(np.median(cores)))
+    for name, seconds in renderer.seconds.parts().items():
+        yield Row(f"- {name} (thread time)", size, 1e3 * seconds / len(times))
+
+
+def _drive(simulation: Simulation, renderer: ReconstructedRenderer | None) -> tuple[list[float], list[float]]:
+    policy = Log()
+    policy.reset(simulation.observation_spec({}))
+    times, cores = [], []
+    for _ in range(_STEPS):
+        begin, core = time.perf_counter(), time.process_time()
+        images = {} if renderer is None else renderer.render(simulation.now, tuple(simulation.street.rig))
+        simulation.advance(policy.act(simulation.observe(images, privileged=True)))
+        times.append(time.perf_counter() - begin)
+        cores.append(time.process_time() - core)
+    return times, cores
+
+
+def _with_traffic(street: Street) -> Street:
+    """The street with a recording of vehicles around the recorded drive, which move with it."""
+    recording = street.recordings[min(street.recordings)]
+    rng, tracks = np.random.default_rng(0), []
+    for number in range(_AGENTS):
+        kind = ("car", "car", "van", "cyclist", "pedestrian")[number % 5]
+        body = draw_body(kind, f"agent-{number}", 0)
+        ahead = 0.5 * (number - 0.3 * _AGENTS)
+        aside = float(rng.uniform(-9.0, 9.0)) if abs(ahead) > 1.0 else 9.0
+        poses = np.column_stack(
+            [np.interp(recording.times_s + ahead, recording.times_s, line) for line in recording.poses.T]
+        )
+        poses[:, 0] -= aside * np.sin(poses[:, 2])
+        poses[:, 1] += aside * np.cos(poses[:, 2])
+        tracks.append(RecordedTrack(Agent(f"{number:02d}", kind, body.size_m, body), recording.times_s, poses))
+    traffic = replace(recording, tracks=tuple(tracks))
+    return replace(street, recordings={**street.recordings, recording.traversal_id: traffic})
+
+
+def _scenario() -> Scenario:
+    replayed = {"id": "agent", "behaviour": {"kind": "replay"}}
+    return Scenario.model_validate({"name": "speed", "ego": {"start": {"kind": "recorded"}}, "agents": [replayed]})
+
+
+def _masks(masks: list[Mask]) -> Iterator[Row]:
+    """1 - IoU, so that smaller is better."""
+    for name, chosen, share, bar in (
+        ("all, median", masks, 0.5, 0.1),
+        ("all, 10th percentile", masks, 0.1, 0.3),
+        ("30-90 % hidden, median", [mask for mask in masks if 0.3 <= mask.hidden <= 0.9], 0.5, 0.25),
+    ):
+        lost = 1.0 - float(np.quantile([mask.iou for mask in chosen], share)) if chosen else math.nan
+        yield Row(f"masks of agents: {name}", f"{len(chosen)} masks", 0.0, lost, unit="1 - IoU", error_bar=bar)

@@ -1,0 +1,106 @@
+"""Masks of agents that are composed into a reconstructed street, against those of the exact world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.bodies import draw_body
+from hybridworldsim.simulator.agents.states import Agent, AgentStates
+from hybridworldsim.simulator.ego.vehicle import EgoState
+from hybridworldsim.simulator.renderers.exact import ExactRenderer
+from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
+from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
+from hybridworldsim.simulator.street.obstacles import wall_at
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.errors import UsageError
+from mirror.schema.scenario import Scenario
+from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.model import Model
+
+SMALLEST_PX = 200
+_KINDS = ("car", "car", "van", "pedestrian", "cyclist", "truck")
+_AGENTS = 40
+_REACH_M = 45.0
+
+
+@dataclass(frozen=True)
+class Mask:
+    """One agent in one image.
+
+    Attributes:
+        iou: intersection over union of the composed and the exact mask.
+        hidden: share of the agent that the exact world hides.
+        pixels: pixels of the exact mask.
+    """
+
+    iou: float
+    hidden: float
+    pixels: int
+
+
+def measure_masks(street: Street, model: OpenModel, places: int, width_px: int, seed: int = 0) -> Iterator[Mask]:
+    """Compare masks at places of a recorded drive, with agents that stand at random on the ground around them."""
+    cameras = rig_cameras(street, tuple(street.rig), width_px)
+    scenario = Scenario(name="masks")
+    recording = street.recordings[min(street.recordings)]
+    rng = np.random.default_rng(seed)
+    for place in np.linspace(0.1, 0.9, places):
+        row = int(place * (len(recording.poses) - 1))
+        x, y, yaw = recording.poses[row].tolist()
+        snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns)
+        # The vehicle's own body is part of the recorded images, but not of a reconstruction.
+        bare = replace(street, drive=_without_ego(street))
+        exact = ExactRenderer(bare, scenario, snapshot, cameras, 0)
+        exact.render(snapshot, tuple(cameras))
+        composed = ReconstructedRenderer(model, street, scenario, snapshot, cameras)
+        composed.render(snapshot, tuple(cameras))
+        instant = composed.layer.at(snapshot)
+        for name in cameras:
+            pose = ego_pose(street, snapshot) @ cameras[name].ego_SE3_camera
+            alone = composed.layer.draw(instant, name, pose)
+            true, ours = exact.agent_masks()[name], composed.agent_masks()[name]
+            for number in range(len(snapshot.agents)):
+                seen = true == number
+                if alone is None or seen.sum() < SMALLEST_PX:
+                    continue
+                whole = (alone.number == number) & (alone.alpha >= 0.5)
+                own = ours == number
+                hidden = 1.0 - seen.sum() / max(whole.sum(), seen.sum())
+                yield Mask(float((seen & own).sum() / (seen | own).sum()), float(hidden), int(seen.sum()))
+
+
+def _without_ego(street: Street) -> SynthDrive:
+    if street.drive is None:
+        raise UsageError("the exact world of the street is not known")
+    bare = replace(street.drive)
+    vars(bare)["ego_model"] = Model.empty()
+    return bare
+
+
+def _snapshot(street: Street, ego: EgoState, rng: np.random.Generator, start_ns: int) -> Snapshot:
+    agents: list[Agent] = []
+    rows: list[tuple[float, float, float, float]] = []
+    while len(agents) < _AGENTS:
+        kind = _KINDS[len(agents) % len(_KINDS)]
+        x, y = np.array([ego.x_m, ego.y_m]) + rng.uniform(-_REACH_M, _REACH_M, 2)
+        yaw = rng.uniform(-np.pi, np.pi)
+        body = draw_body(kind, f"agent-{len(agents)}", 0)
+        reach = 0.5 * float(np.hypot(*body.size_m[:2]))
+        apart = all(np.hypot(x - a, y - b) > reach + c for a, b, _, c in rows)
+        if np.hypot(x - ego.x_m, y - ego.y_m) < reach + 5.0 or not apart:
+            continue
+        ring = np.array([(x, y), *((x + reach * np.cos(t), y + reach * np.sin(t)) for t in np.linspace(0, 6.3, 9))])
+        if not street.is_inside(ring).all() or wall_at(street, ring):
+            continue
+        agents.append(Agent(f"agent-{len(agents):02d}", kind, body.size_m, body))
+        rows.append((x, y, yaw, reach))
+    columns = np.array(rows)
+    zeros = np.zeros(len(agents))
+    states = AgentStates(
+        columns[:, 0], columns[:, 1], columns[:, 2], zeros, zeros.copy(), zeros.copy(), np.ones(len(agents), np.bool_)
+    )
+    return Snapshot(0, 0.0, start_ns, street.vehicle, ego, tuple(agents), states, {})

@@ -1,0 +1,126 @@
+"""Composition of agents: what hides them and what does not, edges, contact shadows; the layer's geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hybridworldsim.simulator.agents.bodies import body_of_size, draw_body
+from hybridworldsim.simulator.agents.states import Agent, AgentStates
+from hybridworldsim.simulator.ego.vehicle import EgoState
+from hybridworldsim.simulator.renderers.agent_layer import AgentImage, AgentLayer
+from hybridworldsim.simulator.renderers.compositing import CELL_M, add_contact_shadows, compose, free_space
+from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
+from hybridworldsim.simulator.world import Snapshot
+from mirror.geometry import project_boxes
+from mirror.synth.light.condition import Condition
+from mirror.synth.light.sun import instant_of
+from tests.simulator.streets import EGO_R_CAMERA, straight_street
+
+LENS = np.array([50.0, 50.0, 20.0, 15.0])
+CAMERA = np.array([0.0, 0.0, 1.5])
+GRAY = np.full((30, 40, 3), 100, np.uint8)
+
+
+def agents_at(depth: float, alpha: float = 1.0) -> AgentImage:
+    share = np.full((30, 40), alpha, np.float32)
+    return AgentImage(
+        np.full((30, 40, 3), 200, np.uint8), share, np.full((30, 40), depth, np.float32), np.zeros((30, 40), np.int32)
+    )
+
+
+def composed(street_m: float, agent_m: float, ring: np.ndarray | None = None, alpha: float = 1.0):
+    rings = [] if ring is None else [ring]
+    free = free_space(rings, (0.0, 0.0), 50.0)
+    depth = np.full((30, 40), street_m, np.float32)
+    return compose(GRAY, depth, agents_at(agent_m, alpha), LENS, EGO_R_CAMERA, CAMERA, free)
+
+
+def test_the_nearer_one_is_seen() -> None:
+    image, shown = composed(street_m=20.0, agent_m=10.0)
+    assert shown.all() and (image == 200).all()
+    image, shown = composed(street_m=10.0, agent_m=20.0)
+    assert not shown.any() and (image == 100).all()
+
+
+def test_nothing_hides_an_agent_where_the_street_is_empty() -> None:
+    assert composed(street_m=0.0, agent_m=20.0)[1].all()
+
+
+def test_nothing_fixed_stands_on_the_road() -> None:
+    road = np.array([(0.0, -50.0), (40.0, -50.0), (40.0, 50.0), (0.0, 50.0)])
+    assert composed(street_m=10.0, agent_m=20.0, ring=road)[1].all()
+    beside = road + np.array([0.0, 52.0])
+    assert not composed(street_m=10.0, agent_m=20.0, ring=beside)[1][:, 20:].any()
+
+
+def test_edges_are_blended_by_their_share() -> None:
+    image, shown = composed(street_m=20.0, agent_m=10.0, alpha=0.25)
+    assert (image == 125).all()
+    assert not shown.any()
+
+
+def test_the_grid_of_free_space_has_the_area_of_the_rings() -> None:
+    ring = np.array([(-10.0, -5.0), (10.0, -5.0), (10.0, 5.0), (-10.0, 5.0)])
+    free = free_space([ring], (3.0, -2.0), 30.0)
+    assert abs(free.is_free.sum() * CELL_M**2 - 200.0) < 0.04 * 200.0
+
+
+def test_contact_shadows_darken_the_ground_beneath_and_nothing_else() -> None:
+    rows = np.arange(30)[:, None] + 0.5
+    below = np.maximum((rows - LENS[3]) / LENS[1], 1e-9)
+    depth = np.where(rows > LENS[3], CAMERA[2] / below, 0.0).astype(np.float32) * np.ones((1, 40), np.float32)
+    image = GRAY.copy()
+    add_contact_shadows(image, depth, LENS, EGO_R_CAMERA, CAMERA, np.array([[8.0, 0.0, 0.0, 0.0, 2.0, 0.9]]))
+    dark = image[..., 0] < 100
+    column, row = 20, int(LENS[3] + LENS[1] * CAMERA[2] / 8.0)
+    assert image[row, column, 0] < 40
+    assert not dark[:15].any()
+    u, v = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
+    with np.errstate(divide="ignore"):
+        x = LENS[1] * CAMERA[2] / np.maximum(v - LENS[3], 1e-9)
+    y = -(u - LENS[2]) / LENS[0] * x
+    far = (np.abs(x - 8.0) > 3.0) | (np.abs(y) > 1.9)
+    assert not (dark & far).any()
+    high = GRAY.copy()
+    add_contact_shadows(high, depth, LENS, EGO_R_CAMERA, CAMERA, np.array([[8.0, 0.0, 1.0, 0.0, 2.0, 0.9]]))
+    assert (high == 100).all()
+
+
+def test_agents_are_drawn_within_their_boxes() -> None:
+    street = straight_street()
+    body = draw_body("car", "seven", 0)
+    agent = Agent("seven", "car", body.size_m, body)
+    states = AgentStates(
+        np.array([62.0]), np.array([1.0]), np.array([0.4]), np.zeros(1), np.zeros(1), np.zeros(1), np.ones(1, np.bool_)
+    )
+    ego = EgoState(50.0, -1.75, 0.0, 8.0)
+    snapshot = Snapshot(0, 0.0, 0, street.vehicle, ego, (agent,), states, {})
+    cameras = rig_cameras(street, ("front_wide", "rear"), 192)
+    condition = Condition(instant_of("2025-06-21", "day", 0.0, 45.0), "day", "clear")
+    layer = AgentLayer(street, condition, (agent,), cameras)
+    instant = layer.at(snapshot)
+    pose = ego_pose(street, snapshot) @ cameras["front_wide"].ego_SE3_camera
+    drawn = layer.draw(instant, "front_wide", pose)
+    assert drawn is not None
+    v, u = np.nonzero(drawn.alpha > 0.5)
+    world_SE3_box = street.ground.place(62.0, 1.0, 0.4, 2.7, 1.4).world_SE3_body()
+    lifted = type(world_SE3_box)(
+        world_SE3_box.rotation, world_SE3_box.translation + np.array([0.0, 0.0, 0.5 * body.size_m[2]])
+    )
+    box = project_boxes(cameras["front_wide"].camera, pose.inverse() @ lifted, np.array([body.size_m])).bounds_px[0]
+    assert np.abs(np.array([u.min(), v.min(), u.max() + 1, v.max() + 1]) - box).max() < 4.0
+    assert u.min() >= box[0] - 1.0 and v.min() >= box[1] - 1.0
+    assert abs(np.median(drawn.depth_m[drawn.alpha > 0.5]) - 9.0) < 2.5
+    assert (drawn.number[drawn.alpha > 0.5] == 0).all()
+    assert drawn.rgb[drawn.alpha > 0.5].std() > 5.0
+    behind = ego_pose(street, snapshot) @ cameras["rear"].ego_SE3_camera
+    assert layer.draw(instant, "rear", behind) is None
+
+
+def test_a_body_is_chosen_by_category_and_size() -> None:
+    long = body_of_size("truck", (9.0, 2.5, 3.4))
+    assert long.category == "truck"
+    assert math.isclose(long.size_m[0], 9.0, abs_tol=2.5)
+    assert body_of_size("bicycle", (1.8, 0.6, 1.7)).category in ("bicycle", "cyclist")

@@ -1,0 +1,41 @@
+"""The Python of docs/simulation.md runs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hybridworldsim.simulator.renderers.protocol import rig_cameras
+from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.rollout.run import RolloutRequest, run_rollout
+from tests.simulator.streets import scenario, straight_street
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "simulation.md"
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+
+
+def test_a_drive_takes_ten_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [line for line in BLOCKS[0].splitlines() if line and not line.startswith("import")]
+    assert len(lines) <= 10
+    exec(BLOCKS[0], {})
+    ending, shape = capsys.readouterr().out.strip().split(" ", 1)
+    assert ending in ("duration", "collision", "route_end", "left_street")
+    assert shape.endswith(", 240, 3)")
+
+
+def test_the_policy_of_the_page_drives(tmp_path: Path) -> None:
+    names: dict[str, Any] = {}
+    exec(BLOCKS[1], names)
+    street = straight_street()
+    request = RolloutRequest(
+        street, scenario(duration_s=1.0), names["Cautious"](), "cautious", rig_cameras(street, ("front_wide",), 32),
+        RendererFactory("boxes"),
+    )  # fmt: skip
+    result = run_rollout(replace(request), tmp_path / "run")
+    assert result.error is None
+    assert result.rollout.steps == 10
+    assert result.rendered == 11

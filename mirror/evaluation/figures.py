@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -25,6 +26,8 @@ _PARTS: Final[Mapping[Level, Callable[[RenderView], str]]] = {
     "camera": lambda view: view.camera,
     "condition": lambda view: f"{view.light}, {view.weather}",
 }
+
+_CACHED: Final = 256
 
 MIN_BLOCKS: Final = 5
 TOO_FEW_BLOCKS: Final = f"fewer than {MIN_BLOCKS} blocks of frames: an interval would say more than is known"
@@ -76,16 +79,24 @@ def mean_weights(views: Sequence[RenderView], averaging: Sequence[str]) -> Float
     """
     if not views:
         raise ValueError("no views")
-    weights = np.ones(len(views))
+    return _mean_weights(tuple((view.traversal_id, view.scene_id) for view in views), tuple(averaging))
+
+
+@lru_cache(_CACHED)
+def _mean_weights(parts: tuple[tuple[str, str], ...], averaging: tuple[str, ...]) -> Float64:
+    """Weights of images by their traversals and scenes; the metrics of a group share them."""
+    weights = np.ones(len(parts))
     # From the outermost level inwards, all parts of a parent get equal shares of its weight.
-    parents = np.zeros(len(views), np.int64)
+    parents = np.zeros(len(parts), np.int64)
     for name in reversed(averaging):
-        keys = [_PARTS["traversal" if name == "traversal" else "scene"](view) for view in views]
-        parts = np.unique([f"{parent} {key}" for parent, key in zip(parents, keys)], return_inverse=True)[1]
+        keys = [f"{parent} {part[name != 'traversal']}" for parent, part in zip(parents, parts)]
+        children = np.unique(keys, return_inverse=True)[1]
         for parent in np.unique(parents):
-            weights[parents == parent] /= len(np.unique(parts[parents == parent]))
-        parents = parts
-    return np.asarray(weights / np.bincount(parents)[parents])
+            weights[parents == parent] /= len(np.unique(children[parents == parent]))
+        parents = children
+    weights = np.asarray(weights / np.bincount(parents)[parents])
+    weights.flags.writeable = False
+    return weights
 
 
 def linearise_mean(values: Float64, weights: Float64) -> Float64:

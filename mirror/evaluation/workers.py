@@ -139,7 +139,7 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         inputs.stand_ins,
         inputs.fitted_part is not None,
         sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
-        [view.model_dump(mode="json") for view in job.views],
+        [view.model_dump_json() for view in job.views],
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
         [inputs.hashes.get(path) for path in job.reads],
         [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],

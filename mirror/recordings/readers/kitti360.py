@@ -187,11 +187,11 @@ class Kitti360Recording:
                 if len(words) != _NUMBERS:
                     raise ValueError(f"{len(words)} numbers")
                 rows.append([float(word) for word in words])
-            except ValueError as error:
-                expected = "a frame number and a 3x4 matrix"
-                torn.append(
-                    (len(rows), RecordingError(str(error), file=file, place=f"line {number}", expected=expected))
-                )
+            except ValueError as problem:
+                expected = "a frame and a 3x4 matrix"
+                place = f"line {number}"
+                fault = RecordingError(str(problem), file=file, place=place, expected=expected, remedy=REMEDY)
+                torn.append((len(rows), fault))
         values = np.array(rows, np.float64).reshape(-1, _NUMBERS)
         matrix = values[:, 1:].reshape(-1, 3, 4)
         _, by_frame = self._stamps(_CAMERAS[0])

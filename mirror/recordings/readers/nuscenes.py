@@ -256,6 +256,9 @@ class NuscenesRecording:
         poses = self.tables.poses
         rows = np.unique(self._data.pose)
         rows = rows[np.argsort(poses.timestamp_us[rows], kind="stable")]
+        state = np.column_stack([poses.timestamp_us[rows], poses.rotation[rows], poses.translation[rows]])
+        # Sensors that are exposed together have one pose.
+        rows = rows[np.concatenate([[True], (np.diff(state, axis=0) != 0.0).any(axis=1)])]
         stamps_us, rotation, translation = poses.timestamp_us[rows], poses.rotation[rows], poses.translation[rows]
         file = self.tables.folder / "ego_pose.json"
 

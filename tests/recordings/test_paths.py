@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from mirror.errors import RecordingError
-from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside, to_identifier
+from mirror.recordings.paths import (
+    list_files,
+    list_folder,
+    natural_key,
+    require_files_inside,
+    require_inside,
+    to_identifier,
+)
 
 
 @pytest.fixture
@@ -23,6 +30,7 @@ def root(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", ["masks/front.png", "masks//front.png", "./masks/front.png", "not there yet.png"])
 def test_names_inside_the_recording_are_accepted(root: Path, name: str) -> None:
     assert require_inside(root, name, file=root, place="here") == root / name
+    assert require_files_inside(root, [name], file=root) == [root / name]
 
 
 @pytest.mark.parametrize(
@@ -45,6 +53,21 @@ def test_names_that_lead_out_are_refused(root: Path, name: str) -> None:
     with pytest.raises(RecordingError, match="leads out of the recording") as caught:
         require_inside(root, name, file=root / "recording.json", place="cameras.front.static_mask")
     assert caught.value.place == "cameras.front.static_mask"
+
+
+@pytest.mark.parametrize("name", ["", "..", "../outside/secret.png", "masks/../../outside/secret.png", "/etc/passwd"])
+def test_one_of_many_names_that_leads_out_is_refused(root: Path, name: str) -> None:
+    with pytest.raises(RecordingError, match="leads out of the recording") as caught:
+        require_files_inside(root, ["masks/front.png", name], file=root / "table.json")
+    assert caught.value.place == name
+
+
+def test_one_of_many_links_that_leads_out_is_refused(root: Path) -> None:
+    (root / "masks" / "link.png").symlink_to(root.parent / "outside" / "secret.png")
+    (root / "images").symlink_to(root.parent / "outside")
+    for name in ("masks/link.png", "images/secret.png"):
+        with pytest.raises(RecordingError, match="leads out of the recording"):
+            require_files_inside(root, ["masks/front.png", name], file=root)
 
 
 def test_links_that_lead_out_are_refused(root: Path) -> None:

@@ -22,6 +22,7 @@ from mirror.recordings.opening import read_json, unreadable_error
 _BLOCK_BYTES: Final = 4 << 20
 _SEPARATOR: Final = re.compile(rb"\}\s*,")
 _COMMA: Final = re.compile(rb"\s*,")
+_NO_COMMA: Final = re.compile(rb"\}\s*\{")
 _START: Final = re.compile(rb"\s*\[\s*")
 _END: Final = re.compile(rb"\s*\]\s*")
 _REMEDY: Final = "download the table again: a truncated file ends before its last bracket"
@@ -30,7 +31,7 @@ _REMEDY: Final = "download the table again: a truncated file ends before its las
 def read_columns(file: Path, schema: pa.Schema) -> pa.Table:
     """Read some columns of a JSON list of objects without nested objects; other keys are ignored.
 
-    Texts of the objects must not hold ``},``.
+    Texts of the objects must not hold ``},`` or ``}{``.
 
     Args:
         file: the JSON file.
@@ -158,5 +159,8 @@ class _Objects(io.RawIOBase):
                 raise ValueError("no closing bracket")
         if end:
             self._has_begun = True
-            self._ready = _SEPARATOR.sub(b"}\n", data[start:end])
+            objects = data[start:end]
+            if _NO_COMMA.search(objects):
+                raise ValueError("no comma between two objects")
+            self._ready = _SEPARATOR.sub(b"}\n", objects)
         self._held = data[end:]

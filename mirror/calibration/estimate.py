@@ -26,7 +26,7 @@ OBSERVABLE_DEG: Final = 0.1
 """An axis is unobservable if the standard deviation of the error about it is larger."""
 FARTHEST_M: Final = 200.0
 """Tracks of points farther away are left out."""
-TRACKER_BIAS_PX: Final = 0.25
+TRACKER_BIAS_PX: Final = 0.15
 """1-sigma of the error that all tracks of a camera share, about each axis, measured on the synthetic street."""
 
 

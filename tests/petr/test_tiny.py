@@ -15,7 +15,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from hybridworldsim.petr.boxes import DecodedBoxes  # noqa: E402
-from hybridworldsim.petr.tiny.annotator import TinyAnnotator  # noqa: E402
+from hybridworldsim.petr.tiny.annotator import ANNOTATOR, SHIPPED, TinyAnnotator  # noqa: E402
 from hybridworldsim.petr.tiny.dense import LOG_SIZE, DenseOutput, decode_cells, ray_pitch  # noqa: E402
 from hybridworldsim.petr.tiny.detect import find_boxes, without_doubles  # noqa: E402
 from hybridworldsim.petr.tiny.loss import dense_loss  # noqa: E402
@@ -320,3 +320,24 @@ def test_train_then_annotate_by_the_command_line(
     assert "exclude each other" in capsys.readouterr().err
     assert main(["annotate", "train", "--annotator", "petr-tiny", "--out", str(run)]) == 2
     assert "no dataset" in capsys.readouterr().err
+
+
+def test_the_installed_network_finds_cars_in_a_street_that_it_has_not_seen(tiny_dataset: Dataset) -> None:
+    assert SHIPPED.stat().st_size < 3_000_000
+    annotator = ANNOTATOR.open(tiny_dataset, {}, "cpu")
+    found = true = hits = 0
+    for frame in tiny_dataset.frames():
+        exact, boxes = frame.boxes(), annotator.annotate(frame)
+        cars = [row for row, name in enumerate(exact.category) if name in ("car", "van")]
+        near = [row for row in cars if np.hypot(*exact.pose.translation[row, :2]) <= 15.0]
+        seen = [row for row, name in enumerate(boxes.category) if name == "car"]
+        places = boxes.ego_SE3_box.translation[seen, :2]
+        true += len(near)
+        found += int((np.hypot(*places.T) <= 15.0).sum()) if len(seen) else 0
+        if len(near) and len(seen):
+            away = np.linalg.norm(exact.pose.translation[near, None, :2] - places[None], axis=2)
+            hits += int((away.min(axis=1) < 3.0).sum())
+    # Boxes at random places would find one in fifty.
+    assert true > 10
+    assert hits > 0.3 * true
+    assert found < 4 * true

@@ -24,11 +24,11 @@ from mirror.geometry.poses import Poses
 from mirror.progress import ProgressReporter
 
 SHIPPED: Final = Path(str(files("hybridworldsim.petr.tiny") / "weights" / "petr_tiny.safetensors"))
-SHIPPED_SHA256: Final = ""
+SHIPPED_SHA256: Final = "cf5ab1e3831584cf56e1ab71e61309f6c73076cfead9662807729b0038818c93"
 _SETTINGS: Final = {
     "weights": "model.safetensors of `mirror annotate train`; by default the network that is installed",
     "sha256": "its hash; a file with another one is refused",
-    "min_score": "boxes with a lower score are left out, 0.2 by default",
+    "min_score": "boxes with a lower score are left out, 0.3 by default",
 }
 
 
@@ -80,7 +80,7 @@ class _Installed:
         given = settings.get("weights")
         expected = settings.get("sha256") or (None if given else SHIPPED_SHA256)
         network, digest = read_model(Path(given) if given else SHIPPED, sha256=expected)
-        return TinyAnnotator(network, digest, device, share_setting(settings, "min_score", 0.2))
+        return TinyAnnotator(network, digest, device, share_setting(settings, "min_score", 0.3))
 
     def train(
         self, datasets: Sequence[Dataset], task: TrainingTask, out: Path, progress: ProgressReporter

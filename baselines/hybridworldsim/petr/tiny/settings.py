@@ -72,7 +72,7 @@ class TrainingSettings:
         range_m: boxes farther from the vehicle are not used.
     """
 
-    batch: int = 4
+    batch: int = 2
     learning_rate: float = 1e-3
     warmup: int = 50
     weight_decay: float = 0.01

@@ -31,20 +31,20 @@ def rows(preset: str, seed: int) -> Iterator[Row]:
     rng = np.random.default_rng(seed)
     # The error of a fix changes slowly: one offset a drive.
     noisy = [line + np.append(rng.normal(0.0, _NOISE_M, 2), 0.0) for line in lines]
-    for name, driven in (("exact lines", lines), (f"lines off by {_NOISE_M} m, 1 sigma", noisy)):
+    for name, driven in (("exact", lines), (f"{_NOISE_M} m noise", noisy)):
         start = time.perf_counter()
         fitted = fit_road_map(exact.scene_id, None, driven)
         took = (time.perf_counter() - start) * 1e3
         size = f"{len(driven)} drives, {len(fitted.lanes)} lanes"
         middle = _distances(fitted, exact)
-        yield Row(f"middle of lanes, median, {name}", size, took, float(np.median(middle)), unit="m")
-        yield Row(f"middle of lanes, 95 %, {name}", size, took, float(np.percentile(middle, 95)), unit="m")
+        yield Row(f"lanes, median, {name}", size, took, float(np.median(middle)), unit="m")
+        yield Row(f"lanes, 95 %, {name}", size, took, float(np.percentile(middle, 95)), unit="m")
         own, area = _area(fitted), _area(exact)
         outside = own.difference(area).area / own.area
-        yield Row(f"fitted area that is not drivable, {name}", size, took, 100.0 * outside, unit="%")
+        yield Row(f"area not drivable, {name}", size, took, 100.0 * outside, unit="%")
         edge = shapely.points(_boundary_points(own))
         depth = np.where(shapely.contains(area, edge), 0.0, shapely.distance(area, edge))
-        yield Row(f"fitted edge beyond the exact one, largest, {name}", size, took, float(depth.max()), unit="m")
+        yield Row(f"edge beyond, largest, {name}", size, took, float(depth.max()), unit="m")
 
 
 def _distances(fitted: RoadMap, exact: RoadMap) -> Float64:

@@ -14,9 +14,11 @@ from mirror.geometry import angle_between_deg, quaternion_from_matrix, quaternio
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses
 from mirror.ingest.rois import read_rois
+from mirror.metrics.safety import inside_area
 from mirror.recordings.folder import FolderReader
 from mirror.schema.documents import CANONICAL_CAMERAS
-from mirror.synth import Errors, SynthReport
+from mirror.schema.road_map import encode_road_map, read_road_map
+from mirror.synth import Errors, SynthReport, street_map
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.model import Label
@@ -57,6 +59,15 @@ def test_files_depend_neither_on_threads_nor_on_truth_kinds(tiny: SynthReport, f
     again = digest(first[0])
     assert len(again) > 100
     assert again == digest(tiny.recordings[0])
+
+
+def test_the_exact_map_of_the_scene_lies_beside_the_recordings(tiny: SynthReport) -> None:
+    drive = make_drives("tiny", 0)[1][0]
+    path = tiny.recordings[0].parent / "maps" / f"{drive.roi.scene_id}.parquet"
+    road_map = read_road_map(path)
+    assert path.read_bytes() == encode_road_map(street_map(drive.world.plan)) == encode_road_map(road_map)
+    times = np.arange(0.0, drive.truth.duration_s, 0.5)
+    assert inside_area(drive.truth.poses(times).translation[:, :2], road_map.drivable_rings).all()
 
 
 def test_rois_geojson_lists_the_scenes(tiny: SynthReport) -> None:

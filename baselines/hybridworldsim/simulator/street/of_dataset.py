@@ -10,11 +10,11 @@ import numpy as np
 from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
-from hybridworldsim.simulator.street.fitted_map import fit_road_map
 from hybridworldsim.simulator.street.ground import ground_of_points
 from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.fitted_map import fit_road_map
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry import Poses, matrix_from_quaternion

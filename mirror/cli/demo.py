@@ -19,6 +19,7 @@ from mirror.errors import ExitCode
 _FLOOR: Final = "nearest_frame"
 _BASELINES: Final = (_FLOOR, "mean_color")
 _OURS: Final = "reconstructed"
+_ANNOTATED: Final = "guangzhou-urban-01"
 _MARK = ".made-by-mirror-demo"
 _NOTE = "`mirror demo` may remove this folder and make it again.\n"
 _EXAMPLES = ("mirror demo", "mirror demo --quick --seed 1 --out quick")
@@ -60,6 +61,7 @@ def main(argv: Sequence[str]) -> int:
     )
     print(f"{out / 'results'} has the scores of the baselines, {out / 'site' / 'index.html'} the leaderboard.")
     if _has_reconstruction(arguments):
+        print(f"{out / 'boxes.html'} shows the road users that a network found in one drive.")
         if _has_drive(arguments):
             print(f"{out / 'block' / 'drive' / 'report.html'} shows a drive through a reconstructed block,")
         print(f"{out / 'block' / 'model'} is a reconstructed block, {out / 'block' / 'results'} has its scores:")
@@ -136,6 +138,7 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
         yield ["mirror", "evaluate", dataset, submission, "--out", str(result), "--report", *beside]
         yield _board(arguments, str(result), submission, dataset, f"demo street ({preset}, seed {seed})")
     if _has_reconstruction(arguments):
+        yield from _annotation(arguments, rois)
         yield from _block(arguments)
     yield ["mirror", "leaderboard", "build", "--board", str(out / "board"), "--unsigned", "--out", str(out / "site")]
 
@@ -153,6 +156,17 @@ def _has_reconstruction(arguments: Arguments) -> bool:
 def _has_drive(arguments: Arguments) -> bool:
     needed = ("gymnasium", "scipy", "av")
     return _has_reconstruction(arguments) and all(find_spec(package) is not None for package in needed)
+
+
+def _annotation(arguments: Arguments, rois: str) -> Iterator[list[str]]:
+    """The commands that find the road users of one drive, in a dataset of its own, beside the exact boxes."""
+    from mirror.version import __version__
+
+    dataset, drive = str(arguments.out / "annotated"), str(arguments.out / "recordings" / _ANNOTATED)
+    yield ["mirror", "ingest", drive, "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
+    yield ["mirror", "annotate", dataset, "--annotator", "petr-tiny", "--version", "1"]
+    page = ["--boxes", "petr-tiny@1", "--against", f"synth@{__version__}", "--out", str(arguments.out / "boxes.html")]
+    yield ["mirror", "annotate", "report", dataset, *page]
 
 
 def _block(arguments: Arguments) -> Iterator[list[str]]:

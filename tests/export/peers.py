@@ -1,13 +1,12 @@
-"""Exports for other toolkits to read: ``python -m tests.export.peers FOLDER`` writes one for each.
-
-``tests/peers/<name>/read.py`` reads it in an environment of its own, and writes ``tests/peers/<name>/result.json``,
-which the tests compare with the dataset.
+"""Exports for other toolkits to read. ``python -m tests.peers NAME`` lets one read its export in an environment of its
+own; the tests compare ``tests/peers/<name>/result.json`` with the dataset.
 """
 
 from __future__ import annotations
 
 import json
-import sys
+import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,17 +40,17 @@ EXPORTS = {
 }
 
 
+def _make_input(name: str, folder: Path) -> None:
+    """Write the export that a toolkit reads, with its dataset beside it."""
+    for old in (folder, folder.with_name("dataset")):
+        shutil.rmtree(old, ignore_errors=True)
+    EXPORTS[name](make_street(folder.with_name("dataset")), folder)
+
+
+INPUTS = {name: partial(_make_input, name) for name in EXPORTS}
+"""Writers of the folders that ``python -m tests.peers`` lets the toolkits read."""
+
+
 def result(name: str) -> Any:
     """What a toolkit read."""
     return json.loads((RESULTS / name / "result.json").read_text())
-
-
-def main(folder: Path) -> None:
-    """Write all exports."""
-    street = make_street(folder / "dataset")
-    for name, write in EXPORTS.items():
-        write(street, folder / name)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

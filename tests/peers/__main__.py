@@ -11,8 +11,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.recordings.formats.peers import INPUTS
+from tests.export.peers import INPUTS as EXPORTS
+from tests.recordings.formats.peers import INPUTS as RECORDINGS
 
+INPUTS = {**RECORDINGS, **EXPORTS}
 HERE = Path(__file__).resolve().parent
 BUILD = HERE.parents[1] / "build" / "peers"
 

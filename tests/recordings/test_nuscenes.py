@@ -13,6 +13,7 @@ import numpy as np
 import pyproj
 import pytest
 
+from mirror.cli.main import main
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import matrix_from_quaternion
@@ -291,3 +292,15 @@ def test_words_of_a_description() -> None:
     assert _describe("After rain, no rain, parked") == (None, None)
     assert _describe("Train station, knight") == (None, None)
     assert _describe("dusk, fog") == ("dusk", "fog")
+
+
+def test_info_lists_the_scenes_and_describes_one(pristine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(pristine), "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert (listed["kind"], listed["drives"]) == ("drives", ["scene-0001", "scene-0002"])
+    assert main(["info", str(pristine)]) == 0
+    assert f"mirror info {pristine}/scene-0001" in capsys.readouterr().out
+    assert main(["info", str(pristine / "scene-0002"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["info"]["drive_id"] == "scene-0002"
+    assert main(["info", str(pristine / "scene-9")]) == 2
+    assert "no drive 'scene-9'" in capsys.readouterr().err

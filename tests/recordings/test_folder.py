@@ -387,3 +387,12 @@ def test_headings_of_wgs84_refer_to_true_north(tmp_path: Path) -> None:
     poses = csv_of(timestamp_ns=[0], longitude_deg=[179.99], latitude_deg=[-80.0], heading_deg=[123.0])
     track = track_of(tmp_path, poses)
     assert heading_deg(np.asarray(track.rotation))[0] == pytest.approx(123.0, abs=1e-12)
+
+
+def test_truth_beside_a_recording_is_not_one_of_its_files(tmp_path: Path) -> None:
+    path = write_recording(tmp_path / "drive")
+    before = open_recording(path).files()
+    (path / "truth" / "depth").mkdir(parents=True)
+    (path / "truth" / "depth" / "0.png").write_bytes(b"depth")
+    assert list(open_recording(path).files()) == list(before)
+    assert "recording.json" in [name for name, _ in before]

@@ -172,8 +172,6 @@ def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
             f"the policy failed in {len(failed)} of {len(scored)} rollouts, which are scored up to there; the first:"
             f" {failed[0].path}: {failed[0].rollout.reason or 'no reason given'}"
         )
-    if len({one.rollout.scenario for one in scored}) < 5:
-        warnings.append("fewer than 5 scenarios: figures have no confidence interval")
     return warnings
 
 

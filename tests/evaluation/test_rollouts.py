@@ -99,7 +99,7 @@ def test_hashes_identify_policy_scenarios_and_logs(runs: Path, tmp_path: Path) -
     assert moved.dataset.plan_hash != one.dataset.plan_hash
     only = evaluate_rollouts(runs / "scenario0-0", PROTOCOL, tmp_path / "only").result
     assert only.dataset.plan_hash == moved.dataset.plan_hash
-    assert any("fewer than 5 scenarios" in warning for warning in only.warnings)
+    assert {figure.interval_reason for figure in only.figures} == {"fewer than 5 scenarios"}
 
 
 def test_a_row_stands_on_the_board(runs: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mirror.evaluation.figures import Measure, compute_figures
+from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, Measure, compute_figures
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.scorer import Values
 from mirror.metrics.safety import FIGURES, read_state_log, score_rollout
@@ -19,8 +19,7 @@ from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, read_scenario
 
-VERSION: Final = 1
-"""Version of the values: increased when they change."""
+TOO_FEW_SCENARIOS: Final = f"fewer than {MIN_BLOCKS} scenarios"
 
 
 @dataclass(frozen=True)
@@ -102,4 +101,7 @@ def rollout_figures(protocol: Protocol, scored: Sequence[ScoredRollout]) -> Iter
             Score(math.nan if (value := one.values[name]) is None else float(value), one.reasons.get(name))
             for one in scored
         ]
-        yield from compute_figures(protocol, Measure(name, unit, better), group, views, scores)
+        for figure in compute_figures(protocol, Measure(name, unit, better), group, views, scores):
+            # What is resampled are scenarios, not blocks of frames.
+            few = figure.interval_reason == TOO_FEW_BLOCKS
+            yield figure.model_copy(update={"interval_reason": TOO_FEW_SCENARIOS}) if few else figure

@@ -63,7 +63,10 @@ def test_an_output_below_a_file(fleet: Path, capsys: pytest.CaptureFixture[str],
 def test_a_report_makes_no_folders(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no such folder" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}/none/r.html")
     assert not (fleet / "none").exists()
-    assert "a folder, not a file" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}")
+    # A name without .html is the folder of a site.
+    assert "nothing was written" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}")
+    (fleet / "page.html").mkdir()
+    assert "a folder, not a file" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}/page.html")
 
 
 def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:

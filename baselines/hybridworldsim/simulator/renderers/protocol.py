@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -116,23 +116,24 @@ class LiveUsers:
     def update(self, snapshot: Snapshot) -> None:
         """Move all bodies to their places at an instant."""
         states = snapshot.states
-        for number, motion in enumerate(self.motions):
-            if not states.present[number]:
-                motion.placement = _ABSENT
-                continue
-            length, width, _ = snapshot.agents[number].size_m
-            place = self._ground.place(
-                float(states.x_m[number]),
-                float(states.y_m[number]),
-                float(states.yaw_rad[number]),
-                _BASE_SHARE * length,
-                _TRACK_SHARE * width,
+        for motion in self.motions:
+            motion.placement = _ABSENT
+        rows = np.flatnonzero(states.present)
+        if not len(rows):
+            return
+        sizes = np.array([snapshot.agents[row].size_m[:2] for row in rows])
+        places = self._ground.places(
+            states.x_m[rows],
+            states.y_m[rows],
+            states.yaw_rad[rows],
+            _BASE_SHARE * sizes[:, 0],
+            _TRACK_SHARE * sizes[:, 1],
+        )
+        speeds = np.hypot(states.vx_mps, states.vy_mps)
+        for row, place in zip(rows.tolist(), places, strict=True):
+            self.motions[row].placement = replace(
+                place, speed_mps=float(speeds[row]), along_m=float(states.along_m[row])
             )
-            speed = float(np.hypot(states.vx_mps[number], states.vy_mps[number]))
-            motion.placement = Placement(
-                place.x_m, place.y_m, place.z_m, place.yaw_rad, place.pitch_rad, place.roll_rad, speed,
-                float(states.along_m[number]),
-            )  # fmt: skip
 
 
 def body_of(agent: Agent) -> Body:

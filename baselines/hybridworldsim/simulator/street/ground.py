@@ -29,21 +29,29 @@ class Ground:
     height_m: HeightField
 
     def place(self, x_m: float, y_m: float, yaw_rad: float, base_m: float, track_m: float) -> Placement:
-        """Return the placement of a body on the ground.
+        """Return the placement of one body on the ground; see `places`."""
+        return self.places(*(np.array([value]) for value in (x_m, y_m, yaw_rad, base_m, track_m)))[0]
+
+    def places(
+        self, x_m: Float64, y_m: Float64, yaw_rad: Float64, base_m: Float64, track_m: Float64
+    ) -> list[Placement]:
+        """Return the placements of N bodies on the ground; all heights are read at once.
 
         Args:
-            x_m: position of its middle.
-            y_m: position of its middle.
-            yaw_rad: heading.
-            base_m: distance of the points along the heading at which it touches the ground.
-            track_m: distance of these points across the heading.
+            x_m: (N,) positions of their middles.
+            y_m: (N,) positions of their middles.
+            yaw_rad: (N,) headings.
+            base_m: (N,) distances of the points along the heading at which they touch the ground.
+            track_m: (N,) distances of these points across the heading.
         """
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         along, aside = 0.5 * base_m, 0.5 * track_m
-        x = np.array([x_m + along * cos, x_m - along * cos, x_m - aside * sin, x_m + aside * sin, x_m])
-        y = np.array([y_m + along * sin, y_m - along * sin, y_m + aside * cos, y_m - aside * cos, y_m])
-        front, rear, left, right, middle = np.asarray(self.height_m(x, y)).tolist()
-        return Placement(x_m, y_m, middle, yaw_rad, math.atan2(front - rear, base_m), math.atan2(left - right, track_m))
+        x = np.stack([x_m + along * cos, x_m - along * cos, x_m - aside * sin, x_m + aside * sin, x_m])
+        y = np.stack([y_m + along * sin, y_m - along * sin, y_m + aside * cos, y_m - aside * cos, y_m])
+        heights = np.asarray(self.height_m(x.ravel(), y.ravel())).reshape(5, -1)
+        front, rear, left, right, middle = heights
+        pitch, roll = np.arctan2(front - rear, base_m), np.arctan2(left - right, track_m)
+        return [Placement(*row) for row in np.column_stack([x_m, y_m, middle, yaw_rad, pitch, roll]).tolist()]
 
     def world_SE3_ego(  # noqa: N802
         self, x_m: float, y_m: float, yaw_rad: float, wheelbase_m: float, track_m: float

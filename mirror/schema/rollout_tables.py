@@ -79,7 +79,7 @@ STATES: Final = Table(
 ROAD_MAP: Final = Table(
     name="road_map",
     row="one feature of a scene's map: a lane, a part of the drivable area, a crossing or a signal (GeoParquet)",
-    place="<run>/map.parquet",
+    place="<run>/map.parquet` or, beside the recordings of `mirror synth`, `maps/<scene_id>.parquet",
     schema=pa.schema(
         [
             _field("feature", KEY, "`lane`, `drivable`, `crossing` or `signal`."),

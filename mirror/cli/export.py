@@ -1,4 +1,4 @@
-"""``mirror export colmap|nerfstudio|gsplat|nuscenes|kitti DATASET --out DIR``."""
+"""``mirror export colmap DATASET --out DIR``, and the same for the other formats."""
 
 from __future__ import annotations
 

@@ -31,6 +31,7 @@ DATASET_FIRST = (
     "export nerfstudio",
     "export nuscenes",
     "export-ply",
+    "generate scene",
     "index",
     "plot",
     "reconstruct",

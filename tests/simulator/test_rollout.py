@@ -18,7 +18,9 @@ from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
 from hybridworldsim.simulator.rollout.run import VIDEO_FILE, RolloutRequest, run_rollout
 from mirror.errors import UsageError
+from mirror.methods.model_document import Reconstruction
 from mirror.metrics.safety import read_state_log
+from mirror.schema.files import write_json
 from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import STATES_FILE, read_rollout
 from mirror.schema.scenario import read_scenario
@@ -185,6 +187,16 @@ def test_complete_folders_and_unknown_cameras_are_refused(tmp_path: Path) -> Non
     with pytest.raises(UsageError, match="needs camera 'side'"):
         run_rollout(request(Scripted(fail, ("side",))), tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_model_of_another_scene_is_refused_even_if_nothing_is_rendered(tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    document = Reconstruction(method="hybridworldsim", scene="elsewhere", split="novel", trained={"drive-1": "0"})
+    write_json(model / "reconstruction.json", document)
+    factory = RendererFactory("reconstructed", model)
+    with pytest.raises(UsageError, match="shows scene elsewhere"):
+        run_rollout(request(Stop(), factory=factory), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_installed_policies_are_found_by_name() -> None:

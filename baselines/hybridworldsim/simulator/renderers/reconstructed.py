@@ -21,7 +21,7 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
-from mirror.methods.model_document import read_reconstruction
+from mirror.methods.model_document import Reconstruction, read_reconstruction
 from mirror.methods.registry import installed_method
 from mirror.protocols.views.view import RenderView, to_pose_numbers
 from mirror.schema.scenario import Scenario
@@ -39,6 +39,24 @@ class DepthRenderer(Protocol):
     def render(self, view: RenderView) -> Any:
         """Render a view; the result has ``rgb`` (H, W, 3), ``alpha`` and ``depth_m`` (H, W) as float tensors."""
         ...
+
+
+def require_model_of(path: Path, street: Street) -> tuple[Reconstruction, tuple[str, ...]]:
+    """Return the document of a street's model, and the street's traversals that it was trained on.
+
+    Raises:
+        DatasetError: the folder holds no model.
+        UsageError: the model is of another scene.
+    """
+    document = read_reconstruction(path)
+    trained = tuple(name for name in sorted(document.trained) if name in street.recordings)
+    if document.scene != street.scene_id or (street.drive is None and not trained):
+        raise UsageError(
+            f"the model shows scene {document.scene}", file=path,
+            expected=f"a model of {street.scene_id} that was trained on its recordings",
+            remedy="name the dataset that the model was trained on, and its scene",
+        )  # fmt: skip
+    return document, trained
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +83,7 @@ class OpenModel:
             DatasetError: the folder holds no complete model.
             UsageError: the model is of another scene, or its method does not render depth.
         """
-        document = read_reconstruction(path)
-        trained = tuple(name for name in sorted(document.trained) if name in street.recordings)
-        if document.scene != street.scene_id or (street.drive is None and not trained):
-            raise UsageError(
-                f"the model shows scene {document.scene}", file=path,
-                expected=f"a model of {street.scene_id} that was trained on its recordings",
-                remedy="name the dataset that the model was trained on, and its scene",
-            )  # fmt: skip
+        document, trained = require_model_of(path, street)
         renderer = installed_method(document.method).open(path)
         if not isinstance(renderer, DepthRenderer):
             raise UsageError(

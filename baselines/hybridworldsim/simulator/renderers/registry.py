@@ -9,6 +9,7 @@ from typing import Final
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import CameraRenderer
 from hybridworldsim.simulator.simulation import Simulation
+from hybridworldsim.simulator.street.street import Street
 from mirror.errors import UsageError
 
 RENDERERS: Final = ("boxes", "exact", "reconstructed", "generated")
@@ -40,6 +41,18 @@ class RendererFactory:
             )  # fmt: skip
         self.name, self._model_path = name, model
         self._model: object = None
+
+    def require_model_of(self, street: Street) -> None:
+        """Require that the model, if there is one, is of a street; it is not opened.
+
+        Raises:
+            UsageError: the model is of another scene.
+            DatasetError: the folder holds no model.
+        """
+        if self._model_path is not None:
+            from hybridworldsim.simulator.renderers.reconstructed import require_model_of
+
+            require_model_of(self._model_path, street)
 
     def make(self, simulation: Simulation, cameras: Mapping[str, CameraSpec]) -> CameraRenderer:
         """Make the renderer of a rollout.

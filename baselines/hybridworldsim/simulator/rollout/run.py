@@ -120,6 +120,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
         raise UsageError(
             f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"of {', '.join(request.cameras)}"
         )
+    request.factory.require_model_of(request.street)
     simulation = start_simulation(request.street, request.scenario, request.seed)
     renderer = request.factory.make(simulation, request.cameras) if needed else None
     drive = _Drive(request, simulation, renderer, tuple(needed), reporter or NullProgress())

@@ -77,7 +77,7 @@ def main(argv: Sequence[str]) -> int:
         Row("largest memory, MB", size, _median(ours, "mb"), None, peers["mb"]),
         Row("another scene, processor ms", size, 1e3 * _median(ours, "next_s")),
     ]
-    return report("nuscenes_tables", rows)
+    return report("nuscenes_tables", {"tables of nuScenes": rows})
 
 
 def _median(found: Sequence[dict[str, Any]], key: str) -> float:

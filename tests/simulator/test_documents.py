@@ -1,4 +1,4 @@
-"""The Python of docs/simulation.md runs."""
+"""The Python of docs/simulation.md runs; walls of the street that it opens."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.run import RolloutRequest, run_rollout
+from hybridworldsim.simulator.street.obstacles import check_free, wall_at
+from hybridworldsim.simulator.street.opening import open_street
+from mirror.errors import UsageError
 from tests.simulator.streets import scenario, straight_street
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "simulation.md"
@@ -39,3 +43,15 @@ def test_the_policy_of_the_page_drives(tmp_path: Path) -> None:
     assert result.error is None
     assert result.rollout.steps == 10
     assert result.rendered == 11
+
+
+def test_an_agent_inside_a_wall_is_refused() -> None:
+    street = open_street("synth:tiny")
+    places = np.random.default_rng(0).uniform(-55.0, 55.0, (40, 2))
+    inside = [place for place in places if wall_at(street, place[None]) is not None]
+    assert 5 < len(inside) < 30
+    with pytest.raises(UsageError, match="starts in a building") as caught:
+        check_free(street, "walker", "pedestrian", np.array([*inside[0], 0.0, 0.3, 0.3]))
+    assert "walker" in str(caught.value)
+    way = next(iter(street.road_map.lanes_of())).center_m
+    assert wall_at(street, way[:5, :2]) is None

@@ -19,7 +19,7 @@ from mirror.cli.verbs import all_commands
 from mirror.installation import NAME, install_command, upgrade_command
 
 ROOT = Path(__file__).parents[1]
-OF_THEIR_OWN = ("annotate", "export", "rois", "submission", "leaderboard")
+OF_THEIR_OWN = ("annotate", "calibrate", "export", "generate", "release", "rois", "submission", "leaderboard")
 """Verbs that have verbs of their own."""
 
 

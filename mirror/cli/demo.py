@@ -189,7 +189,7 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "compare", *(str(Path(result) / "result.json") for result in results.values())]
     if _has_drive(arguments):
         drive = ["--scenario", "hard-brake", "--policy", "idm", "--duration", "10", "--cameras", "front_wide,rear"]
-        yield ["mirror", "simulate", model, "--dataset", dataset, *drive, "--report", "--out", str(out / "drive")]
+        yield ["mirror", "simulate", dataset, model, *drive, "--report", "--out", str(out / "drive")]
 
 
 def _typed(words: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _EXAMPLES = (
     "mirror simulate demo/block/dataset --scenario hard-brake --policy idm --out rollout",
-    "mirror simulate demo/block/model --dataset demo/block/dataset --scenario cut-in --policy idm --out rollout",
+    "mirror simulate demo/block/dataset demo/block/model --scenario cut-in --policy idm --out rollout",
 )
 _SYNTH = "synth:"
 
@@ -32,17 +32,16 @@ class Arguments:
     complete. `mirror evaluate RUN --protocol safety` scores the folder.
     """
 
-    source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|MODEL|synth:PRESET")]
-    """Folder or URL of a dataset; folder of a trained model, with --dataset; or a synthetic street,
-    synth:PRESET[:SEED[:DRIVE]]."""
+    source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|synth:PRESET")]
+    """Folder or URL of a dataset, or a synthetic street, synth:PRESET[:SEED[:DRIVE]]."""
     out: Annotated[Path, help_text(metavar="RUN")]
     """A new folder."""
+    model: Annotated[tyro.conf.Positional[Path | None], help_text(default="none", metavar="MODEL")] = None
+    """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
     scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
     """Name of a scenario, or path of its .toml file."""
     policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME")] = None
     """An installed policy: idm, log, stop, constant-velocity, or another one of the entry points mirror.policies."""
-    dataset: Annotated[str | None, help_text(default="SOURCE")] = None
-    """Folder or URL of the dataset that a model was trained on: it has the rig, the recordings and the lines."""
     renderer: Annotated[
         Literal["boxes", "exact", "reconstructed", "generated"] | None,
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
@@ -105,16 +104,18 @@ def _request(arguments: Arguments) -> RolloutRequest:
     for option, seconds in (("--deadline", arguments.deadline), ("--duration", arguments.duration)):
         if seconds is not None and not 0.0 < seconds <= 3600.0:
             raise UsageError(f"{seconds:g} s", place=option, expected="a number of seconds above 0, at most 3600")
-    is_model = (Path(arguments.source) / "reconstruction.json").is_file()
-    if is_model and arguments.dataset is None:
+    is_synth = arguments.source.startswith(_SYNTH)
+    if (Path(arguments.source) / "reconstruction.json").is_file():
         raise UsageError(
-            "a model has no rig and no recordings", file=arguments.source, place="--dataset",
-            expected="the dataset that it was trained on", remedy="name it: --dataset DATASET",
+            "a model has no rig and no recordings", file=arguments.source, place="DATASET",
+            expected="the dataset that it was trained on", remedy="name both: mirror simulate DATASET MODEL",
         )  # fmt: skip
-    name = arguments.renderer or (
-        "reconstructed" if is_model else "exact" if arguments.source.startswith(_SYNTH) else "boxes"
-    )
-    factory = RendererFactory(name, Path(arguments.source) if is_model else None)
+    if arguments.model is not None and not (arguments.model / "reconstruction.json").is_file():
+        raise UsageError(
+            "no model here", file=arguments.model, place="MODEL", expected="a folder that `mirror reconstruct` wrote"
+        )
+    name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
+    factory = RendererFactory(name, arguments.model)
     seed, policy_name = arguments.seed, arguments.policy
     if arguments.replay is not None:
         if arguments.scenario is not None or policy_name is not None or seed is not None:
@@ -137,8 +138,7 @@ def _request(arguments: Arguments) -> RolloutRequest:
     if arguments.duration is not None:
         plain = {**scenario.model_dump(), "duration_s": arguments.duration}
         scenario = Scenario.model_validate(plain)
-    source = arguments.dataset if is_model and arguments.dataset is not None else arguments.source
-    street = open_street(source, scene=arguments.scene, road_map=arguments.map)
+    street = open_street(arguments.source, scene=arguments.scene, road_map=arguments.map)
     shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
     wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
     return RolloutRequest(
@@ -152,8 +152,8 @@ def _request(arguments: Arguments) -> RolloutRequest:
         video=shown if arguments.video else (),
         page=arguments.report,
         deadline_s=math.inf if arguments.deadline is None else arguments.deadline,
-        dataset_hash=_dataset_hash(source),
-        model_hash=_model_hash(Path(arguments.source)) if is_model else None,
+        dataset_hash=_dataset_hash(arguments.source),
+        model_hash=None if arguments.model is None else _model_hash(arguments.model),
     )
 
 

@@ -19,7 +19,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.errors import DatasetError, ExitCode
 from mirror.geometry import Poses, matrix_from_quaternion
-from tests.calibration.test_check import LENS, NOMINAL, corridor, padded
+from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
 from tests.dataset.builders import Builder, Pass
 
 CAMERAS = ("front_wide", "front_narrow", "rear")

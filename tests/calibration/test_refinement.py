@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mirror.calibration.estimate import FARTHEST_M
-from mirror.calibration.refinement.adjustment import RigState, _Adjuster, adjust_rigs
+from mirror.calibration.refinement.adjustment import Adjuster, RigState, adjust_rigs
 from mirror.calibration.refinement.features import Features, find_features, match_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
@@ -63,7 +63,7 @@ def test_a_huge_offset_of_the_world_changes_nothing() -> None:
 def test_derivatives_are_those_of_the_residuals() -> None:
     rigs, tracks = moving_rigs(70.0, frames=3, points=60, errors_deg=ERRORS, noise_px=0.5)
     # A huge scale of the loss makes the cost quadratic: its gradient is that of the sum of squares.
-    adjuster = _Adjuster(rigs, RefinementPrior(feature_px=1e3))
+    adjuster = Adjuster(rigs, RefinementPrior(feature_px=1e3))
     points, kept = triangulate(rigs, tracks)
     state = replace(true_state(rigs, tracks), points=points)
     assert kept.any()
@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_the_residuals() -> None:
 
 def test_the_eliminated_points_give_the_step_of_the_whole_system() -> None:
     rigs, tracks = moving_rigs(70.0, frames=3, points=25, errors_deg=0.2 * ERRORS)
-    adjuster = _Adjuster(rigs, RefinementPrior(feature_px=1e3))
+    adjuster = Adjuster(rigs, RefinementPrior(feature_px=1e3))
     state = replace(true_state(rigs, tracks), points=triangulate(rigs, tracks)[0] + 0.05)
     sigma = adjuster._sigma_px(tracks)
 

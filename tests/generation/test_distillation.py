@@ -17,9 +17,9 @@ from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.sampling.flow import TIMESTEPS, noise_levels
 from hybridworldsim.generation.sampling.sampler import sample
 from hybridworldsim.generation.training.distillation import (
+    ConsistencyLoss,
     DistillationSettings,
     DistillationTrainer,
-    _ConsistencyLoss,
     segment_end,
 )
 from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
@@ -29,7 +29,7 @@ from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.progress import NullProgress
 from tests.generation.builders import make_network
 from tests.generation.clips import write_clips
-from tests.generation.test_training import InterruptingProgress
+from tests.generation.interrupting import InterruptingProgress
 from tests.generation.trained import NETWORK
 
 STEPS, SEGMENTS = 16, 4
@@ -66,7 +66,7 @@ def test_few_steps_of_the_student_end_where_many_of_the_teacher_do() -> None:
     teacher = Linear(torch.linspace(-1.5, -0.5, STEPS + 1))
     student = Linear(teacher.factors.detach().clone())
     settings = DistillationSettings(SEGMENTS, STEPS)
-    loss = _ConsistencyLoss(student, teacher, lambda: dict(student.named_parameters()), settings)  # type: ignore[arg-type]
+    loss = ConsistencyLoss(student, teacher, lambda: dict(student.named_parameters()), settings)  # type: ignore[arg-type]
     optimizer = torch.optim.Adam(student.parameters(), lr=0.02)
     for number in range(1500):
         for group in optimizer.param_groups:

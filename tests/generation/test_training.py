@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.clips import make_clip, write_clips
+from tests.generation.interrupting import InterruptingProgress
 from tests.generation.trained import CODEC, NETWORK, T
 
 AS_FRAMES = replace(
@@ -38,18 +38,6 @@ OPTIONS = TrainingOptions(
     settings=GeneratorSettings(NETWORK, T, batch=4, warmup=2, context_noise=0.3, drop_layout=0.5),
     autoencoder_settings=AutoencoderSettings(CODEC, batch=2, warmup=2),
 )
-
-
-class InterruptingProgress(NullProgress):
-    """Sends Ctrl-C after some steps, as a user may do at any time."""
-
-    def __init__(self, after: int) -> None:
-        self._left = after
-
-    def advance(self, steps: int) -> None:
-        self._left -= steps
-        if self._left == 0:
-            signal.raise_signal(signal.SIGINT)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from mirror.errors import UsageError
 from mirror.privacy.detectors.boxes import detect_in_tiles, overlaps, suppress, tiles, to_regions
 from mirror.privacy.detectors.egoblur import EgoBlur, register_operators, roi_align
 from mirror.privacy.detectors.faces import YuNet
-from mirror.privacy.detectors.plates import make_anchors
+from mirror.privacy.detectors.plates import find_agreed, make_anchors
 from mirror.privacy.detectors.protocol import DetectorOptions
 from mirror.privacy.detectors.registry import installed_detectors, parse_choice, require_coverage
 from mirror.privacy.detectors.sessions import DetectorError
@@ -174,10 +174,8 @@ def test_yunet_finds_the_faces_of_a_real_crossing(real_data: Path) -> None:
 
 
 def test_likely_plates_need_boxes_that_agree() -> None:
-    from mirror.privacy.detectors.plates import _agreed
-
     near = np.array([[0.0, 0.0, 40.0, 12.0]]) + np.arange(4)[:, None]
     far = np.array([[100.0, 0.0, 140.0, 12.0], [200.0, 0.0, 240.0, 12.0]])
     boxes, scores = np.concatenate([near, far]), np.array([0.2, 0.15, 0.06, 0.12, 0.2, 0.4])
-    assert _agreed(boxes, scores).tolist() == [True, True, False, True, False, True]
-    assert _agreed(np.zeros((0, 4)), np.zeros(0)).tolist() == []
+    assert find_agreed(boxes, scores).tolist() == [True, True, False, True, False, True]
+    assert find_agreed(np.zeros((0, 4)), np.zeros(0)).tolist() == []

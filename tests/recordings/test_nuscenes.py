@@ -21,7 +21,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.discovery import find_recordings
 from mirror.recordings.protocol import Recording
-from mirror.recordings.readers.nuscenes import NuscenesReader
+from mirror.recordings.readers.nuscenes import NuscenesReader, parse_description
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.recordings.formats.compare import Tolerances, compare_boxes, compare_cameras, compare_poses
@@ -286,12 +286,10 @@ def test_links_outside_and_pipes_are_refused(folder: Path, tmp_path: Path) -> No
 
 
 def test_words_of_a_description() -> None:
-    from mirror.recordings.readers.nuscenes import _describe
-
-    assert _describe("Rain, many peds, night") == ("night", "rain")
-    assert _describe("After rain, no rain, parked") == (None, None)
-    assert _describe("Train station, knight") == (None, None)
-    assert _describe("dusk, fog") == ("dusk", "fog")
+    assert parse_description("Rain, many peds, night") == ("night", "rain")
+    assert parse_description("After rain, no rain, parked") == (None, None)
+    assert parse_description("Train station, knight") == (None, None)
+    assert parse_description("dusk, fog") == ("dusk", "fog")
 
 
 def test_info_lists_the_scenes_and_describes_one(pristine: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from mirror.cli.main import main
 from mirror.errors import ExitCode
 from mirror.synth import Effects
 from mirror.synth.fleet.drives import make_drives
-from tests.leaderboard.test_add import result
+from tests.leaderboard.results import result
 
 
 def test_synth_recordings_can_be_ingested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

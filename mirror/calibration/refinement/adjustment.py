@@ -147,7 +147,7 @@ def adjust_rigs(
         UsageError: no track can be triangulated.
     """
     weights = prior or RefinementPrior()
-    adjuster = _Adjuster(rigs, weights)
+    adjuster = Adjuster(rigs, weights)
     points, kept = triangulate(rigs, tracks)
     tracks, points = _select(tracks, points, kept)
     state = RigState(
@@ -178,7 +178,7 @@ def adjust_rigs(
     )  # fmt: skip
 
 
-class _Adjuster:
+class Adjuster:
     """The equations of some rigs."""
 
     def __init__(self, rigs: MovingRigs, prior: RefinementPrior) -> None:

@@ -64,7 +64,7 @@ class ChinesePlates:
             )
             self.skipped_tiles += left_out
             boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
-        agreed = _agreed(boxes, scores)
+        agreed = find_agreed(boxes, scores)
         boxes, scores = boxes[agreed], scores[agreed]
         width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
         likely = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * image.shape[1])
@@ -88,7 +88,7 @@ class ChinesePlates:
         return np.concatenate([low, high], axis=1), conf[likely, 1]
 
 
-def _agreed(boxes: Float64, scores: Float64) -> Bool:
+def find_agreed(boxes: Float64, scores: Float64) -> Bool:
     """Which of N boxes are kept: those with a score above `_SURE`, and likely ones that several boxes agree with."""
     if not len(boxes):
         return np.zeros(0, np.bool_)

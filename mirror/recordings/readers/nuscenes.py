@@ -181,7 +181,7 @@ class NuscenesRecording:
     def info(self) -> DriveInfo:
         """The id is the scene's name; light and weather come from the words of its description."""
         description = self.scene.get("description")
-        light, weather = _describe(description if isinstance(description, str) else "")
+        light, weather = parse_description(description if isinstance(description, str) else "")
         place = self._location.partition("-")[0]
         return DriveInfo(
             drive_id=to_identifier(self.tables.text("scene", self.scene, "name")),
@@ -362,7 +362,7 @@ _RAIN: Final = re.compile(r"(?<!after )(?<!no )\brain(?:y|ing)?\b", re.IGNORECAS
 _LIGHT: Final = ("day", "dusk", "night")
 
 
-def _describe(description: str) -> tuple[str | None, str | None]:
+def parse_description(description: str) -> tuple[str | None, str | None]:
     """Light and weather in the words of a description; None where it does not state them.
 
     A phrase between commas may be one of MIRROR's words; the dataset's own descriptions mention night and rain.

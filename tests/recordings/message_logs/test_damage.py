@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mirror.errors import MirrorError, RecordingError
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.readers.message_logs.mcap_file import McapFile
-from tests.recordings.message_logs.test_containers import ONE, opened
+from tests.recordings.message_logs.drives import ONE, opened
 from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 
 

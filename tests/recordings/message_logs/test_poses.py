@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import RecordingError
-from tests.recordings.message_logs.test_containers import ONE, opened, require_same_track
+from tests.recordings.message_logs.drives import ONE, opened, require_same_track
 from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
 
 CAMERA = TOPICS[TOPICS.index("[cameras") :]

@@ -13,7 +13,7 @@ from mirror.errors import ExitCode, RecordingError
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile, propose_topics
 from tests.ingest.recordings import LAT, LON
-from tests.recordings.message_logs.test_containers import ONE, opened, require_drive
+from tests.recordings.message_logs.drives import ONE, opened, require_drive
 from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
 
 

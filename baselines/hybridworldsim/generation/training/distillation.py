@@ -59,7 +59,7 @@ def segment_end(level: Tensor, segments: int) -> Tensor:
     return (torch.ceil(level * segments - 1e-6) - 1.0) / segments
 
 
-class _ConsistencyLoss(nn.Module):
+class ConsistencyLoss(nn.Module):
     """Square error between the student's jump and that of its average one small teacher's step later.
 
     Args:
@@ -154,7 +154,7 @@ class DistillationTrainer(GeneratorTrainer):
         super().__init__(settings, windows, steps, seed=seed, network=student, device=device)
 
     def _make_loss(self) -> nn.Module:
-        return _ConsistencyLoss(self.network, self._teacher, lambda: self._averaged, self._distillation)
+        return ConsistencyLoss(self.network, self._teacher, lambda: self._averaged, self._distillation)
 
     def _draw_levels(self, count: int, generator: torch.Generator) -> Tensor:
         """Levels at which the teacher makes a step, each equally often."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
 from mirror.dataset.images.metadata import list_metadata, segments, strip_metadata
+from tests.privacy.images import jpeg, pixels
 
 
 def test_fill_bytes_after_a_scan() -> None:
@@ -29,3 +31,20 @@ def test_segments_after_a_marker_without_length() -> None:
     assert [one.marker for one in segments(marked, "a.jpg")][:2] == [0x01, 0xFE]
     assert list_metadata(marked, "a.jpg") == list_metadata(data[:2] + comment + data[2:], "a.jpg")
     assert list_metadata(data, "a.jpg") != list_metadata(marked, "a.jpg")
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ((), []),
+        (("exif",), ["EXIF"]),
+        (("gps",), ["EXIF", "GPS"]),
+        (("thumbnail",), ["EXIF", "thumbnail"]),
+        (("xmp",), ["XMP"]),
+        (("icc",), ["ICC profile"]),
+        (("comment",), ["comment"]),
+    ],
+)
+def test_what_an_encoder_wrote_is_listed(given: tuple[str, ...], found: list[str]) -> None:
+    data = jpeg(pixels(16, 24), **dict.fromkeys(given, True))
+    assert list_metadata(data, "a.jpg") == found

@@ -166,10 +166,13 @@ def test_unavailable_metrics_are_listed_and_can_be_required(
 ) -> None:
     for name in ("MIRROR_WEIGHTS", "TORCH_HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "nothing"))
-    protocol = small(metrics='[[metrics]]\nmetric = "psnr"\n[[metrics]]\nmetric = "lpips"\nnet = "vgg"\nmask = "map"\n')
+    lpips = '[[metrics]]\nmetric = "lpips"\nnet = "{}"\nmask = "map"\n'
+    networks = ("alex", "vgg")
+    protocol = small(metrics='[[metrics]]\nmetric = "psnr"\n' + "".join(lpips.format(name) for name in networks))
     write_renders(dataset, protocol, tmp_path / "s", noisy(4))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
+    assert set(done.result.unavailable) == {"lpips_alex", "lpips_vgg"}
     assert "vgg16-397923af.pth" in done.result.unavailable["lpips_vgg"]
     assert {figure.metric for figure in done.result.figures} == {"psnr", "psnr_pooled"}
     for name in ("lpips", "lpips_vgg"):

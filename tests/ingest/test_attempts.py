@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 
-from mirror.dataset import owned_folder
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, is_intact
-from mirror.dataset.owned_folder import LEFT_OVER_AGE_S, OwnedFolder, abandoned_folders
 from mirror.errors import DatasetError, RecordingError
 from mirror.ingest import traversal as traversal_module
 from mirror.ingest.images import place_images
@@ -121,29 +116,6 @@ def test_what_a_killed_run_completed_is_taken_over_and_the_rest_removed(drive: D
     assert not killed.layout.root.exists()
     assert len(list((out / ".staging").iterdir())) == 1
     assert attempt(third, drive).reused
-
-
-def test_a_dead_process_leaves_its_folder_to_the_next(tmp_path: Path) -> None:
-    script = (
-        "import sys, os, signal; from pathlib import Path; from mirror.dataset.owned_folder import OwnedFolder;"
-        "own = OwnedFolder(Path(sys.argv[1]), 'run'); print(own.path, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
-    alive = OwnedFolder(tmp_path, "run")
-    assert [str(path) for path in abandoned_folders(tmp_path, "run")] == [done.stdout.strip()]
-    assert alive.path.exists()
-
-
-def test_folders_of_other_machines_go_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "run.0123456789ab.feedbeef"
-    folder.mkdir()
-    (folder / "image.jpg").write_text("")
-    assert list(abandoned_folders(tmp_path, "run")) == []
-    now = time.time()
-    monkeypatch.setattr(owned_folder.time, "time", lambda: now + LEFT_OVER_AGE_S - 60)
-    assert list(abandoned_folders(tmp_path, "run")) == []
-    monkeypatch.setattr(owned_folder.time, "time", lambda: now + LEFT_OVER_AGE_S + 60)
-    assert list(abandoned_folders(tmp_path, "run")) == [folder]
 
 
 def test_a_layer_that_two_attempts_write_is_the_first_ones(drive: DrivePasses, tmp_path: Path) -> None:

@@ -1,0 +1,43 @@
+"""Folders of processes: a live owner keeps its own, those of dead owners are left over."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mirror.dataset import owned_folder
+from mirror.dataset.owned_folder import LEFT_OVER_AGE_S, OwnedFolder, abandoned_folders
+
+
+def test_a_dead_process_leaves_its_folder_to_the_next(tmp_path: Path) -> None:
+    script = (
+        "import sys, os, signal; from pathlib import Path; from mirror.dataset.owned_folder import OwnedFolder;"
+        "own = OwnedFolder(Path(sys.argv[1]), 'run'); print(own.path, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
+    alive = OwnedFolder(tmp_path, "run")
+    assert [str(path) for path in abandoned_folders(tmp_path, "run")] == [done.stdout.strip()]
+    assert alive.path.exists()
+
+
+def test_only_folders_are_left_over(tmp_path: Path) -> None:
+    own = OwnedFolder(tmp_path, "run")
+    own.release()
+    (tmp_path / f"{own.path.name}0").write_text("no folder")
+    assert list(abandoned_folders(tmp_path, "run")) == [own.path]
+
+
+def test_folders_of_other_machines_go_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "run.0123456789ab.feedbeef"
+    folder.mkdir()
+    (folder / "image.jpg").write_text("")
+    assert list(abandoned_folders(tmp_path, "run")) == []
+    now = time.time()
+    monkeypatch.setattr(owned_folder.time, "time", lambda: now + LEFT_OVER_AGE_S - 60)
+    assert list(abandoned_folders(tmp_path, "run")) == []
+    monkeypatch.setattr(owned_folder.time, "time", lambda: now + LEFT_OVER_AGE_S + 60)
+    assert list(abandoned_folders(tmp_path, "run")) == [folder]

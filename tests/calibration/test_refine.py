@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,9 +12,8 @@ import numpy as np
 import pytest
 
 import mirror
-from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.report import RefinementReport
-from mirror.calibration.refinement.run import refine_calibrations
+from mirror.calibration.refinement.run import DEFAULT_CHOICE, refine_calibrations
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -24,7 +24,7 @@ from tests.dataset.builders import Builder, Pass
 
 CAMERAS = ("front_wide", "front_narrow", "rear")
 ERRORS_DEG = {"front_wide": np.array([0.1, 0.3, -0.4]), "front_narrow": np.array([-0.3, -0.2, 0.5])}
-CHOICE = FrameChoice(frames=6, step_m=2.0)
+CHOICE = replace(DEFAULT_CHOICE, frames=6)
 BYTES = 400_000
 
 
@@ -150,27 +150,40 @@ def test_recorded_files_do_not_change_and_layers_are_kept(made: Path, refined: t
     assert [item.status for item in again.traversals] == ["existing", "existing", "not refined"]
     assert files_of(root) == after
     with pytest.raises(DatasetError, match="other inputs"):
-        refine_calibrations(mirror.open(root), choice=FrameChoice(frames=5, step_m=2.0))
+        refine_calibrations(mirror.open(root), choice=replace(DEFAULT_CHOICE, frames=5))
 
 
-def test_an_interrupted_refinement_continues_to_the_same_bytes(
-    made: Path, refined: tuple[Path, RefinementReport], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_verb_continues_an_interrupted_run_to_the_same_bytes(
+    made: Path,
+    refined: tuple[Path, RefinementReport],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     root = tmp_path / "ds"
     shutil.copytree(made, root)
+    words = ["calibrate", "refine", str(root), "--frames", str(CHOICE.frames)]
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
         patched.setattr("mirror.calibration.refinement.run.choose_pairs", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            refine_calibrations(mirror.open(root), choice=CHOICE)
+        assert main(words) == 130
     assert len(list(root.glob(".refine/*/*.npz"))) == 2 * 6 * 3
     monkeypatch.setattr("mirror.calibration.refinement.scene.find_features", None)
-    refine_calibrations(mirror.open(root), choice=CHOICE)
+    capsys.readouterr()
+    assert main(words) == 3
+    text = capsys.readouterr().out
+    assert "relative to front_wide" in text
+    assert "roll kept (unobservable)" in text
+    assert "layer: calibrations/refined@1" in text
     assert not (root / ".refine").exists()
     assert files_of(root) == files_of(refined[0])
+    assert main([*words, "--json"]) == 3
+    plain = json.loads(capsys.readouterr().out)
+    assert [item["status"] for item in plain["traversals"]] == ["existing", "existing", "not refined"]
+    assert main(["calibrate", "refine", str(root / "nothing")]) == 2
 
 
 def test_an_unreadable_image_is_reported_and_left_out(made: Path, tmp_path: Path) -> None:
@@ -197,18 +210,3 @@ def test_a_scene_without_matches_is_not_refined(made: Path, tmp_path: Path) -> N
     assert report.traversals[0].status == "not refined"
     assert "seen from two places" in (report.traversals[0].message or "")
     assert not list(root.glob("traversals/*/layers/calibrations/refined*"))
-
-
-def test_the_verb(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root = tmp_path / "ds"
-    shutil.copytree(made, root)
-    words = ["calibrate", "refine", str(root), "--frames", "6", "--version", "six"]
-    assert main(words) == 3
-    text = capsys.readouterr().out
-    assert "relative to front_wide" in text
-    assert "roll kept (unobservable)" in text
-    assert "layer: calibrations/refined@six" in text
-    assert main([*words, "--json"]) == 3
-    plain = json.loads(capsys.readouterr().out)
-    assert [item["status"] for item in plain["traversals"]] == ["existing", "existing", "not refined"]
-    assert main(["calibrate", "refine", str(root / "nothing")]) == 2

@@ -10,6 +10,7 @@ memory does not grow with the number of drives.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -122,7 +123,8 @@ def ingest_recordings(
 
 def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
     for path in recordings:
-        if out.resolve().is_relative_to(path.resolve()):
+        # Unlike `Path.resolve`, `realpath` accepts a circle of links: opening the recording reports it.
+        if Path(os.path.realpath(out)).is_relative_to(os.path.realpath(path)):
             raise UsageError(
                 "the dataset would lie inside a recording",
                 file=out,

@@ -45,7 +45,8 @@ def test_synth_stops_and_continues(root: Path, tmp_path: Path) -> None:
 
 
 def test_ingest_and_rois_stop_and_continue(root: Path, tmp_path: Path) -> None:
-    recordings = sorted(path for path in (root.parent / "tiny").iterdir() if path.is_dir())
+    # Beside the recordings lie their maps, ROIs and document.
+    recordings = sorted(path for path in (root.parent / "tiny").iterdir() if (path / "recording.json").is_file())
     rois = root.parent / "tiny" / "rois.geojson"
     words = [*MIRROR, "ingest", *recordings, "--rois", rois, "--out"]
     whole_s = finish([*words, tmp_path / "whole"])

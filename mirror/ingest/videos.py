@@ -11,7 +11,6 @@ import numpy as np
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.ingest.images import PlacedImages
-from mirror.recordings.opening import read_file
 from mirror.recordings.video import CompressedStream, CopiedVideo, av_error_type, open_video
 from mirror.schema.files import unwritable_error
 
@@ -60,7 +59,7 @@ def place_videos(
     for copy in copies:
         width, height = _require_frames(copy) if decoding else _raster(copy.file)
         count = len(copy.pts)
-        digest = hashlib.sha256(read_file(copy.file)).digest() if hashing else None
+        digest = _sha256(copy.file) if hashing else None
         names += [copy.file.name] * count
         sizes += [copy.file.stat().st_size] * count
         digests += [digest] * count
@@ -69,6 +68,12 @@ def place_videos(
     size = np.array(rasters, np.int64)
     pts = np.concatenate([copy.pts for copy in copies])
     return PlacedImages(names, sizes, digests, "video", size[:, 0], size[:, 1], 0, pts)
+
+
+def _sha256(file: Path) -> bytes:
+    """Digest of a file, read in parts: a video may be large."""
+    with file.open("rb") as reading:
+        return hashlib.file_digest(reading, "sha256").digest()
 
 
 def _raster(file: Path) -> tuple[int, int]:

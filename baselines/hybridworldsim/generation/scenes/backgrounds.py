@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import cv2
 import numpy as np
 
-from mirror.arrays import UInt8
+from mirror.arrays import Int64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
+from mirror.geometry.poses import Poses
 from mirror.protocols.views.view import RenderView
 
 if TYPE_CHECKING:
@@ -100,13 +101,17 @@ class _ExactStreet:
         rows = dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
         self._drives = {row["traversal_id"]: row["drive_id"] for row in rows}
         self._dataset, self._preset, self._seed = dataset, preset, seed
+        self._tracks: dict[str, tuple[Int64, Poses]] = {}
 
     def __call__(self, view: RenderView) -> UInt8:
         from mirror.geometry.interpolation import interpolate
 
         drive, empty = _empty_street(self._preset, self._seed, self._drives[view.traversal_id])
-        frames = self._dataset.where(traversal=view.traversal_id).frames()
-        recorded = interpolate(*frames[0].track, [view.timestamp_ns])
+        if view.traversal_id not in self._tracks:
+            # Every view of a traversal needs its poses: they are read once.
+            frames = self._dataset.where(traversal=view.traversal_id).frames()
+            self._tracks[view.traversal_id] = frames[0].track
+        recorded = interpolate(*self._tracks[view.traversal_id], [view.timestamp_ns])
         # What the view adds to the recorded pose is kept; the recorded pose is replaced by the true one.
         world_SE3_camera = drive.world_SE3_ego(np.array([view.timestamp_ns])) @ recorded.inverse() @ view.pose
         lens = _lens(view.lens)

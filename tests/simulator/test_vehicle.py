@@ -48,11 +48,13 @@ def integrate(state: EgoState, controls: Controls, duration: float) -> np.ndarra
     def slope(t: float, z: np.ndarray) -> list[float]:
         a = towards(begin, target, CAR.max_jerk_mps3, t)
         steering = towards(state.steering_rad, angle, CAR.max_steering_rate_radps, t)
-        v = max(z[3], 0.0)
+        # A speed below zero goes on smoothly: a corner there would spoil the dense output in which the stop is found.
+        v = z[3]
         return [v * math.cos(z[2]), v * math.sin(z[2]), v * math.tan(steering) / CAR.wheelbase_m, a]
 
     def stands(t: float, z: np.ndarray) -> float:
-        return float(z[3]) if t > 0.0 else 1.0
+        slows = towards(begin, target, CAR.max_jerk_mps3, t) < 0.0
+        return float(z[3]) if t > 0.0 and slows else 1.0
 
     stands.terminal = True
     stands.direction = -1.0

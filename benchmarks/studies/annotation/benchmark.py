@@ -14,14 +14,13 @@ import numpy as np
 
 from benchmarks.studies.annotation.declaration import Declaration, load_declaration
 from benchmarks.studies.annotation.references import ground_boxes, prior_boxes
-from benchmarks.studies.annotation.scoring import CLASS, Found, Scores, TestFrame, read_test_frames, score
+from benchmarks.studies.annotation.scoring import CLASS, Found, TestFrame, read_test_frames, score
+from benchmarks.studies.annotation.streets import assign_drives, open_streets, recordings_of
 from hybridworldsim.petr.tiny.network import TinyPetr
 from hybridworldsim.petr.tiny.samples import Sample
-from mirror.dataset.dataset import Dataset
 from mirror.progress import ProgressReporter
 
 OUTCOMES: Final = Path(__file__).with_name("outcomes.jsonl")
-_LAYER: Final = "synth"
 
 
 def main(argv: list[str]) -> int:
@@ -36,9 +35,7 @@ def main(argv: list[str]) -> int:
         ("references", "score what needs no training"),
     ):
         verb = verbs.add_parser(name, help=text)
-        verb.add_argument("--dataset", type=Path, required=True, help="the ingested streets")
-        if name != "train":
-            verb.add_argument("--recordings", type=Path, required=True, help="the recordings, with truth of boxes")
+        verb.add_argument("--streets", type=Path, required=True, help="folder of recordings-N and dataset-N")
         if name != "references":
             verb.add_argument("--out", type=Path, required=True, help="folder of the runs, or of checkpoints")
         if name == "train":
@@ -61,32 +58,30 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _open(path: Path) -> Dataset:
-    import mirror
-    from mirror.annotation.box_layer import box_layers
-
-    dataset = mirror.open(path)
-    (layer,) = [name for name in box_layers(dataset) if name.startswith(f"{_LAYER}@")]
-    return dataset.with_layers(boxes=layer)
-
-
-def _test_frames(declaration: Declaration, arguments: argparse.Namespace) -> list[TestFrame]:
+def _test_frames(declaration: Declaration, folder: Path) -> tuple[list[TestFrame], list[TestFrame]]:
+    """Frames of held-out scenes, and of unseen drives of known scenes."""
     from hybridworldsim.petr.tiny.settings import NetworkSettings
 
-    dataset = _open(arguments.dataset)
-    frames = []
-    for scene in declaration.held_out:
-        view = dataset.where(scene=scene)
-        frames += read_test_frames(view, arguments.recordings, declaration.bar, NetworkSettings())
-    return frames
+    held_out, known = list[TestFrame](), list[TestFrame]()
+    for seed in declaration.streets.seeds:
+        dataset, recordings = open_streets(folder, seed), recordings_of(folder, seed)
+        drives = assign_drives(declaration.streets, seed)
+        for names, frames in ((drives.held_out, held_out), (drives.known, known)):
+            for name in names:
+                view = dataset.where(drive=name)
+                frames += read_test_frames(view, recordings, declaration.bar, NetworkSettings())
+    return held_out, known
 
 
-def _training_samples(declaration: Declaration, dataset: Dataset, bar: ProgressReporter) -> list[Sample]:
+def _training_samples(declaration: Declaration, folder: Path, bar: ProgressReporter) -> list[Sample]:
     from hybridworldsim.petr.tiny.run import read_training_samples
     from hybridworldsim.petr.tiny.settings import NetworkSettings, training_settings
 
     training = training_settings(declaration.settings)
-    views = [dataset.where(scene=scene) for scene in declaration.training]
+    views = [
+        open_streets(folder, seed).where(drive=list(assign_drives(declaration.streets, seed).training))
+        for seed in declaration.streets.seeds
+    ]
     return read_training_samples(views, NetworkSettings(), training, bar)
 
 
@@ -97,7 +92,7 @@ def _train(declaration: Declaration, arguments: argparse.Namespace) -> None:
     from mirror.progress import progress_bar
 
     with progress_bar(quiet=False) as bar:
-        samples = _training_samples(declaration, _open(arguments.dataset), bar)
+        samples = _training_samples(declaration, arguments.streets, bar)
         for minutes, seed in product(declaration.core_minutes, declaration.seeds):
             if arguments.minutes in (None, minutes) and arguments.seed in (None, seed):
                 task = TrainingTask(None, minutes, seed, declaration.threads, declaration.settings)
@@ -116,7 +111,7 @@ def _score(declaration: Declaration, arguments: argparse.Namespace) -> None:
     from mirror.schema.files import read_json
 
     scored = {(row.get("minutes"), row.get("seed")) for row in _rows(declaration)}
-    frames = _test_frames(declaration, arguments)
+    held_out, known = _test_frames(declaration, arguments.streets)
     for minutes, seed in product(declaration.core_minutes, declaration.seeds):
         folder = _folder(arguments.out, minutes, seed)
         if (minutes, seed) in scored or not (folder / "outcome.json").exists():
@@ -126,11 +121,21 @@ def _score(declaration: Declaration, arguments: argparse.Namespace) -> None:
             read_json(folder / "outcome.json", AnnotatorOutcome),
         )
         network, _ = read_model(folder / "model.safetensors")
-        scores = score(frames, _finder(network), declaration.bar)
+        scores = _both(held_out, known, _finder(network), declaration)
         trained = {"trained_frames": run.frames, "trained_boxes": run.boxes}
-        row = {"minutes": minutes, "seed": seed, **outcome.model_dump(), **trained, **asdict(scores)}
+        row = {"minutes": minutes, "seed": seed, **outcome.model_dump(), **trained, **scores}
         _append(declaration, row)
-        print(json.dumps(row))
+        print(json.dumps(row), flush=True)
+
+
+def _both(
+    held_out: list[TestFrame], known: list[TestFrame], find: Callable[[TestFrame], Found], declaration: Declaration
+) -> dict[str, Any]:
+    """The scores on scenes that are held out and, under `known`, on unseen drives of known scenes."""
+    return {
+        **asdict(score(held_out, find, declaration.bar)),
+        "known": asdict(score(known, find, declaration.bar)),
+    }
 
 
 def _score_checkpoints(declaration: Declaration, arguments: argparse.Namespace) -> None:
@@ -138,7 +143,7 @@ def _score_checkpoints(declaration: Declaration, arguments: argparse.Namespace) 
     from hybridworldsim.petr.tiny.settings import NetworkSettings
     from hybridworldsim.training.run.checkpoint import read_checkpoint
 
-    frames = _test_frames(declaration, arguments)
+    held_out, known = _test_frames(declaration, arguments.streets)
     for path in sorted(arguments.out.glob("*.safetensors")):
         state, position = read_checkpoint(path)
         network = TinyPetr(NetworkSettings()).eval()
@@ -146,8 +151,8 @@ def _score_checkpoints(declaration: Declaration, arguments: argparse.Namespace) 
             name.removeprefix("averaged."): value for name, value in state.items() if name.startswith("averaged.")
         }
         network.load_state_dict(averaged)
-        scores = score(frames, _finder(network), declaration.bar)
-        row = {"checkpoint": path.stem, "steps": position.steps, "core_s": position.spent_s, **asdict(scores)}
+        scores = _both(held_out, known, _finder(network), declaration)
+        row = {"checkpoint": path.stem, "steps": position.steps, "core_s": position.spent_s, **scores}
         _append(declaration, row)
         print(json.dumps(row), flush=True)
 
@@ -170,13 +175,13 @@ def _finder(network: TinyPetr) -> Callable[[TestFrame], Found]:
 def _references(declaration: Declaration, arguments: argparse.Namespace) -> None:
     from mirror.progress import NullProgress
 
-    samples = _training_samples(declaration, _open(arguments.dataset), NullProgress())
+    samples = _training_samples(declaration, arguments.streets, NullProgress())
     prior = prior_boxes(samples, declaration.bar.range_m)
-    frames = _test_frames(declaration, arguments)
+    held_out, known = _test_frames(declaration, arguments.streets)
     for name, find in (("prior", lambda _: prior), ("ground", ground_boxes(prior))):
-        scores: Scores = score(frames, find, declaration.bar)
-        _append(declaration, {"reference": name, **asdict(scores)})
-        print(name, scores)
+        row = {"reference": name, **_both(held_out, known, find, declaration)}
+        _append(declaration, row)
+        print(json.dumps(row))
 
 
 def _rows(declaration: Declaration) -> list[dict[str, Any]]:
@@ -191,8 +196,11 @@ def _append(declaration: Declaration, row: dict[str, Any]) -> None:
 
 def _show(declaration: Declaration) -> None:
     rows = _rows(declaration)
-    print("| trained | core-minutes | steps | frames | mAP | AP@0.5 | AP@1 | AP@2 | AP@4 | position | heading |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| trained | core-minutes | steps | frames | mAP | AP@0.5 | AP@1 | AP@2 | AP@4 | position | heading "
+        "| mAP, known scenes | AP@2 | AP@4 |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for row in rows:
         if "reference" in row:
             _print_row((row["reference"], "", "", ""), [row])
@@ -214,4 +222,6 @@ def _print_row(names: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     aps = [float(np.mean([row["ap"][key] for row in rows])) for key in ("0.5", "1", "2", "4")]
     values = [f"{value:.3f}" for value in (mean("mean_ap"), *aps)]
     errors = [f"{mean('translation_m'):.2f} m", f"{mean('heading_rad'):.2f} rad"]
-    print(f"| {' | '.join([*names, *values, *errors])} |")
+    known = [np.mean([row["known"]["mean_ap"] for row in rows])]
+    known += [np.mean([row["known"]["ap"][key] for row in rows]) for key in ("2", "4")]
+    print(f"| {' | '.join([*names, *values, *errors, *(f'{value:.3f}' for value in known)])} |")

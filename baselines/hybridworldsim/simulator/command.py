@@ -15,6 +15,7 @@ from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
+    from hybridworldsim.simulator.policies.protocol import Policy
     from hybridworldsim.simulator.rollout.run import RolloutRequest, RolloutResult
 
 _EXAMPLES = (
@@ -40,8 +41,11 @@ class Arguments:
     """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
     scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
     """Name of a scenario, or path of its .toml file."""
-    policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME")] = None
-    """An installed policy: idm, log, stop, constant-velocity, or another one of the entry points mirror.policies."""
+    policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME|grpc://HOST:PORT")] = None
+    """An installed policy (idm, log, stop, constant-velocity, or another one of the entry points mirror.policies), or
+    the address of a driver that serves AlpaSim's EgodriverService. The connection is not encrypted."""
+    driver: Annotated[Path | None, help_text(default="front_wide as JPEG, 30 s", metavar="FILE.toml")] = None
+    """Cameras, lens, image format and deadline of a driver at an address."""
     renderer: Annotated[
         Literal["boxes", "exact", "reconstructed", "generated"] | None,
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
@@ -49,6 +53,8 @@ class Arguments:
     """What renders the images: wireframes, the synthetic street, a trained model."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes that are the recorded road users: labels of people, or of a version of an annotator."""
     map: Annotated[Path | None, help_text(default="exact, or fitted to the recordings", metavar="FILE")] = None
     """Road map of the scene, as GeoParquet."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
@@ -92,7 +98,6 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _request(arguments: Arguments) -> RolloutRequest:
-    from hybridworldsim.simulator.policies.registry import make_policy
     from hybridworldsim.simulator.renderers.protocol import rig_cameras
     from hybridworldsim.simulator.renderers.registry import RendererFactory
     from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
@@ -134,11 +139,11 @@ def _request(arguments: Arguments) -> RolloutRequest:
             "no scenario, or no policy", place="--scenario, --policy", expected="both of them, or --replay RUN"
         )
     else:
-        scenario, policy = read_scenario(arguments.scenario), make_policy(policy_name)
+        scenario, policy = read_scenario(arguments.scenario), _policy(arguments, policy_name)
     if arguments.duration is not None:
         plain = {**scenario.model_dump(), "duration_s": arguments.duration}
         scenario = Scenario.model_validate(plain)
-    street = open_street(arguments.source, scene=arguments.scene, road_map=arguments.map)
+    street = open_street(arguments.source, scene=arguments.scene, road_map=arguments.map, boxes=arguments.boxes)
     shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
     wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
     return RolloutRequest(
@@ -151,10 +156,24 @@ def _request(arguments: Arguments) -> RolloutRequest:
         seed=seed,
         video=shown if arguments.video else (),
         page=arguments.report,
-        deadline_s=math.inf if arguments.deadline is None else arguments.deadline,
+        # A remote policy's own calls end at its deadline.
+        deadline_s=math.inf if arguments.deadline is None or "://" in policy_name else arguments.deadline,
         dataset_hash=_dataset_hash(arguments.source),
         model_hash=None if arguments.model is None else _model_hash(arguments.model),
     )
+
+
+def _policy(arguments: Arguments, name: str) -> Policy:
+    from hybridworldsim.simulator.policies.registry import make_policy
+
+    if "://" not in name and arguments.driver is None:
+        return make_policy(name)
+    from hybridworldsim.simulator.remote.driver_file import DriverFile, read_driver_file
+
+    driver = DriverFile() if arguments.driver is None else read_driver_file(arguments.driver)
+    if arguments.deadline is not None:
+        driver = driver.model_copy(update={"deadline_s": arguments.deadline})
+    return make_policy(name, driver)
 
 
 def _dataset_hash(source: str) -> str | None:

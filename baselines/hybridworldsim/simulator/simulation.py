@@ -19,6 +19,7 @@ from hybridworldsim.simulator.policies.protocol import (
     ROUTE_STEP_M,
     Action,
     CameraSpec,
+    NoPlanYet,
     Observation,
     ObservationSpec,
     PlannedTrajectory,
@@ -34,6 +35,7 @@ from mirror.schema.rollout import Ending
 from mirror.schema.scenario import RecordedStart, Scenario
 
 _STREET_MARGIN_M: Final = 60.0
+_NO_PLAN_S: Final = 4.0
 
 
 @dataclass(eq=False)
@@ -91,8 +93,12 @@ class Simulation:
             self._controls, self._trajectory = action, None
         elif isinstance(action, PlannedTrajectory):
             self._trajectory = action.in_world(now.ego, now.time_s)
+        elif isinstance(action, NoPlanYet):
+            self._trajectory = self.recorded or self._route_at_speed()
         elif action is not None:
-            raise UsageError(f"an action of type {type(action).__name__}", expected="Controls, PlannedTrajectory, None")
+            raise UsageError(
+                f"an action of type {type(action).__name__}", expected="Controls, PlannedTrajectory, NoPlanYet, None"
+            )
         if self._trajectory is not None:
             self._controls = self._tracker.track(now.ego, self._trajectory, now.time_s)
         self.recorder.add(self.world.advance(self._controls))
@@ -105,7 +111,26 @@ class Simulation:
         ahead = self.route_ahead(ROUTE_STEP_M * ROUTE_POINTS, ROUTE_STEP_M) - (ego.x_m, ego.y_m)
         route = np.column_stack([ahead @ (cos, sin), ahead @ (-sin, cos)])
         local = replace(ego, x_m=0.0, y_m=0.0, yaw_rad=0.0)
-        return Observation(now.stamp_ns, images, local, route, self._exact_state() if privileged else None)
+        exact = self._exact_state() if privileged else None
+        return Observation(now.stamp_ns, images, local, route, self._odometry(), exact)
+
+    def _odometry(self) -> Float64:
+        ego, first = self.now.ego, self.recorder.snapshots[0].ego
+        cos, sin = np.cos(first.yaw_rad), np.sin(first.yaw_rad)
+        dx, dy = ego.x_m - first.x_m, ego.y_m - first.y_m
+        return np.array([cos * dx + sin * dy, cos * dy - sin * dx, ego.yaw_rad - first.yaw_rad])
+
+    def _route_at_speed(self) -> Trajectory:
+        """The route from the place beside the ego on, at its present speed."""
+        now, way = self.now, self.route.way
+        times = np.arange(0.0, _NO_PLAN_S + 1e-9, 0.1)
+        along = way.nearest_m(np.array([now.ego.x_m, now.ego.y_m])) + now.ego.speed_mps * times
+        points = np.array([way.at(min(place, way.length_m)) for place in along])
+        ahead = np.array([way.at(min(place + 1.0, way.length_m)) for place in along])
+        behind = np.array([way.at(min(place + 1.0, way.length_m) - 2.0) for place in along])
+        yaw = np.unwrap(np.arctan2(*(ahead - behind).T[::-1]))
+        yaw += 2.0 * np.pi * np.round((now.ego.yaw_rad - yaw[0]) / (2.0 * np.pi))
+        return Trajectory(now.time_s + times, np.column_stack([points, yaw]))
 
     def _exact_state(self) -> PrivilegedState:
         now, way = self.now, self.route.way
@@ -127,7 +152,7 @@ class Simulation:
 
     def observation_spec(self, cameras: Mapping[str, CameraSpec]) -> ObservationSpec:
         """Return the specification of observations with given cameras."""
-        return ObservationSpec(cameras, self.street.vehicle, self.step_s)
+        return ObservationSpec(cameras, self.street.vehicle, self.step_s, self.seed)
 
     def route_ahead(self, reach_m: float, step_m: float) -> Float64:
         """Return points (K, 2) of the route from the place beside the ego on, in the world."""

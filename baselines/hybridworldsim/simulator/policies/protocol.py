@@ -40,11 +40,13 @@ class ObservationSpec:
         cameras: the cameras, by name.
         vehicle: the ego vehicle.
         step_s: time between observations.
+        seed: seed of the rollout.
     """
 
     cameras: Mapping[str, CameraSpec]
     vehicle: VehicleParameters
     step_s: float
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,7 @@ class Observation:
         ego: the ego in its own frame: x, y and yaw are 0.
         route: (`ROUTE_POINTS`, 2) points of the route every `ROUTE_STEP_M`, from the place beside the ego on, in the
             ego frame.
+        odometry: (3,) x, y and yaw of the ego in its own frame at the start of the rollout.
         privileged: the exact state; None for policies that do not ask for it.
     """
 
@@ -87,6 +90,7 @@ class Observation:
     images: Mapping[str, UInt8]
     ego: EgoState
     route: Float64
+    odometry: Float64
     privileged: PrivilegedState | None = field(default=None, repr=False)
 
 
@@ -122,7 +126,12 @@ class PlannedTrajectory:
         return Trajectory(np.concatenate([[time_s], time_s + times]), np.concatenate([start, world]))
 
 
-Action: TypeAlias = Controls | PlannedTrajectory | None
+@dataclass(frozen=True)
+class NoPlanYet:
+    """The policy has not seen enough yet: the ego follows the recording, or its route at its present speed."""
+
+
+Action: TypeAlias = Controls | PlannedTrajectory | NoPlanYet | None
 """Controls; a trajectory, which the tracker follows until another action comes; None: continue with the last action."""
 
 

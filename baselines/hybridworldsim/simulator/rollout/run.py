@@ -180,7 +180,6 @@ class _Drive:
         self._reporter.start("drive", request.scenario.steps)
         ending = None
         try:
-            runner.reset(simulation.observation_spec(specs))
             while True:
                 append_states(log, request.street, simulation.now)
                 images = self._render()
@@ -189,6 +188,8 @@ class _Drive:
                 if ending is not None:
                     self.ending = ending
                     break
+                if simulation.now.step == 0:
+                    runner.reset(simulation.observation_spec(specs))
                 seen = {name: images[name] for name in request.policy.cameras}
                 action = runner.act(simulation.observe(seen, privileged=request.policy.privileged))
                 try:
@@ -200,9 +201,14 @@ class _Drive:
                     ) from error  # fmt: skip
                 self.actions.append(simulation.controls)
                 self._reporter.advance(1)
-            runner.close()
         except PolicyError as error:
             self.error, self.ending = error, "policy"
+        finally:
+            try:
+                runner.close()
+            except PolicyError as error:
+                # What failed first is the reason.
+                self.error, self.ending = self.error or error, "policy"
 
     def _render(self) -> Mapping[str, UInt8]:
         if self._renderer is None:

@@ -1,0 +1,1 @@
+"""Policies and renderers behind gRPC: wire-compatible with AlpaSim's driver and sensor simulation services."""

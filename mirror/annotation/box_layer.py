@@ -41,6 +41,17 @@ def choose_box_layer(dataset: Dataset, requested: str | None) -> str:
     return requested
 
 
+def with_box_layer(dataset: Dataset, requested: str | None) -> Dataset:
+    """A view that reads the requested layer of boxes, or the only one; the view as it is if there are no boxes.
+
+    Raises:
+        UsageError: there is no such layer, or there are several and none was requested.
+    """
+    if requested is None and not box_layers(dataset):
+        return dataset
+    return dataset.with_layers(boxes=choose_box_layer(dataset, requested))
+
+
 def read_box_layer(dataset: Dataset, layer: str) -> dict[str, list[Detections]]:
     """Read the boxes of a layer by traversal: one entry for each frame, in order of time, also without boxes.
 

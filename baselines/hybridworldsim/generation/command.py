@@ -159,6 +159,8 @@ class Scene:
     """Scene."""
     traversal: Annotated[str | None, help_text(default="the first of the scene", metavar="ID")] = None
     """Traversal that gives boxes, cameras and seeds."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """The layer of boxes: labels of people, or of a version of an annotator."""
     trajectory: Annotated[str | None, help_text(default="the recorded line")] = None
     """Line of the vehicle in the generated frames: lane-shift:METRES, forward:METRES, a traversal, or a file."""
     edit: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="EDIT")] = ()
@@ -276,8 +278,9 @@ def _scene(argv: Sequence[str]) -> int:
     import mirror
     from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
     from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+    from mirror.annotation.box_layer import with_box_layer
 
-    dataset = mirror.open(arguments.dataset)
+    dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
     rollout = ClipRolloutOptions(
         SamplerSettings(steps=arguments.steps), arguments.keep_empty_views, arguments.blend, arguments.seed
     )
@@ -333,7 +336,10 @@ def _write_submission(
     model, size = open_generator(generator, autoencoder), _size(arguments.size)
     plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
     background, identity = open_background(arguments.background, dataset, arguments.appearance, plan.views)
-    inputs = (file_sha256(generator), file_sha256(autoencoder), identity, repr(rollout), arguments.size)
+    inputs = (
+        *(file_sha256(generator), file_sha256(autoencoder), identity, repr(rollout), arguments.size),
+        *(() if dataset.layers.boxes is None else (dataset.layers.boxes,)),
+    )
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
             dataset,

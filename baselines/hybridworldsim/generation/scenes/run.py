@@ -203,6 +203,7 @@ def _inputs(dataset: Dataset, request: SceneRequest, traversal: str, background:
         "autoencoder": file_sha256(request.autoencoder),
         "scene": request.scene,
         "traversal": traversal,
+        "boxes": dataset.layers.boxes,
         "trajectory": request.trajectory,
         "edits": list(request.edits),
         "background": background,

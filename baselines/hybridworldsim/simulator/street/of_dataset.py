@@ -12,6 +12,7 @@ from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
 from hybridworldsim.simulator.street.ground import ground_of_points
 from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
+from mirror.annotation.box_layer import with_box_layer
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.fitted_map import fit_road_map
@@ -25,7 +26,12 @@ _EDGE_M = 5.0
 
 
 def street_of_dataset(
-    dataset: Dataset, *, scene: str | None = None, traversals: Sequence[str] = (), road_map: Path | None = None
+    dataset: Dataset,
+    *,
+    scene: str | None = None,
+    traversals: Sequence[str] = (),
+    road_map: Path | None = None,
+    boxes: str | None = None,
 ) -> Street:
     """Open a scene of a dataset as a street.
 
@@ -34,9 +40,10 @@ def street_of_dataset(
         scene: the scene; None: the dataset has only one.
         traversals: traversals to read; empty: all of the scene.
         road_map: file of the scene's map; None: a map is fitted to the driven lines.
+        boxes: layer of boxes ``source@version``; None: the scene has one at most.
 
     Raises:
-        UsageError: the scene is unknown or has to be named, or the map is of another scene.
+        UsageError: the scene or the layer is unknown or has to be named, or the map is of another scene.
         DatasetError: the scene has no images.
     """
     scenes = dataset.scenes()
@@ -45,6 +52,7 @@ def street_of_dataset(
     chosen = dataset.where(scene=scene or scenes[0])
     if traversals:
         chosen = chosen.where(traversal=traversals)
+    chosen = with_box_layer(chosen, boxes)
     by_traversal: dict[str, list[Frame]] = {}
     for frame in chosen.frames():
         by_traversal.setdefault(frame.traversal_id, []).append(frame)

@@ -12,7 +12,12 @@ from mirror.errors import UsageError
 
 @lru_cache(maxsize=2)
 def open_street(
-    source: str, *, scene: str | None = None, traversals: tuple[str, ...] = (), road_map: Path | None = None
+    source: str,
+    *,
+    scene: str | None = None,
+    traversals: tuple[str, ...] = (),
+    road_map: Path | None = None,
+    boxes: str | None = None,
 ) -> Street:
     """Open a street.
 
@@ -21,18 +26,19 @@ def open_street(
         scene: scene of the dataset; None: it has only one.
         traversals: traversals of the dataset; empty: all of the scene.
         road_map: file of the map; None: exact for a synthetic street, fitted for a dataset.
+        boxes: layer of boxes ``source@version`` of the dataset; None: it has one at most.
 
     Raises:
-        UsageError: there is no such street, scene, traversal or map.
+        UsageError: there is no such street, scene, traversal, map or layer.
         DatasetError: the dataset cannot be read.
     """
     if source.startswith(SCHEME):
         from hybridworldsim.simulator.street.of_synth import open_synthetic_street
 
-        if scene is not None or traversals or road_map is not None:
-            raise UsageError(f"{source} has its own scene, traversal and map", expected="its name alone")
+        if scene is not None or traversals or road_map is not None or boxes is not None:
+            raise UsageError(f"{source} has its own scene, traversal, map and boxes", expected="its name alone")
         return open_synthetic_street(source)
     import mirror
     from hybridworldsim.simulator.street.of_dataset import street_of_dataset
 
-    return street_of_dataset(mirror.open(source), scene=scene, traversals=traversals, road_map=road_map)
+    return street_of_dataset(mirror.open(source), scene=scene, traversals=traversals, road_map=road_map, boxes=boxes)

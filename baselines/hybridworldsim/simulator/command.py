@@ -55,8 +55,6 @@ class Arguments:
     """Scene of the dataset."""
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
     """The layer of boxes that are the recorded road users: labels of people, or of a version of an annotator."""
-    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
-    """The layer of boxes that are the recorded road users: labels of people, or of a version of an annotator."""
     map: Annotated[Path | None, help_text(default="exact, or fitted to the recordings", metavar="FILE")] = None
     """Road map of the scene, as GeoParquet."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None

@@ -268,6 +268,27 @@ def kitti360(root: Path) -> Base:
     return Base("kitti360", path, _roi_around(path, "kitti360"))
 
 
+def ncore(root: Path) -> Base:
+    """One sequence in a file, with boxes."""
+    from tests.recordings.formats.ncore import write_ncore
+
+    path = write_ncore(root / "ncore", [straight_drive().with_cameras(("front_wide",))])
+    (path / "straight.json").unlink()
+    return Base("ncore", path, Roi(scene_id="s", frame="ncore_straight", x_m=8.0, y_m=0.0, radius_m=60.0))
+
+
+def ncore_folders(root: Path) -> Base:
+    """One sequence in three folders of arrays, with their consolidated metadata alone: no other is read."""
+    from tests.recordings.formats.ncore import write_ncore
+
+    drive = straight_drive().with_cameras(("front_wide",))
+    path = write_ncore(root / "ncore", [drive], store_type="directory", groups=True)
+    (path / "straight.json").unlink()
+    for file in (file for name in (".zgroup", ".zattrs", ".zarray") for file in path.rglob(name)):
+        file.unlink()
+    return Base("ncore", path, Roi(scene_id="s", frame="ncore_straight", x_m=8.0, y_m=0.0, radius_m=60.0))
+
+
 def real_boreas(root: Path, real_data: Path) -> Base:
     """20 s of a real sequence, without images."""
     path = root / "boreas-2021-08-05-13-34"
@@ -313,4 +334,6 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "nuplan": nuplan,
     "waymo": waymo,
     "kitti360": kitti360,
+    "ncore": ncore,
+    "ncore_folders": ncore_folders,
 }

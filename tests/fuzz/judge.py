@@ -69,6 +69,12 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
         "camera_calibration/": frozenset({CAMERAS}),
         "lidar_box/": frozenset({OBJECTS}),
     },
+    "ncore": {
+        "straight.ncore4.zarr.itar": ALL,
+        "straight.ncore4.zarr/": frozenset({POSES, CAMERAS}),
+        "straight.ncore4-cameras": frozenset({SHOTS}),
+        "straight.ncore4-labels": frozenset({OBJECTS}),
+    },
 }
 KEYS = {
     POSES: ("timestamp_ns",),
@@ -203,6 +209,7 @@ def pose_files(base: Base) -> list[str]:
         "nuplan": [],
         "waymo": [],
         "kitti360": [],
+        "ncore": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }
     return names[base.reader]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import lzma
 import os
 import re
 from collections.abc import Callable
@@ -294,5 +295,23 @@ def mutate(root: Path, random: Generator) -> tuple[str, Path]:
     file = chosen[int(random.integers(len(chosen)))]
     names = [*MUTATIONS, "put_number", "put_number", "change_columns", "change_type"]
     name = names[int(random.integers(len(names)))]
-    MUTATIONS[name](root, file, random)
+    if file.name.endswith(".cbor.xz") and name in ("put_number", "change_columns", "change_type"):
+        _change_compressed(MUTATIONS[name], root, file, random)
+    else:
+        MUTATIONS[name](root, file, random)
     return name, file
+
+
+def _change_compressed(change: Mutation, root: Path, file: Path, random: Generator) -> None:
+    """Apply a change of a JSON document to one that is stored as compressed CBOR."""
+    import cbor2
+
+    document = file.with_name("document.json")
+    document.write_text(json.dumps(cbor2.loads(lzma.decompress(file.read_bytes()))))
+    change(root, document, random)
+    text = document.read_bytes()
+    document.unlink()
+    try:
+        _replace(file, lzma.compress(cbor2.dumps(json.loads(text))))
+    except (ValueError, RecursionError):
+        _replace(file, lzma.compress(text))

@@ -33,7 +33,7 @@ from mirror.recordings.opening import find_file, read_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
-from mirror.recordings.readers.rotations import REMEDY
+from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.stamps import require_zone
@@ -212,9 +212,7 @@ class Kitti360Recording:
 
         faults.add(~known, "time", error)
         rotation = matrix[:, :, :3]
-        with np.errstate(all="ignore"):
-            off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2), initial=0.0)
-            bad = ~(off < _ROTATION_TOLERANCE) | ~(np.linalg.det(np.nan_to_num(rotation, posinf=0, neginf=0)) > 0.5)
+        bad = is_no_rigid_motion(matrix, _ROTATION_TOLERANCE)
         faults.add(bad, "rotation", error)
         frd = quaternion_from_matrix(np.where(bad[:, None, None], np.eye(3), rotation))
         flu = quaternion_multiply(frd, quaternion_inverse(FLU_FROM_FRD))

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Float64
+from mirror.arrays import Bool, Float64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_normalise
@@ -18,6 +18,25 @@ from mirror.recordings.row_faults import RowFaults
 _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 _EXPECTED: Final = "a unit quaternion, scalar first"
 REMEDY: Final = "download the file again"
+
+
+def is_no_rigid_motion(matrix: Float64, tolerance: float = 1e-3) -> Bool:
+    """Mark matrices that are no rigid motion.
+
+    Args:
+        matrix: (N, 4, 4) or (N, 3, 4).
+        tolerance: largest deviation of an element of ``R^T R`` from the identity.
+
+    Returns:
+        (N,) True where the rotation is none, a bottom row is not 0 0 0 1, or a translation is beyond 10^9 m.
+    """
+    with np.errstate(all="ignore"):
+        rotation = matrix[:, :3, :3]
+        off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        good = (off < tolerance) & (np.linalg.det(np.nan_to_num(rotation, posinf=0.0, neginf=0.0)) > 0.5)
+        good &= (np.abs(matrix[:, :3, 3]) < 1e9).all(axis=1)
+        good &= (matrix[:, 3:] == (0.0, 0.0, 0.0, 1.0)).all(axis=(1, 2))
+    return ~good
 
 
 def mark_rotations(quaternion: Float64, *, file: Path, place: Callable[[int], str]) -> tuple[RowFaults, Float64]:

@@ -34,7 +34,7 @@ from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_parquet
 from mirror.recordings.readers.collection import choose_drive
-from mirror.recordings.readers.rotations import REMEDY, require_poses
+from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import ns_from_seconds
@@ -247,7 +247,7 @@ class WaymoRecording:
             matrices.append(_matrices(rows.column(f"{_IMAGE}pose.transform")))
             good_stamp = np.concatenate([good_stamp, good])
         matrix, stamp = np.concatenate(matrices), np.concatenate(stamps)
-        bad = _is_no_pose(matrix)
+        bad = is_no_rigid_motion(matrix)
         unit = np.where(bad[:, None, None], np.eye(4), matrix)
         count = table.num_rows
 
@@ -278,7 +278,7 @@ class WaymoRecording:
             file = self._require(_CALIBRATIONS)
             table = read_parquet(file, _LENS_SCHEMA)
             matrices = _matrices(table.column(f"{_LENS}extrinsic.transform"))
-            bad = _is_no_pose(matrices)
+            bad = is_no_rigid_motion(matrices)
             for row, values in enumerate(table.drop_columns([f"{_LENS}extrinsic.transform"]).to_pylist()):
                 if values[_CAMERA] not in self._streams:
                     continue
@@ -414,13 +414,3 @@ def _matrices(column: pa.ChunkedArray) -> Float64:
     """(N, 4, 4) matrices of a column of 16 numbers."""
     parts = [np.asarray(chunk.flatten(), np.float64) for chunk in column.chunks]
     return (np.concatenate(parts) if parts else np.empty(0)).reshape(-1, 4, 4)
-
-
-def _is_no_pose(matrix: Float64) -> Any:
-    """(N,) True where a 4x4 matrix is not a rigid motion, within a thousandth."""
-    with np.errstate(all="ignore"):
-        rotation = matrix[:, :3, :3]
-        off = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        good = (off < 1e-3) & (np.linalg.det(np.nan_to_num(rotation, posinf=0.0, neginf=0.0)) > 0.5)
-        good &= (np.abs(matrix[:, :3, 3]) < 1e9).all(axis=1) & (matrix[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-    return ~good

@@ -91,8 +91,9 @@ def _mean_weights(parts: tuple[tuple[str, str], ...], averaging: tuple[str, ...]
     for name in reversed(averaging):
         keys = [f"{parent} {part[name != 'traversal']}" for parent, part in zip(parents, parts)]
         children = np.unique(keys, return_inverse=True)[1]
-        for parent in np.unique(parents):
-            weights[parents == parent] /= len(np.unique(children[parents == parent]))
+        # The number of different children of each parent. (Without an inverse, `np.unique` imports masked arrays.)
+        families = dict.fromkeys(zip(parents.tolist(), children.tolist()))
+        weights /= np.bincount([parent for parent, _ in families])[parents]
         parents = children
     weights = np.asarray(weights / np.bincount(parents)[parents])
     weights.flags.writeable = False
@@ -114,8 +115,16 @@ def linearise_mean(values: Float64, weights: Float64) -> Float64:
 
 def assign_blocks(protocol: Protocol, views: Sequence[RenderView]) -> Int64:
     """Assign each view to a block of consecutive frames, which is resampled as a unit: block ids (N,)."""
-    traversals, frames = [view.traversal_id for view in views], [view.frame_index for view in views]
-    return frame_blocks(traversals, frames, protocol.intervals.block_frames)
+    frames = tuple((view.traversal_id, view.frame_index) for view in views)
+    return _assign_blocks(frames, protocol.intervals.block_frames)
+
+
+@lru_cache(_CACHED)
+def _assign_blocks(frames: tuple[tuple[str, int], ...], length: int) -> Int64:
+    """Blocks of images by their traversals and frames; the metrics of a group share them."""
+    blocks = frame_blocks([traversal for traversal, _ in frames], [frame for _, frame in frames], length)
+    blocks.flags.writeable = False
+    return blocks
 
 
 def weighted_interval(
@@ -126,8 +135,10 @@ def weighted_interval(
     spread = linearise_mean(values, weights)
     options = protocol.intervals
     blocks = assign_blocks(protocol, views)
-    if len(np.unique(blocks)) < MIN_BLOCKS:
-        return mean, Interval(mean, math.nan, math.nan, len(values), 0, len(np.unique(blocks)), TOO_FEW_BLOCKS)
+    # Blocks are counted from 0, without a gap.
+    n_blocks = int(blocks.max()) + 1
+    if n_blocks < MIN_BLOCKS:
+        return mean, Interval(mean, math.nan, math.nan, len(values), 0, n_blocks, TOO_FEW_BLOCKS)
     interval = mean_interval(spread, blocks, confidence=options.level, resamples=options.resamples, seed=options.seed)
     return mean, interval
 

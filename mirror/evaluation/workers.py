@@ -22,6 +22,7 @@ from mirror.schema.files import unwritable_error
 from mirror.version import __version__
 
 _CHUNK: Final = 8
+_COMMON: Final = "key of all jobs"
 
 
 @dataclass(frozen=True)
@@ -129,22 +130,32 @@ def score_jobs(
 
 def job_key(job: Job, inputs: ScoringInputs) -> str:
     """Hash everything that affects the values of a job."""
-    protocol = inputs.protocol
     parts = [
-        __version__,
-        protocol.hash,
-        load_scorer(protocol.task).version,
-        inputs.extractor,
-        sorted(inputs.unavailable),
-        inputs.stand_ins,
-        inputs.fitted_part is not None,
-        sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
+        _common_key(inputs),
         [view.model_dump_json() for view in job.views],
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
         [inputs.hashes.get(path) for path in job.reads],
         [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _common_key(inputs: ScoringInputs) -> object:
+    """Hash what affects the values of all jobs, once for all jobs of this process."""
+    if _COMMON not in inputs.made:
+        protocol = inputs.protocol
+        parts = [
+            __version__,
+            protocol.hash,
+            load_scorer(protocol.task).version,
+            inputs.extractor,
+            sorted(inputs.unavailable),
+            inputs.stand_ins,
+            inputs.fitted_part is not None,
+            sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
+        ]
+        inputs.made[_COMMON] = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return inputs.made[_COMMON]
 
 
 def _run(jobs: Sequence[Job], inputs: ScoringInputs, workers: int) -> Generator[list[_JobOutcome], None, None]:

@@ -1,4 +1,7 @@
-"""Decoding JPEG and PNG images, one by one or several in parallel."""
+"""Decoding JPEG and PNG images, one by one or several in parallel.
+
+OpenCV is imported by the first decoding: most verbs open a dataset and decode nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 
-import cv2
 import numpy as np
 
 from mirror.arrays import UInt8
@@ -17,6 +19,8 @@ from mirror.recordings.raster import has_end_marker
 
 def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
     """Decode a JPEG or PNG to pixels (H, W, 3), RGB, ignoring its EXIF orientation; None: broken or cut short."""
+    import cv2
+
     if not data or not has_end_marker(data, codec):
         return None
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
@@ -26,12 +30,16 @@ def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
 
 def decode_grey(data: bytes) -> UInt8 | None:
     """Decode a one-channel PNG to pixels (H, W); None: broken."""
+    import cv2
+
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     return None if pixels is None else np.asarray(pixels, np.uint8)
 
 
 def split_planes(pixels: UInt8, planes: UInt8) -> None:
     """Copy the channels of pixels (H, W, 3) into contiguous planes (3, H, W)."""
+    import cv2
+
     cv2.mixChannels([pixels], [planes[0], planes[1], planes[2]], [0, 0, 1, 1, 2, 2])
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-import cv2
 import numpy as np
 
 from mirror.arrays import AnyArray, Float32
@@ -25,6 +24,8 @@ def encode_depth(depth_m: AnyArray) -> bytes:
     Raises:
         UsageError: the array is not (H, W), or a depth is outside `NEAREST_M` to `FARTHEST_M`.
     """
+    import cv2
+
     depth = np.asarray(depth_m, np.float64)
     known = ~np.isnan(depth)
     if depth.ndim != 2 or not depth.size:
@@ -42,6 +43,8 @@ def encode_depth(depth_m: AnyArray) -> bytes:
 
 def decode_depth(data: bytes) -> Float32 | None:
     """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: no 16-bit PNG, or broken."""
+    import cv2
+
     steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
         return None

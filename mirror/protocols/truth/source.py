@@ -15,8 +15,6 @@ from mirror.dataset.image import Image
 from mirror.errors import DatasetError
 from mirror.protocols.document import Protocol
 from mirror.protocols.png import RenderError, decode_render
-from mirror.protocols.truth.raster import cached_raster
-from mirror.protocols.truth.scored import compute_scored_mask
 from mirror.protocols.views.view import RenderView
 
 _OPEN_TRAVERSALS: Final = 16
@@ -55,16 +53,23 @@ class GroundTruth:
                 raise DatasetError(
                     f"the true image is damaged ({error.problem})", file=self._hidden / view.path, place="--hidden"
                 ) from error
+        # Imported late, as below: OpenCV would take a tenth of the time of a run that finds every image scored.
+        from mirror.protocols.truth.raster import cached_raster
+
         _, image = self.recorded_frame_and_image(view)
         return cached_raster(image.camera_model, self._protocol.pixels).to_final(image.decode())
 
     def scored_mask(self, view: RenderView) -> Bool:
         """Compute the mask (H, W) of scored pixels; see `compute_scored_mask`."""
+        from mirror.protocols.truth.scored import compute_scored_mask
+
         frame, image = self.recorded_frame_and_image(view)
         return compute_scored_mask(self._protocol, view, frame, image, self._layers.get(view.traversal_id, ()))
 
     def outside_lens(self, view: RenderView) -> Bool:
         """Compute the mask (H, W) of pixels outside the lens's field of view, which are black in `image`."""
+        from mirror.protocols.truth.raster import cached_raster
+
         _, image = self.recorded_frame_and_image(view)
         return cached_raster(image.camera_model, self._protocol.pixels).outside_lens
 

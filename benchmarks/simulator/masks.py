@@ -61,7 +61,7 @@ def measure_masks(street: Street, model: OpenModel, places: int, width_px: int, 
         instant = composed.layer.at(snapshot)
         for name in cameras:
             pose = ego_pose(street, snapshot) @ cameras[name].ego_SE3_camera
-            alone = composed.layer.draw(instant, name, pose)
+            alone = composed.layer.draw(instant, cameras[name].camera, pose)
             true, ours = exact.agent_masks()[name], composed.agent_masks()[name]
             for number in range(len(snapshot.agents)):
                 seen = true == number

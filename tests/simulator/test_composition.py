@@ -99,10 +99,10 @@ def test_agents_are_drawn_within_their_boxes() -> None:
     snapshot = Snapshot(0, 0.0, 0, street.vehicle, ego, (agent,), states, {})
     cameras = rig_cameras(street, ("front_wide", "rear"), 192)
     condition = Condition(instant_of("2025-06-21", "day", 0.0, 45.0), "day", "clear")
-    layer = AgentLayer(street, condition, (agent,), cameras)
+    layer = AgentLayer(street, condition, (agent,))
     instant = layer.at(snapshot)
     pose = ego_pose(street, snapshot) @ cameras["front_wide"].ego_SE3_camera
-    drawn = layer.draw(instant, "front_wide", pose)
+    drawn = layer.draw(instant, cameras["front_wide"].camera, pose)
     assert drawn is not None
     v, u = np.nonzero(drawn.alpha > 0.5)
     world_SE3_box = street.ground.place(62.0, 1.0, 0.4, 2.7, 1.4).world_SE3_body()
@@ -116,7 +116,7 @@ def test_agents_are_drawn_within_their_boxes() -> None:
     assert (drawn.number[drawn.alpha > 0.5] == 0).all()
     assert drawn.rgb[drawn.alpha > 0.5].std() > 5.0
     behind = ego_pose(street, snapshot) @ cameras["rear"].ego_SE3_camera
-    assert layer.draw(instant, "rear", behind) is None
+    assert layer.draw(instant, cameras["rear"].camera, behind) is None
 
 
 def test_a_body_is_chosen_by_category_and_size() -> None:

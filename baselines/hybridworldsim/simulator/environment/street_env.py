@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from hybridworldsim.simulator.ego.vehicle import Controls, VehicleParameters, curvature_of
 from hybridworldsim.simulator.policies.protocol import ROUTE_POINTS, Action, CameraSpec, Observation, PlannedTrajectory
-from hybridworldsim.simulator.renderers.protocol import CameraRenderer, rig_cameras
+from hybridworldsim.simulator.renderers.protocol import Renderer, rig_cameras
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
@@ -90,7 +90,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self.action_space = _action_space(action, self._street.vehicle)
         self.observation_space = _observation_space(self._cameras, self._street.vehicle)
         self._simulation: Simulation | None = None
-        self._renderer: CameraRenderer | None = None
+        self._renderer: Renderer | None = None
         self._images: dict[str, UInt8] = {}
         self._progress_m = 0.0
 

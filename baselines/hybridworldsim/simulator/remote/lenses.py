@@ -176,16 +176,14 @@ def _fit(x: Float64, y: Float64, to_pixels: Callable[[Float64, Float64], Float64
     for degree in _DEGREES:
         powers = (x[:, None] / scale) ** np.arange(1, degree + 1)
         weights = np.ones(len(x))
-        numbers: Float64 = np.zeros(degree)
         for _ in range(8):
             # Weights that follow the error bring the solution near the least greatest error (Lawson, 1961).
-            numbers = np.linalg.lstsq(powers * np.sqrt(weights)[:, None], y * np.sqrt(weights), rcond=None)[0]
+            root = np.sqrt(weights)
+            numbers = np.asarray(np.linalg.lstsq(powers * root[:, None], y * root, rcond=None)[0], np.float64)
             error = np.abs(to_pixels(powers @ numbers - y, x))
             if error.max() < least:
-                best, least = (
-                    np.concatenate([[0.0], numbers / scale ** np.arange(1.0, degree + 1.0)]),
-                    float(error.max()),
-                )
+                least = float(error.max())
+                best = np.concatenate([np.zeros(1), numbers / scale ** np.arange(1, degree + 1)])
             weights *= error + 1e-3 * error.max() + 1e-300
             weights /= weights.max()
         if least <= 0.5 * FIT_PX:

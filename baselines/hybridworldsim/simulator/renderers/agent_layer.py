@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,19 +11,18 @@ import numpy as np
 import numpy.typing as npt
 
 from hybridworldsim.simulator.agents.states import Agent
-from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.protocol import LiveUsers
+from hybridworldsim.simulator.renderers.protocol import LiveUsers, lens_of
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.geometry.cameras import Camera
 from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition, Effects
 from mirror.synth.model import Model
 from mirror.synth.render.coverage import SKY
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
-from mirror.synth.render.lens import make_lens
 from mirror.synth.render.scene import Instant, Scene
 from mirror.synth.render.view import rasterize_view
 from mirror.synth.roads.markings import MARK
@@ -56,25 +55,21 @@ class AgentLayer:
         street: the street.
         condition: light and weather.
         agents: the agents.
-        cameras: the cameras, by name; pinholes.
     """
 
-    def __init__(
-        self, street: Street, condition: Condition, agents: Sequence[Agent], cameras: Mapping[str, CameraSpec]
-    ) -> None:
+    def __init__(self, street: Street, condition: Condition, agents: Sequence[Agent]) -> None:
         self._live = LiveUsers(agents, street.ground)
         lit = replace(condition, effects=_EFFECTS)
         self._scene = Scene(_EmptyPlace(street), lit, self._live.users, Model.empty())
-        self._lenses = {name: make_lens(spec.camera) for name, spec in cameras.items()}
 
     def at(self, snapshot: Snapshot) -> Instant:
         """Return the agents at an instant, for all cameras."""
         self._live.update(snapshot)
         return self._scene.around(snapshot.time_s, np.array([snapshot.ego.x_m, snapshot.ego.y_m, 0.0]))
 
-    def draw(self, instant: Instant, camera: str, world_SE3_camera: Poses) -> AgentImage | None:
-        """Draw the agents that a camera sees; None: there is none."""
-        lens = self._lenses[camera]
+    def draw(self, instant: Instant, camera: Camera, world_SE3_camera: Poses) -> AgentImage | None:
+        """Draw the agents that a pinhole sees; None: there is none."""
+        lens = lens_of(camera)
         rotation = matrix_from_quaternion(world_SE3_camera.rotation)[0]
         view = rasterize_view(instant.surroundings, lens, rotation, world_SE3_camera.translation[0])
         # What lies behind an agent is not part of it: fragments of the sky are left out of its colour.

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.protocol import ego_pose
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float64, UInt8
@@ -32,7 +32,7 @@ _OTHER: Final = (90, 90, 90)
 _EDGES: Final = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 
 
-class BoxesRenderer:
+class BoxesRenderer(Renderer):
     """Draws wireframes.
 
     Args:
@@ -43,29 +43,19 @@ class BoxesRenderer:
     name = "boxes"
 
     def __init__(self, street: Street, cameras: Mapping[str, CameraSpec]) -> None:
-        self.rendered = 0
-        self._street, self._cameras = street, cameras
+        super().__init__(street, cameras)
         lanes = [_segments(lane.center_m) for lane in street.road_map.lanes_of()]
         self._lanes = np.concatenate([np.zeros((0, 2, 3)), *lanes])
         rings = [_on_ground(street, np.vstack([ring, ring[:1]])) for ring in street.road_map.drivable_rings]
         self._edges = np.concatenate([np.zeros((0, 2, 3)), *(_segments(ring) for ring in rings)])
 
-    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
-        """See `CameraRenderer.render`."""
-        if not cameras:
-            return {}
-        world_SE3_ego = ego_pose(self._street, snapshot)
+    def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
         boxes = [
             (self._wireframe(snapshot, number), COLOURS.get(agent.category, _OTHER))
             for number, agent in enumerate(snapshot.agents)
             if snapshot.states.present[number]
         ]
-        images = {}
-        for name in cameras:
-            spec = self._cameras[name]
-            images[name] = self._draw(spec, world_SE3_ego @ spec.ego_SE3_camera, boxes)
-            self.rendered += 1
-        return images
+        return {view.name: self._draw(view.camera, view.world_SE3_camera, boxes) for view in views}
 
     def _wireframe(self, snapshot: Snapshot, number: int) -> Float64:
         """Edges (12, 2, 3) of the box of an agent."""
@@ -79,9 +69,8 @@ class BoxesRenderer:
         return world[np.array(_EDGES)]
 
     def _draw(
-        self, spec: CameraSpec, world_SE3_camera: Poses, boxes: Sequence[tuple[Float64, tuple[int, int, int]]]
+        self, camera: Camera, world_SE3_camera: Poses, boxes: Sequence[tuple[Float64, tuple[int, int, int]]]
     ) -> UInt8:
-        camera = spec.camera
         rotation = world_SE3_camera.matrix()[0, :3, :3]
         rows = np.arange(camera.height_px)[:, None] + 0.5
         columns = np.arange(camera.width_px)[None, :] + 0.5

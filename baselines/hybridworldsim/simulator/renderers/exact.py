@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose
+from hybridworldsim.simulator.renderers.protocol import CameraView, LiveUsers, Renderer, ego_pose, lens_of
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Int32, UInt8
@@ -20,7 +20,7 @@ from mirror.synth.light.sun import instant_of
 _NOISE_SEEDS = 1 << 31
 
 
-class ExactRenderer:
+class ExactRenderer(Renderer):
     """Renders the synthetic street. One scene serves the whole rollout; its road users read the live states.
 
     Args:
@@ -39,7 +39,6 @@ class ExactRenderer:
     def __init__(
         self, street: Street, scenario: Scenario, start: Snapshot, cameras: Mapping[str, CameraSpec], seed: int
     ) -> None:
-        from mirror.synth.render.lens import make_lens
         from mirror.synth.render.scene import Scene
 
         if street.drive is None:
@@ -48,30 +47,25 @@ class ExactRenderer:
                 expected="a synthetic street: synth:PRESET[:SEED[:DRIVE]]",
                 remedy="use the renderer boxes or reconstructed",
             )  # fmt: skip
-        self.rendered = 0
-        self._street, self._cameras, self._seed = street, cameras, seed
+        super().__init__(street, cameras)
+        self._seed = seed
         self._live = LiveUsers(start.agents, street.ground)
         condition = condition_of(street, scenario)
         drive = street.drive
         self._scene = Scene(drive.world, condition, self._live.users, drive.ego_model, clock_s=street.clock_s)
-        self._lenses = {name: make_lens(spec.camera) for name, spec in cameras.items()}
         self._masks: dict[str, Int32] = {}
 
-    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
-        """See `CameraRenderer.render`."""
-        if not cameras:
-            return {}
+    def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
         self._live.update(snapshot)
-        world_SE3_ego = ego_pose(self._street, snapshot)
-        instant = self._scene.at(snapshot.time_s, world_SE3_ego)
+        instant = self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot))
         images: dict[str, UInt8] = {}
-        for number, name in enumerate(cameras):
-            pose = world_SE3_ego @ self._cameras[name].ego_SE3_camera
+        for number, view in enumerate(views):
             noise = np.random.SeedSequence([self._seed, number, snapshot.step]).generate_state(1, np.uint64)[0]
-            rendered = self._scene.render(instant, self._lenses[name], pose, seed=int(noise % _NOISE_SEEDS))
-            images[name] = np.ascontiguousarray(rendered.bgr[..., ::-1])
-            self._masks[name] = rendered.view.object
-            self.rendered += 1
+            rendered = self._scene.render(
+                instant, lens_of(view.camera), view.world_SE3_camera, seed=int(noise % _NOISE_SEEDS)
+            )
+            images[view.name] = np.ascontiguousarray(rendered.bgr[..., ::-1])
+            self._masks[view.name] = rendered.view.object
         return images
 
     def agent_masks(self) -> Mapping[str, Int32]:

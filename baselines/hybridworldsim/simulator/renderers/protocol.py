@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,15 +19,37 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
-from mirror.geometry.cameras import undistorted
+from mirror.geometry.cameras import Camera, undistorted
 from mirror.synth.road_users.body import Body, Placement, RoadUser
+
+if TYPE_CHECKING:
+    from mirror.synth.render.lens import Lens
 
 _BASE_SHARE: Final = 0.6
 _TRACK_SHARE: Final = 0.8
 
 
-class CameraRenderer(Protocol):
-    """Renders the cameras of the ego vehicle.
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """A camera at a place.
+
+    Attributes:
+        name: its name.
+        camera: lens and raster; a pinhole.
+        world_SE3_camera: where it is.
+    """
+
+    name: str
+    camera: Camera
+    world_SE3_camera: Poses
+
+
+class Renderer(ABC):
+    """Renders the street with its agents.
+
+    Args:
+        street: the street.
+        cameras: the cameras of the ego vehicle, by name; pinholes.
 
     Attributes:
         name: name of the renderer.
@@ -33,11 +57,29 @@ class CameraRenderer(Protocol):
     """
 
     name: str
-    rendered: int
+
+    def __init__(self, street: Street, cameras: Mapping[str, CameraSpec]) -> None:
+        self.rendered = 0
+        self._street, self._cameras = street, cameras
 
     def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
-        """Render images (H, W, 3), RGB, of some cameras, all at one instant."""
-        ...
+        """Render images (H, W, 3), RGB, of some cameras of the ego vehicle, all at one instant."""
+        if not cameras:
+            return {}
+        world_SE3_ego = ego_pose(self._street, snapshot)
+        specs = {name: self._cameras[name] for name in cameras}
+        return self.render_views(
+            snapshot,
+            [CameraView(name, spec.camera, world_SE3_ego @ spec.ego_SE3_camera) for name, spec in specs.items()],
+        )
+
+    def render_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
+        """Render images (H, W, 3), RGB, of cameras anywhere, all at one instant; the names differ."""
+        self.rendered += len(views)
+        return self._draw_views(snapshot, views)
+
+    @abstractmethod
+    def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]: ...
 
 
 def rig_cameras(
@@ -67,6 +109,14 @@ def rig_cameras(
             camera = camera.resized(width_px, height)
         specs[name] = CameraSpec(camera, member.ego_SE3_camera)
     return specs
+
+
+@lru_cache(maxsize=64)
+def lens_of(camera: Camera) -> Lens:
+    """Return the rays of a camera; those of the last cameras are kept."""
+    from mirror.synth.render.lens import make_lens
+
+    return make_lens(camera)
 
 
 def ego_pose(street: Street, snapshot: Snapshot) -> Poses:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,12 +15,12 @@ from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
 from hybridworldsim.simulator.renderers.compositing import add_contact_shadows, compose, free_space
-from hybridworldsim.simulator.renderers.protocol import ego_pose
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.street.street import Recording, Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
-from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.geometry import matrix_from_quaternion
 from mirror.methods.model_document import Reconstruction, read_reconstruction
 from mirror.methods.registry import installed_method
 from mirror.protocols.views.view import RenderView, to_pose_numbers
@@ -116,15 +116,7 @@ class Seconds:
         self._parts = dict.fromkeys(self._parts, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
-    name: str
-    spec: CameraSpec
-    pose: Poses
-    image: dict[str, UInt8] = field(default_factory=dict)
-
-
-class ReconstructedRenderer:
+class ReconstructedRenderer(Renderer):
     """Renders a trained model with agents in it. Cameras are rendered in parallel, on torch's number of threads.
 
     Args:
@@ -133,6 +125,7 @@ class ReconstructedRenderer:
         scenario: its light and weather choose the appearance: that of a trained traversal with both, or with the light.
         start: the state at the start.
         cameras: the cameras, by name; pinholes.
+        appearance: the trained traversal whose appearance the images have; None: it is chosen.
     """
 
     name = "reconstructed"
@@ -144,64 +137,59 @@ class ReconstructedRenderer:
         scenario: Scenario,
         start: Snapshot,
         cameras: Mapping[str, CameraSpec],
+        appearance: str | None = None,
     ) -> None:
-        self.rendered = 0
+        super().__init__(street, cameras)
         self.seconds = Seconds()
-        self._model, self._street, self._cameras = model, street, cameras
-        self._appearance = choose_appearance(model, street, scenario)
+        self._model = model
+        self._appearance = appearance or choose_appearance(model, street, scenario)
         condition = _condition(street, self._appearance, scenario)
-        self.layer = AgentLayer(street, condition, start.agents, cameras)
+        self.layer = AgentLayer(street, condition, start.agents)
         self._free = free_space(street.road_map.drivable_rings, street.middle_m, street.radius_m)
         self._shown: dict[str, Int32] = {}
 
-    def render(self, snapshot: Snapshot, cameras: Sequence[str]) -> Mapping[str, UInt8]:
-        """See `CameraRenderer.render`."""
-        if not cameras:
-            return {}
-        world_SE3_ego = ego_pose(self._street, snapshot)
+    def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:
         begin = time.thread_time()
         instant = self.layer.at(snapshot)
         boxes = _ground_boxes(self._street, snapshot)
         self.seconds.add("agents", begin)
-        jobs = [_Job(name, self._cameras[name], world_SE3_ego @ self._cameras[name].ego_SE3_camera) for name in cameras]
         images: dict[str, UInt8] = {}
 
         def work(number: int) -> None:
-            job = jobs[number]
+            view = views[number]
             clock = time.thread_time()
-            rgb, depth = self._background(job, snapshot)
+            rgb, depth = self._background(view, snapshot)
             clock = self.seconds.add("street", clock)
-            agents = self.layer.draw(instant, job.name, job.pose)
+            agents = self.layer.draw(instant, view.camera, view.world_SE3_camera)
             clock = self.seconds.add("agents", clock)
-            rotation = matrix_from_quaternion(job.pose.rotation)[0]
-            lens = job.spec.camera
+            rotation = matrix_from_quaternion(view.world_SE3_camera.rotation)[0]
+            origin, lens = view.world_SE3_camera.translation[0], view.camera
             numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
-            add_contact_shadows(rgb, depth, numbers, rotation, job.pose.translation[0], boxes)
+            add_contact_shadows(rgb, depth, numbers, rotation, origin, boxes)
             shown: Bool = np.zeros(depth.shape, np.bool_)
             if agents is not None:
-                rgb, shown = compose(rgb, depth, agents, numbers, rotation, job.pose.translation[0], self._free)
-            self._shown[job.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
-            images[job.name] = rgb
+                rgb, shown = compose(rgb, depth, agents, numbers, rotation, origin, self._free)
+            self._shown[view.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
+            images[view.name] = rgb
             self.seconds.add("composition", clock)
 
-        in_parallel(work, len(jobs))
-        self.rendered += len(jobs)
-        return {name: images[name] for name in cameras}
+        in_parallel(work, len(views))
+        return {view.name: images[view.name] for view in views}
 
     def agent_masks(self) -> Mapping[str, Int32]:
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
         return self._shown
 
-    def _background(self, job: _Job, snapshot: Snapshot) -> tuple[UInt8, Float32]:
-        camera = job.spec.camera
+    def _background(self, place: CameraView, snapshot: Snapshot) -> tuple[UInt8, Float32]:
+        camera = place.camera
         recording = self._street.recordings.get(self._appearance)
         view = RenderView(
-            path=f"{job.name}/{snapshot.step}", group="simulation", scene_id=self._street.scene_id,
-            traversal_id=self._appearance, frame_index=snapshot.step, camera=job.name, timestamp_ns=snapshot.stamp_ns,
+            path=f"{place.name}/{snapshot.step}", group="simulation", scene_id=self._street.scene_id,
+            traversal_id=self._appearance, frame_index=snapshot.step, camera=place.name, timestamp_ns=snapshot.stamp_ns,
             light=recording.light if recording else "day", weather=recording.weather if recording else "clear",
             model="pinhole", width_px=camera.width_px, height_px=camera.height_px, fx_px=camera.fx_px,
             fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
-            world_SE3_camera=to_pose_numbers(job.pose),
+            world_SE3_camera=to_pose_numbers(place.world_SE3_camera),
         )  # fmt: skip
         rendering = self._model.renderer.render(view)
         rgb = rendering.rgb.detach().clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()

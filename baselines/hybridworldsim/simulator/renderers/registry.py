@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.renderers.protocol import CameraRenderer
+from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.simulation import Simulation
 from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
+from mirror.schema.scenario import Scenario
 
 RENDERERS: Final = ("boxes", "exact", "reconstructed", "generated")
 
@@ -54,24 +56,40 @@ class RendererFactory:
 
             require_model_of(self._model_path, street)
 
-    def make(self, simulation: Simulation, cameras: Mapping[str, CameraSpec]) -> CameraRenderer:
+    def make(self, simulation: Simulation, cameras: Mapping[str, CameraSpec]) -> Renderer:
         """Make the renderer of a rollout.
 
         Raises:
             UsageError: the renderer does not fit the street.
             DatasetError: the folder holds no complete model.
         """
-        street = simulation.street
+        if self.name == "exact":
+            from hybridworldsim.simulator.renderers.exact import ExactRenderer
+
+            street, scenario = simulation.street, simulation.scenario
+            return ExactRenderer(street, scenario, simulation.now, cameras, simulation.seed)
+        return self.make_at(simulation.street, simulation.scenario, simulation.now, cameras)
+
+    def make_at(
+        self,
+        street: Street,
+        scenario: Scenario,
+        start: Snapshot,
+        cameras: Mapping[str, CameraSpec],
+        appearance: str | None = None,
+    ) -> Renderer:
+        """Make a renderer of views from anywhere: ``boxes`` or ``reconstructed``.
+
+        Raises:
+            UsageError: the renderer does not fit the street.
+            DatasetError: the folder holds no complete model.
+        """
         if self.name == "boxes":
             from hybridworldsim.simulator.renderers.boxes import BoxesRenderer
 
             return BoxesRenderer(street, cameras)
-        if self.name == "exact":
-            from hybridworldsim.simulator.renderers.exact import ExactRenderer
-
-            return ExactRenderer(street, simulation.scenario, simulation.now, cameras, simulation.seed)
         from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 
         if not isinstance(self._model, OpenModel):
             self._model = OpenModel.read(self._model_path or Path(), street)
-        return ReconstructedRenderer(self._model, street, simulation.scenario, simulation.now, cameras)
+        return ReconstructedRenderer(self._model, street, scenario, start, cameras, appearance)

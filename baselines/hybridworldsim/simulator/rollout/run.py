@@ -14,7 +14,7 @@ import numpy as np
 
 from hybridworldsim.simulator.ego.vehicle import Controls
 from hybridworldsim.simulator.policies.protocol import CameraSpec, Policy
-from hybridworldsim.simulator.renderers.protocol import CameraRenderer
+from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, write_actions
 from hybridworldsim.simulator.rollout.deadline import PolicyError, PolicyRunner
@@ -163,7 +163,7 @@ class _Drive:
         self,
         request: RolloutRequest,
         simulation: Simulation,
-        renderer: CameraRenderer | None,
+        renderer: Renderer | None,
         cameras: Sequence[str],
         reporter: ProgressReporter,
     ) -> None:

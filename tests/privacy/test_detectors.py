@@ -18,7 +18,7 @@ from mirror.errors import UsageError
 from mirror.privacy.detectors.boxes import detect_in_tiles, overlaps, suppress, tiles, to_regions
 from mirror.privacy.detectors.egoblur import EgoBlur, register_operators, roi_align
 from mirror.privacy.detectors.faces import YuNet
-from mirror.privacy.detectors.plates import find_agreed, make_anchors
+from mirror.privacy.detectors.plates import find_agreed, find_shaped, make_anchors
 from mirror.privacy.detectors.protocol import DetectorOptions
 from mirror.privacy.detectors.registry import installed_detectors, parse_choice, require_coverage
 from mirror.privacy.detectors.sessions import DetectorError
@@ -179,3 +179,12 @@ def test_likely_plates_need_boxes_that_agree() -> None:
     boxes, scores = np.concatenate([near, far]), np.array([0.2, 0.15, 0.06, 0.12, 0.2, 0.4])
     assert find_agreed(boxes, scores).tolist() == [True, True, False, True, False, True]
     assert find_agreed(np.zeros((0, 4)), np.zeros(0)).tolist() == []
+
+
+def test_boxes_without_the_shape_of_a_plate_are_left_out() -> None:
+    # Width and height of a Chinese plate, one with two rows, an upright box, a shop sign and a house front.
+    sizes = np.array([[140.0, 45.0], [140.0, 70.0], [60.0, 55.0], [200.0, 50.0], [140.0, 90.0]])
+    boxes = np.concatenate([np.full((5, 2), 7.0), 7.0 + sizes], axis=1)
+    assert find_shaped(boxes, 960).tolist() == [True, True, False, False, False]
+    assert find_shaped(2.0 * boxes, 1920).tolist() == find_shaped(boxes, 960).tolist()
+    assert find_shaped(np.zeros((0, 4)), 960).tolist() == []

@@ -25,6 +25,8 @@ _AGREEING: Final = 4
 _AGREEMENT: Final = 0.4
 _WIDEST: Final = 0.15
 """Share of the image's width: wider boxes were windscreens and shop signs."""
+_TALLEST: Final = 0.5 * _WIDEST
+"""Share of the image's width: plates of two rows are half as high as wide. Taller boxes were on house fronts."""
 _STRIDES: Final = (8, 16, 32)
 _ANCHORS_PX: Final = ((24, 48), (96, 192), (384, 768))
 _MEAN_BGR: Final = (104.0, 117.0, 123.0)
@@ -66,9 +68,8 @@ class ChinesePlates:
             boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
         agreed = find_agreed(boxes, scores)
         boxes, scores = boxes[agreed], scores[agreed]
-        width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
-        likely = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * image.shape[1])
-        boxes, scores = boxes[likely], scores[likely]
+        shaped = find_shaped(boxes, image.shape[1])
+        boxes, scores = boxes[shaped], scores[shaped]
         kept = suppress(boxes, scores, 0.5)
         return to_regions(boxes[kept], scores[kept], self.kind, self.name, (image.shape[1], image.shape[0]))
 
@@ -95,6 +96,13 @@ def find_agreed(boxes: Float64, scores: Float64) -> Bool:
     count = (overlaps(boxes, boxes) > _AGREEMENT).sum(axis=1)
     kept: Bool = (scores > _SURE) | ((count >= _AGREEING) & (scores > _LIKELY))
     return kept
+
+
+def find_shaped(boxes: Float64, width_px: int) -> Bool:
+    """Which of N boxes have the shape and the size of a plate in an image of this width."""
+    width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
+    shaped: Bool = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * width_px) & (height <= _TALLEST * width_px)
+    return shaped
 
 
 def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:

@@ -317,6 +317,24 @@ def test_footnotes_stand_once(tmp_path: Path) -> None:
         for method, dataset in (("a", "one"), ("b", "one"), ("c", "two"))
     ]
     text = build_site(entries, [], tmp_path / "site").read_text()
-    notes = re.findall(r"<li>(?!<)(.*?)</li>", text)
+    notes = re.findall(r'<li value="(\d+)">(.*?)</li>', text)
     equal = "PSNR: 1 equal to the truth (infinite, left out of the mean)"
-    assert notes == [none, "PSNR: 2 grey", equal, "PSNR inv.: 2 grey"]
+    assert notes == [(str(k + 1), note) for k, note in enumerate((none, "PSNR: 2 grey", equal, "PSNR inv.: 2 grey"))]
+
+
+def test_footnotes_of_a_tab_stand_below_its_table(browser: Browser, tmp_path: Path) -> None:
+    notes = {"one": ("shared", "first"), "two": ("shared", "second")}
+    entries = [measured("a", 20.0, pairs=(), notes=notes[dataset], dataset=dataset) for dataset in notes]
+    browser.open(build_site(entries, [], tmp_path / "site"))
+    section = "document.querySelector('#static-reconstruction')"
+    shown = f"[...{section}.querySelectorAll('.notes li')].filter(note => !note.hidden).map(note => note.textContent)"
+    table_above = f"{section}.querySelector('.panel:not([hidden]) > .scroll + .notes') !== null"
+    numbers = f"{section}.querySelector('.panel:not([hidden]) th sup').textContent"
+    for place, dataset in enumerate(notes):
+        browser.script(f"{section}.querySelectorAll('[role=tab]')[{place}].click()")
+        assert browser.script(table_above)
+        written = browser.script(shown)
+        assert set(notes[dataset]) <= set(written)
+        assert not (set(notes["one"]) ^ set(notes["two"])) - set(notes[dataset]) & set(written)
+        values = f"[...{section}.querySelectorAll('.notes li')].filter(note => !note.hidden).map(note => note.value)"
+        assert {int(number) for number in browser.script(numbers).split(",")} <= set(browser.script(values))

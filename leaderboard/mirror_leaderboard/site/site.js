@@ -1,7 +1,14 @@
 "use strict";
 for (const tabs of document.querySelectorAll(".tabs")) {
   const panels = [...tabs.querySelectorAll(".panel")];
-  if (panels.length < 2) continue;
+  const notes = tabs.parentElement.querySelector(".notes");
+  const moveNotes = (panel) => {
+    if (notes === null) return;
+    const marks = [...panel.querySelectorAll("table sup")].flatMap((mark) => mark.textContent.split(","));
+    for (const note of notes.children) note.hidden = !marks.includes(String(note.value));
+    panel.insertBefore(notes, panel.querySelector("figure"));
+  };
+  if (panels.length < 2) { moveNotes(panels[0]); continue; }
   const list = document.createElement("div");
   list.setAttribute("role", "tablist");
   list.setAttribute("aria-label", "Datasets");
@@ -18,11 +25,14 @@ for (const tabs of document.querySelectorAll(".tabs")) {
     list.append(button);
     return button;
   });
-  const select = (chosen) => buttons.forEach((button, place) => {
-    button.setAttribute("aria-selected", place === chosen);
-    button.tabIndex = place === chosen ? 0 : -1;
-    panels[place].hidden = place !== chosen;
-  });
+  const select = (chosen) => {
+    buttons.forEach((button, place) => {
+      button.setAttribute("aria-selected", place === chosen);
+      button.tabIndex = place === chosen ? 0 : -1;
+      panels[place].hidden = place !== chosen;
+    });
+    moveNotes(panels[chosen]);
+  };
   buttons.forEach((button, place) => {
     button.addEventListener("click", () => select(place));
     button.addEventListener("keydown", (event) => {

@@ -43,8 +43,12 @@ def board_table(board: Board, notes: dict[str, int]) -> str:
 
 
 def format_notes(notes: dict[str, int]) -> str:
-    """Format the footnotes of a section, each once; empty if there are none."""
-    items = "".join(f"<li>{escape(note)}</li>" for note in notes)
+    """Format the footnotes of a section, each once; empty if there are none.
+
+    Without scripts the list stands below all tables of the section. The script puts it below the shown table, with the
+    footnotes of this table alone, which keep their numbers.
+    """
+    items = "".join(f'<li value="{number}">{escape(note)}</li>' for note, number in notes.items())
     return f'<ol class="notes">{items}</ol>' if notes else ""
 
 

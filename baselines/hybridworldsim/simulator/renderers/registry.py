@@ -9,7 +9,7 @@ from typing import Final
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.simulation import Simulation
-from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.street.street import Recording, Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
@@ -55,6 +55,20 @@ class RendererFactory:
             from hybridworldsim.simulator.renderers.reconstructed import require_model_of
 
             require_model_of(self._model_path, street)
+
+    def recordings_of(self, street: Street) -> dict[str, Recording]:
+        """Return the recordings of a street whose appearance can be rendered, by id.
+
+        Raises:
+            UsageError: the model is of another scene.
+            DatasetError: the folder holds no model.
+        """
+        if self._model_path is None:
+            return dict(street.recordings)
+        from hybridworldsim.simulator.renderers.reconstructed import require_model_of
+
+        _, trained = require_model_of(self._model_path, street)
+        return {name: street.recordings[name] for name in trained}
 
     def make(self, simulation: Simulation, cameras: Mapping[str, CameraSpec]) -> Renderer:
         """Make the renderer of a rollout.

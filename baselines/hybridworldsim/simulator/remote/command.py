@@ -1,0 +1,72 @@
+"""The command line of ``mirror serve``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mirror.command_line import help_text, parse_arguments
+from mirror.errors import UsageError
+
+_EXAMPLES = (
+    "mirror serve demo/block/dataset demo/block/model",
+    "mirror serve synth:tiny --port 50061",
+)
+_LAST_PORT = 65535
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Serve images of a street from any place, to another simulator, until Ctrl-C.
+
+    The service is AlpaSim's SensorsimService: get_version, get_available_scenes, get_available_cameras,
+    get_available_ego_masks, render_rgb and batch_render_rgb. Its scenes are the recorded traversals, its frame is that
+    of the dataset's scene, and its road users are the recorded ones. It listens on this machine only, unless --host
+    says otherwise; it is not encrypted and asks for no password.
+    """
+
+    source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|synth:PRESET")]
+    """Folder or URL of a dataset, or a synthetic street, synth:PRESET[:SEED[:DRIVE]]."""
+    model: Annotated[tyro.conf.Positional[Path | None], help_text(default="none: wireframes", metavar="MODEL")] = None
+    """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
+    scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
+    """Scene of the dataset."""
+    host: str = "127.0.0.1"
+    """Address of the interface; 0.0.0.0 lets other machines connect."""
+    port: int = 50051
+    """Port; 0 takes a free one."""
+    rate: Annotated[float, help_text(metavar="IMAGES")] = 200.0
+    """Greatest number of images in a second; further requests are refused with RESOURCE_EXHAUSTED."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the verb."""
+    arguments = parse_arguments(Arguments, argv, "mirror serve", examples=_EXAMPLES)
+    if not 0 <= arguments.port <= _LAST_PORT:
+        raise UsageError(f"port {arguments.port}", place="--port", expected=f"0 to {_LAST_PORT}")
+    if not 0.0 < arguments.rate <= 1e6:
+        raise UsageError(f"{arguments.rate:g} images", place="--rate", expected="a number above 0, at most 1e6")
+
+    from hybridworldsim.simulator.remote.messages import SENSOR_SERVICE, wire
+    from hybridworldsim.simulator.remote.scenes import open_scenes
+    from hybridworldsim.simulator.remote.server import render_server
+    from hybridworldsim.simulator.remote.service import Limits, SensorService
+    from hybridworldsim.simulator.renderers.registry import RendererFactory
+    from hybridworldsim.simulator.street.opening import open_street
+
+    wire()
+    factory = RendererFactory("boxes" if arguments.model is None else "reconstructed", arguments.model)
+    street = open_street(arguments.source, scene=arguments.scene)
+    factory.require_model_of(street)
+    scenes = open_scenes(street, factory)
+    service = SensorService(scenes, Limits(images_per_s=arguments.rate))
+    with render_server(service, arguments.host, arguments.port) as port:
+        print(f"{SENSOR_SERVICE} at {arguments.host}:{port}; scenes: {', '.join(sorted(scenes))}", flush=True)
+        print("Ctrl-C ends it", flush=True)
+        while True:
+            time.sleep(3600.0)

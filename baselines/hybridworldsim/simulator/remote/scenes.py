@@ -1,0 +1,116 @@
+"""Scenes that are served: a recorded traversal of a street, its agents, and a renderer of views from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+
+from hybridworldsim.simulator.agents.states import Agent, AgentStates
+from hybridworldsim.simulator.ego.vehicle import EgoState
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
+from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import Float32, Float64, UInt8
+from mirror.errors import UsageError
+from mirror.geometry.cameras import Camera, undistorted
+from mirror.schema.scenario import Scenario
+
+_FARTHEST_M: Final = 1e4
+_FINEST: Final = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ServedScene:
+    """A scene that is served.
+
+    Attributes:
+        scene_id: its id: that of the recorded traversal.
+        street: the street.
+        agents: the recorded road users, which requests place by their ids.
+        renderer: draws the views.
+    """
+
+    scene_id: str
+    street: Street
+    agents: tuple[Agent, ...]
+    renderer: Renderer
+
+    def render(self, views: Sequence[CameraView], places: Mapping[str, Float64], stamp_ns: int) -> Mapping[str, UInt8]:
+        """Render views of any lens, at one instant.
+
+        Args:
+            views: the views.
+            places: x, y and yaw (3,) of the middle of agents, by their ids; all other agents are absent.
+            stamp_ns: Unix time.
+
+        Raises:
+            UsageError: an id is unknown, or a lens sees nothing.
+        """
+        rows = {agent.agent_id: row for row, agent in enumerate(self.agents)}
+        states = AgentStates.absent(len(self.agents))
+        for agent_id, (x, y, yaw) in places.items():
+            if agent_id not in rows:
+                raise UsageError(
+                    f"no road user {agent_id!r}", place=f"scene {self.scene_id}",
+                    expected=f"one of its {len(rows)} recorded road users, such as {', '.join(sorted(rows)[:3])}",
+                )  # fmt: skip
+            row = rows[agent_id]
+            states.x_m[row], states.y_m[row], states.yaw_rad[row], states.present[row] = x, y, yaw, True
+        x, y = views[0].world_SE3_camera.translation[0, :2].tolist()
+        ego = EgoState(x, y, 0.0, 0.0)
+        snapshot = Snapshot(0, 0.0, stamp_ns, self.street.vehicle, ego, self.agents, states, {})
+        planes = [replace(view, camera=_plane(view.camera)) for view in views]
+        images = self.renderer.render_views(snapshot, planes)
+        return {view.name: _through_lens(images[view.name], view.camera) for view in views}
+
+
+def open_scenes(street: Street, factory: RendererFactory) -> dict[str, ServedScene]:
+    """Open each recorded traversal of a street as a scene; of a model's street, those that it was trained on.
+
+    Raises:
+        UsageError: the street is so far from the origin of its frame that single precision is too coarse.
+    """
+    if np.hypot(*street.middle_m) > _FARTHEST_M:
+        raise UsageError(
+            f"the street is {np.hypot(*street.middle_m):.0f} m from the origin of its frame",
+            expected=f"at most {_FARTHEST_M:g} m: poses on the wire are in single precision",
+        )
+    scenes = {}
+    for scene_id, recording in factory.recordings_of(street).items():
+        agents = tuple(sorted((track.agent for track in recording.tracks), key=lambda agent: agent.agent_id))
+        states = AgentStates.absent(len(agents))
+        ego = EgoState(*street.middle_m, 0.0, 0.0)
+        start = Snapshot(0, 0.0, recording.start_ns, street.vehicle, ego, agents, states, {})
+        renderer = factory.make_at(street, Scenario(name="serve"), start, {}, scene_id)
+        scenes[scene_id] = ServedScene(scene_id, street, agents, renderer)
+    return scenes
+
+
+@lru_cache(maxsize=64)
+def _plane(camera: Camera) -> Camera:
+    """The pinhole that is rendered for a lens, about as fine in the middle as the lens is."""
+    if camera.model == "pinhole":
+        return camera
+    plane = undistorted(camera)
+    middle = camera.unproject([(camera.cx_px - 0.5, camera.cy_px), (camera.cx_px + 0.5, camera.cy_px)]).direction
+    fine = 1.0 / float(np.linalg.norm(middle[1] - middle[0])) / plane.fx_px
+    return plane.scaled(min(max(fine, 1.0), _FINEST))
+
+
+@lru_cache(maxsize=64)
+def _maps(camera: Camera) -> tuple[Float32, Float32]:
+    return _plane(camera).undistort_maps(camera)
+
+
+def _through_lens(image: UInt8, camera: Camera) -> UInt8:
+    """The image of a lens; what lies farther than 70 degrees from its axis is black."""
+    if camera.model == "pinhole":
+        return image
+    across, down = _maps(camera)
+    return np.asarray(cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)

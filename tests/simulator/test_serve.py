@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -15,11 +15,13 @@ from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.remote.lenses import from_spec, to_spec
 from hybridworldsim.simulator.remote.messages import SENSOR_SERVICE, wire
 from hybridworldsim.simulator.remote.poses import from_pose, to_flat_pose, to_pose
-from hybridworldsim.simulator.remote.scenes import open_scenes
+from hybridworldsim.simulator.remote.scenes import ServedScene, open_scenes
 from hybridworldsim.simulator.remote.server import render_server
 from hybridworldsim.simulator.remote.service import Limits, SensorService
 from hybridworldsim.simulator.renderers.boxes import COLOURS
+from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
+from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -134,14 +136,36 @@ def test_poses_are_taken_in_the_middle_of_the_exposure(client: Client) -> None:
     assert np.mean(np.abs(render(client, request(dynamic_objects=[car])).astype(int) - expected)) < 0.5
 
 
-def test_a_lens_shows_what_a_pinhole_shows_along_the_same_rays(client: Client) -> None:
-    car = [car_at(120.0, 8.0)]
-    bent, plane = (is_car(render(client, request(camera, dynamic_objects=car))) for camera in (WIDE, None))
-    pinhole = Camera("pinhole", 320, 200, 160.0, 160.0, 160.0, 100.0)
-    centres = [np.column_stack(np.nonzero(mask)[::-1]).mean(axis=0) + 0.5 for mask in (bent, plane)]
-    ray = WIDE.unproject([centres[0]]).direction
-    assert np.abs(centres[0] - centres[1]).max() > 5.0
-    assert np.abs(pinhole.project(ray).uv_px[0] - centres[1]).max() < 0.7
+class Sky(Renderer):
+    """Colours are smooth functions of the direction in the world."""
+
+    name = "sky"
+
+    def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> dict[str, np.ndarray]:
+        return {view.name: np.round(sky(view.camera, view.world_SE3_camera)).astype(np.uint8) for view in views}
+
+
+def sky(camera: Camera, pose: Poses) -> np.ndarray:
+    return 127.0 + 120.0 * np.sin(3.0 * (camera.rays().direction @ pose.matrix()[0, :3, :3].T))
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Camera("f_theta", 320, 200, 1.0, 1.0, 160.0, 100.0, (0.0, 150.0, 2.0, -6.0)),
+        Camera("kannala_brandt", 320, 200, 150.0, 152.0, 158.0, 103.0, (0.02, -0.01, 0.002, -0.0003)),
+        Camera("rational", 320, 200, 200.0, 202.0, 158.0, 103.0, (-0.2, 0.03, 1e-3, -1e-3, 0.0, 0.0, 0.0, 0.0)),
+    ],
+    ids=lambda lens: lens.model,
+)
+def test_an_image_of_a_lens_shows_each_direction_where_the_lens_does(lens: Camera) -> None:
+    street = straight_street()
+    scene = ServedScene("sky", street, (), Sky(street, {}))
+    pose = from_pose(sensor_pose(), "")
+    image = scene.render([CameraView("a", lens, pose)], {}, 0)["a"]
+    inside = lens.rays().direction[..., 2] > np.cos(np.radians(68.0))
+    assert inside.mean() > 0.9
+    assert np.abs(image - sky(lens, pose))[inside].max() < 1.2
 
 
 def test_the_resolution_of_the_request_counts(client: Client) -> None:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from tests.export.peers import INPUTS as EXPORTS
 from tests.recordings.formats.peers import INPUTS as RECORDINGS
+from tests.simulator.peers import INPUTS as SIMULATOR
 
-INPUTS = {**RECORDINGS, **EXPORTS}
+INPUTS = {**RECORDINGS, **EXPORTS, **SIMULATOR}
 HERE = Path(__file__).resolve().parent
 BUILD = HERE.parents[1] / "build" / "peers"
 

@@ -20,7 +20,13 @@ _FILE: Final = "messages.binpb"
 
 
 class Messages:
-    """The classes of the messages, as attributes; nested messages and the values of enumerations are theirs."""
+    """The classes of the messages, as attributes; nested messages and the values of enumerations are theirs.
+
+    Attributes:
+        classes: the classes by name.
+        image_formats: numbers of the image formats by name.
+        shutters: numbers of the kinds of shutter by name.
+    """
 
     def __init__(self) -> None:
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -29,20 +35,20 @@ class Messages:
         pool = descriptor_pool.DescriptorPool()
         for file in files.file:
             pool.Add(file)
-        self._classes: dict[str, Any] = {}
+        self.classes: dict[str, Any] = {}
         for file in files.file:
             for message in file.message_type:
                 descriptor = pool.FindMessageTypeByName(f"{file.package}.{message.name}")
-                self._classes[message.name] = message_factory.GetMessageClass(descriptor)
+                self.classes[message.name] = message_factory.GetMessageClass(descriptor)
         enum = pool.FindEnumTypeByName("nre.grpc.protos.sensorsim.ImageFormat")
         self.image_formats: dict[str, int] = {value.name: value.number for value in enum.values}
         shutters = pool.FindEnumTypeByName("nre.grpc.protos.sensorsim.ShutterType")
         self.shutters: dict[str, int] = {value.name: value.number for value in shutters.values}
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name not in self._classes:
+        if name == "classes" or name not in self.classes:
             raise AttributeError(f"there is no message {name!r}")
-        return self._classes[name]
+        return self.classes[name]
 
     def version(self) -> Any:
         """Return the version of this program and of the interface."""

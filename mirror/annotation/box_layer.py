@@ -11,7 +11,8 @@ import pyarrow as pa
 from mirror.annotation.detections import Detections
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
+from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 
 _NUMBERS: Final = (
@@ -82,6 +83,24 @@ def read_box_layer(dataset: Dataset, layer: str) -> dict[str, list[Detections]]:
             stamps[traversal_id].append(stamp)
     of_traversal = np.array(table.column("traversal_id").to_pylist(), object)
     return {name: _frames(table.filter(pa.array(of_traversal == name)), stamps[name]) for name in having}
+
+
+def ego_poses_at(dataset: Dataset, traversal_id: str, frames: Sequence[Detections]) -> Poses:
+    """Poses of the vehicle in the world at the times of frames; a traversal without images has none of them.
+
+    Raises:
+        DatasetError: there are boxes but no images.
+    """
+    if not frames:
+        return Poses.identity(0)
+    with_images = dataset.where(traversal=traversal_id).frames()
+    if not len(with_images):
+        raise DatasetError(
+            "boxes but no images", file=f"traversals/{traversal_id}", expected="boxes at the times of images",
+            remedy="leave this traversal out with where(...)",
+        )  # fmt: skip
+    stamps, poses = with_images[0].track
+    return interpolate(stamps, poses, [frame.timestamp_ns for frame in frames])
 
 
 def _frames(table: pa.Table, stamps: Sequence[int]) -> list[Detections]:

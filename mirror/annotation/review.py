@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mirror.annotation.box_layer import choose_box_layer, read_box_layer
+from mirror.annotation.box_layer import choose_box_layer, ego_poses_at, read_box_layer
 from mirror.annotation.nuscenes import sample_token, to_boxes, write_results
 from mirror.dataset.dataset import Dataset
-from mirror.geometry.interpolation import interpolate
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,10 @@ def export_results(dataset: Dataset, path: Path, layer: str | None = None) -> Ex
     results = {}
     boxes = 0
     for traversal_id, frames in read_box_layer(dataset, layer).items():
-        stamps, poses = dataset.where(traversal=traversal_id).frames()[0].track
-        for frame in frames:
+        poses = ego_poses_at(dataset, traversal_id, frames)
+        for row, frame in enumerate(frames):
             token = sample_token(traversal_id, frame.timestamp_ns)
-            results[token] = to_boxes(frame, token, interpolate(stamps, poses, frame.timestamp_ns))
+            results[token] = to_boxes(frame, token, poses[row])
             boxes += len(frame)
     write_results(path, results, {"mirror_layer": layer, "mirror_poses": dataset.layers.poses})
     return ExportReport(str(path), layer, len(results), boxes)

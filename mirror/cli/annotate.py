@@ -333,6 +333,12 @@ def _track(argv: Sequence[str]) -> int:
             f"{report.detections} boxes became {report.tracks} tracks ({report.stationary} stationary)"
             f" with {report.boxes} boxes"
         )
+    if report.detections and not report.tracks:
+        options = arguments.options
+        print(
+            f"a track has at least {options.min_boxes} boxes (--min-boxes), at most {options.max_gap_s:g} s apart"
+            " (--max-gap-s): are the frames farther apart?"
+        )
     return ExitCode.DONE
 
 

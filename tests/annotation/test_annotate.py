@@ -16,8 +16,10 @@ from mirror.annotation.detections import AnnotationError
 from mirror.annotation.nuscenes import sample_token
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
 from mirror.errors import DatasetError, UsageError
 from tests.annotation.known import Known, truth
+from tests.dataset.builders import Builder, Pass
 
 
 def assert_truth(dataset: Dataset, layer: str) -> None:
@@ -98,6 +100,30 @@ def test_results_of_a_file_come_back_as_exported(
     assert main([*words[:-3], "--source", "broken", "--json"]) == 3
     failed = json.loads(capsys.readouterr().out.splitlines()[-1])["failed"]
     assert [tokens[0] in failed[0]["reason"], "size_m" in failed[1]["reason"]] == [True, True]
+
+
+def test_a_traversal_without_images_has_layers_without_boxes(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    builder = Builder(root, cameras=("front_wide", "rear"))
+    builder.scene("a")
+    builder.drive("poses-only", [Pass("a", frames=0, heading_deg=90.0)])
+    build_index(root)
+    annotate(mirror.open(root), Known())
+    file = tmp_path / "review.json"
+    assert main(["annotate", "track", str(root), "--min-boxes", "2", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert len(report["written"]) == 3 and report["tracks"] == 4
+    assert main(["annotate", "masks", str(root), "--boxes", "known-tracks@1", "--json"]) == 0
+    assert main(["annotate", "export", str(root), "--boxes", "known-tracks@1", "--out", str(file)]) == 0
+    assert len(json.loads(file.read_text())["results"]) == 7
+
+
+def test_frames_too_far_apart_for_tracks_are_explained(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    annotate(mirror.open(root), Known())
+    assert main(["annotate", "track", str(root), "--max-gap-s", "0.01", "--min-boxes", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "became 0 tracks" in out and "at most 0.01 s apart (--max-gap-s)" in out
 
 
 def test_files_that_are_no_results_are_refused(root: Path, tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from mirror.annotation.box_layer import choose_box_layer, read_box_layer
+from mirror.annotation.box_layer import choose_box_layer, ego_poses_at, read_box_layer
 from mirror.annotation.detections import Detections
 from mirror.annotation.run import box_table
 from mirror.annotation.tracking.options import TrackingOptions
@@ -19,8 +19,6 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
-from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.tables import BOXES
 
@@ -93,7 +91,7 @@ def track_layer(
                 for name in own:
                     if name in written:
                         writer = LayerWriter(layout, name, BOXES.name, new_source, version)
-                        boxes = to_frames(tracked[name], frames[name], _poses(dataset, name, frames[name]))
+                        boxes = to_frames(tracked[name], frames[name], ego_poses_at(dataset, name, frames[name]))
                         table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
                         folder = layout.layer(name, BOXES.name, source, own_version)
                         writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
@@ -112,14 +110,9 @@ def _track_scene(
     """Tracks by traversal of one scene."""
     tracks = {}
     for name, detections in frames.items():
-        tracks[name] = find_tracks(detections, _poses(dataset, name, detections), options)
+        tracks[name] = find_tracks(detections, ego_poses_at(dataset, name, detections), options)
         progress.advance(1)
     return merge_stationary(tracks)
-
-
-def _poses(dataset: Dataset, traversal_id: str, frames: Sequence[Detections]) -> Poses:
-    stamps, poses = dataset.where(traversal=traversal_id).frames()[0].track
-    return interpolate(stamps, poses, [frame.timestamp_ns for frame in frames])
 
 
 def _has_layer(layout: Layout, traversal_id: str, source: str, version: str, digest: str) -> bool:

@@ -14,9 +14,11 @@ import mirror
 from mirror.annotation import Detections, annotate, installed_annotator, read_box_layer
 from mirror.annotation.detections import AnnotationError
 from mirror.annotation.nuscenes import sample_token
+from mirror.annotation.tracking.layer import track_layer
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import DatasetError, UsageError
 from tests.annotation.known import Known, truth
 from tests.dataset.builders import Builder, Pass
@@ -117,6 +119,23 @@ def test_a_traversal_without_images_has_layers_without_boxes(
     assert main(["annotate", "masks", str(root), "--boxes", "known-tracks@1", "--json"]) == 0
     assert main(["annotate", "export", str(root), "--boxes", "known-tracks@1", "--out", str(file)]) == 0
     assert len(json.loads(file.read_text())["results"]) == 7
+
+
+def test_interrupted_tracking_continues(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    annotate(mirror.open(root), Known())
+    finish, calls = LayerWriter.finish, []
+
+    def interrupted(self: LayerWriter, *given: object) -> None:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        finish(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(LayerWriter, "finish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        track_layer(mirror.open(root))
+    report = track_layer(mirror.open(root), "known@1")
+    assert (len(report.kept), len(report.written)) == (1, 1)
 
 
 def test_frames_too_far_apart_for_tracks_are_explained(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

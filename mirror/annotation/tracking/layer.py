@@ -83,23 +83,25 @@ def track_layer(
         written = [name for name, exists in names.items() if not exists]
         if written:
             progress.start("tracking, traversals", len(frames))
-            for scene in dataset.scenes():
-                own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
-                if not set(own) & set(written):
-                    continue
-                tracked = _track_scene(dataset, {name: frames[name] for name in own}, options, progress)
-                for name in own:
-                    if name in written:
-                        writer = LayerWriter(layout, name, BOXES.name, new_source, version)
-                        boxes = to_frames(tracked[name], frames[name], ego_poses_at(dataset, name, frames[name]))
-                        table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
-                        folder = layout.layer(name, BOXES.name, source, own_version)
-                        writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
-                        counts["detections"] += sum(map(len, frames[name]))
-                        counts["boxes"] += table.num_rows
-                        counts["tracks"] += len(tracked[name])
-                        counts["stationary"] += sum(item.stationary for item in tracked[name])
-            build_index(layout.root)
+            try:
+                for scene in dataset.scenes():
+                    own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
+                    if not set(own) & set(written):
+                        continue
+                    tracked = _track_scene(dataset, {name: frames[name] for name in own}, options, progress)
+                    for name in own:
+                        if name in written:
+                            writer = LayerWriter(layout, name, BOXES.name, new_source, version)
+                            boxes = to_frames(tracked[name], frames[name], ego_poses_at(dataset, name, frames[name]))
+                            table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
+                            folder = layout.layer(name, BOXES.name, source, own_version)
+                            writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
+                            counts["detections"] += sum(map(len, frames[name]))
+                            counts["boxes"] += table.num_rows
+                            counts["tracks"] += len(tracked[name])
+                            counts["stationary"] += sum(item.stationary for item in tracked[name])
+            finally:
+                build_index(layout.root)
     kept = tuple(name for name, exists in names.items() if exists)
     return TrackingReport(f"{new_source}@{version}", tuple(written), kept, **counts)
 

@@ -17,6 +17,7 @@ import numpy as np
 from benchmarks.report import Row, median_ms, report
 from benchmarks.simulator.block import open_block, trained_block
 from benchmarks.simulator.masks import Mask, measure_masks
+from benchmarks.simulator.wire import measure_wire
 from hybridworldsim.simulator.agents.bodies import draw_body
 from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.agents.states import Agent
@@ -60,6 +61,7 @@ def main(argv: Sequence[str]) -> int:
     model = OpenModel.read(model_folder, street)
     groups = {
         "vehicle": _vehicle(),
+        "wire": measure_wire(street),
         "steps": _steps(street, model),
         "masks": _masks(list(measure_masks(street, model, arguments.places, 480))),
     }

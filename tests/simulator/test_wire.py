@@ -129,6 +129,6 @@ def test_poses_come_back_to_single_precision() -> None:
         back = from_pose(wire().Pose.FromString(to_pose(poses[number]).SerializeToString()), "here")
         np.testing.assert_allclose(back.matrix(), poses[number].matrix(), atol=1e-6)
     for yaw in (-3.0, 0.0, 1.0, 3.1):
-        np.testing.assert_allclose(flat(to_flat_pose(1.0, -2.0, yaw), "here"), (1.0, -2.0, yaw), atol=1e-6)
+        np.testing.assert_allclose(flat([to_flat_pose(1.0, -2.0, yaw)], ["here"]), [(1.0, -2.0, yaw)], atol=1e-6)
     with pytest.raises(UsageError, match="quaternion of length 1"):
         from_pose(wire().Pose(), "here")

@@ -106,7 +106,7 @@ class RemotePolicy:
             random_seed=spec.seed,
             rollout_spec=messages.DriveSessionRequest.RolloutSpec(vehicle=vehicle),
         )
-        self._wait([("start_session", self._begin("start_session", request, self._driver.deadline_s))])
+        self._call("start_session", request, self._driver.deadline_s)
         self._session = session
 
     def act(self, observation: Observation) -> Action:
@@ -140,7 +140,7 @@ class RemotePolicy:
         request = messages.DriveRequest(
             session_uuid=self._session, time_now_us=now_us, time_query_us=now_us + round(1e6 * spec.step_s)
         )
-        (answer,) = self._wait([("drive", self._begin("drive", request, until - time.monotonic()))])
+        answer = self._call("drive", request, until - time.monotonic())
         if answer.terminate_session:
             raise UsageError("the driver ended the session", place="drive")
         return self._plan(answer.trajectory.poses, observation.odometry, now_us)
@@ -207,7 +207,7 @@ class RemotePolicy:
                 f"stamps from {stamps[0] - now_us} to {stamps[-1] - now_us} us after the observation", place=place,
                 expected="increasing stamps, some of them later than the observation",
             )  # fmt: skip
-        there = np.array([flat(pose.pose, f"{place}, pose {number}") for number, pose in enumerate(poses)])[ahead]
+        there = flat([pose.pose for pose in poses], [f"{place}, pose {number}" for number in range(len(poses))])[ahead]
         cos, sin = math.cos(odometry[2]), math.sin(odometry[2])
         dx, dy = there[:, 0] - odometry[0], there[:, 1] - odometry[1]
         yaw = np.unwrap(np.concatenate([[0.0], np.remainder(there[:, 2] - odometry[2], 2.0 * np.pi)]))[1:]
@@ -217,19 +217,25 @@ class RemotePolicy:
     def _begin(self, name: str, request: Any, timeout_s: float) -> Any:
         return self._calls[name].future(request, timeout=max(timeout_s, 1e-3))
 
-    def _wait(self, calls: Sequence[tuple[str, Any]]) -> list[Any]:
-        """Answers of calls, once all have come."""
+    def _call(self, name: str, request: Any, timeout_s: float) -> Any:
         import grpc
 
-        answers: list[Any] = []
         try:
-            for _, call in calls:
-                answers.append(call.result())
+            return self._calls[name](request, timeout=max(timeout_s, 1e-3))
         except grpc.RpcError as error:
-            for _, call in calls:
-                call.cancel()
-            raise self._failure(calls[len(answers)][0], error) from error
-        return answers
+            raise self._failure(name, error) from error
+
+    def _wait(self, calls: Sequence[tuple[str, Any]]) -> None:
+        """Wait until calls are acknowledged."""
+        import grpc
+
+        for name, call in calls:
+            try:
+                call.result()
+            except grpc.RpcError as error:
+                for _, other in calls:
+                    other.cancel()
+                raise self._failure(name, error) from error
 
     def _failure(self, name: str, error: Any) -> UsageError:
         import grpc

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -40,27 +41,34 @@ def from_pose(pose: Any, place: str) -> Poses:
     Raises:
         UsageError: a number is not finite, or the quaternion has another length than 1.
     """
-    turn = np.array([pose.quat.w, pose.quat.x, pose.quat.y, pose.quat.z])
-    shift = np.array([pose.vec.x, pose.vec.y, pose.vec.z])
-    length = float(np.linalg.norm(turn))
-    if not (np.isfinite(shift).all() and abs(length - 1.0) < _UNIT):
-        raise UsageError(
-            f"vec {shift.tolist()}, quat {turn.tolist()}", place=place,
-            expected="finite numbers and a quaternion of length 1",
-        )  # fmt: skip
-    return Poses(turn[None] / length, shift[None])
+    turns, shifts = _numbers([pose], [place])
+    return Poses(turns, shifts)
 
 
-def flat(pose: Any, place: str) -> Float64:
-    """Return x, y and yaw of a message.
+def flat(poses: Sequence[Any], places: Sequence[str]) -> Float64:
+    """Return x, y and yaw (N, 3) of messages.
 
     Raises:
-        UsageError: see `from_pose`.
+        UsageError: see `from_pose`; the message names the place.
     """
-    there = from_pose(pose, place)
-    w, x, y, z = there.rotation[0].tolist()
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.array([*there.translation[0, :2], yaw])
+    turns, shifts = _numbers(poses, places)
+    w, x, y, z = turns.T
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.column_stack([shifts[:, :2], yaw])
+
+
+def _numbers(poses: Sequence[Any], places: Sequence[str]) -> tuple[Float64, Float64]:
+    turns = np.array([(p.quat.w, p.quat.x, p.quat.y, p.quat.z) for p in poses], np.float64).reshape(-1, 4)
+    shifts = np.array([(p.vec.x, p.vec.y, p.vec.z) for p in poses], np.float64).reshape(-1, 3)
+    length = np.linalg.norm(turns, axis=1)
+    wrong = np.flatnonzero(~(np.isfinite(shifts).all(axis=1) & (np.abs(length - 1.0) < _UNIT)))
+    if len(wrong):
+        first = wrong[0]
+        raise UsageError(
+            f"vec {shifts[first].tolist()}, quat {turns[first].tolist()}", place=places[first],
+            expected="finite numbers and a quaternion of length 1",
+        )  # fmt: skip
+    return turns / length[:, None], shifts
 
 
 def to_us(stamp_ns: int) -> int:

@@ -221,6 +221,6 @@ def _middle(pair: Any, place: str) -> Poses:
 
 
 def _flat_middle(pair: Any, place: str) -> Float64:
-    start, end = flat(pair.start_pose, place), flat(pair.end_pose, place)
+    start, end = flat([pair.start_pose, pair.end_pose], [place, place])
     turn = np.remainder(end[2] - start[2] + np.pi, 2.0 * np.pi) - np.pi
     return np.array([*(0.5 * (start[:2] + end[:2])), start[2] + 0.5 * turn])

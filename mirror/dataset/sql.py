@@ -18,6 +18,7 @@ from mirror.dataset.query.catalog import GLOBAL, TABLES
 from mirror.dataset.query.filters import Filters
 from mirror.errors import UsageError
 from mirror.installation import install_command
+from mirror.schema.tables import ADDED
 
 if TYPE_CHECKING:
     import duckdb
@@ -90,7 +91,9 @@ def _make_views(connection: duckdb.DuckDBPyConnection, dataset: Dataset, names: 
         paths = _files(dataset, name) if dataset.filters == Filters() and dataset.store.folder is not None else None
         if paths:
             listed = ", ".join(_quoted(path) for path in paths)
-            connection.execute(f'CREATE VIEW "{name}" AS SELECT * FROM read_parquet([{listed}])')
+            # Scenes that were indexed by an earlier version may lack columns.
+            by_name = ", union_by_name = true" if set(ADDED) & set(TABLES[name].schema.names) else ""
+            connection.execute(f'CREATE VIEW "{name}" AS SELECT * FROM read_parquet([{listed}]{by_name})')
             files += paths
         else:
             connection.register(name, _plain(dataset.table(name)))

@@ -64,6 +64,7 @@ class FrameBoxes:
         track_id: N object ids.
         score: (N,) confidence; NaN for a label without one.
         source: N names ``source@version``.
+        attributes: N lists of the object's states in the source's own words; empty where it states none.
     """
 
     frame: str
@@ -75,6 +76,7 @@ class FrameBoxes:
     track_id: tuple[str, ...]
     score: Float64
     source: tuple[str, ...]
+    attributes: tuple[tuple[str, ...], ...]
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -98,6 +100,7 @@ class FrameBoxes:
             self.track_id,
             self.score,
             self.source,
+            self.attributes,
         )
 
 
@@ -367,4 +370,5 @@ def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) 
         track_id=strings("track_id"),
         score=floats("score")[:, 0],
         source=tuple(f"{source}@{version}" for source, version in zip(strings("source"), strings("source_version"))),
+        attributes=tuple(tuple(table["attributes"][row].as_py() or ()) for row in rows.tolist()),
     )

@@ -217,10 +217,11 @@ def _add_boxes(tables: _Tables, traversal_id: str, samples: Sequence[str], boxes
             category = tables.add("category", word, name=name, description=f"MIRROR: {word}")
             categories.setdefault(track, category)
             instance = tables.add("instance", traversal_id, track, category_token=categories[track])
+            attributes = [tables.add("attribute", name, name=name, description="") for name in found.attributes[row]]
             length, width, height = found.size_m[row].tolist()
             annotation = tables.add(
                 "sample_annotation", sample, track, sample_token=sample, instance_token=instance,
-                attribute_tokens=[], visibility_token="", size=[width, length, height],
+                attribute_tokens=attributes, visibility_token="", size=[width, length, height],
                 translation=found.pose.translation[row].tolist(), rotation=found.pose.rotation[row].tolist(),
                 num_lidar_pts=_UNKNOWN_POINTS, num_radar_pts=0,
             )  # fmt: skip
@@ -262,6 +263,7 @@ LAYOUT: Final = ExportLayout(
         Kept("size of boxes", "sample_annotation", "exact"),
         Kept("tracks", "instance", "exact up to names"),
         Kept("category of boxes", "category", "exact up to names"),
+        Kept("attributes of boxes", "attribute", "exact"),
         Kept("traversals", "scene", "exact"),
         Kept("drive, vehicle", "log", "exact"),
         Kept("light and weather", "description of a scene", "exact"),

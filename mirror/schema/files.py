@@ -22,7 +22,7 @@ from pydantic import BaseModel, ValidationError
 
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.strict_json import JsonError, decode_json
-from mirror.schema.tables import Table
+from mirror.schema.tables import ADDED, Table
 from mirror.schema.version import SCHEMA_VERSION, require_readable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -243,7 +243,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
             if _VERSION_KEY in metadata:
                 require_readable(metadata[_VERSION_KEY].decode(), path)
             names = list(columns) if columns is not None else table.schema.names
-            missing = [name for name in names if name not in schema.names]
+            missing = [name for name in names if name not in schema.names and name not in ADDED]
             if missing:
                 raise SchemaError(
                     f"table {table.name} has no column {missing[0]!r}",
@@ -252,7 +252,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
                     expected=f"the columns of {table.name} in docs/schema.md",
                     remedy="run `mirror index` if the file lies in index/, else restore it",
                 )
-            data = file.read(columns=names, use_threads=False)
+            data = file.read(columns=[name for name in names if name in schema.names], use_threads=False)
     except FileNotFoundError as error:
         raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error
     except (pa.ArrowInvalid, OSError) as error:
@@ -266,7 +266,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
 
 
 def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Cast rows to a table's schema.
+    """Cast rows to a table's schema; a column that a later version added and that is absent is null.
 
     Raises:
         SchemaError: a column is missing, unknown, of another type, or has a null that is not allowed; file, table,
@@ -278,6 +278,9 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
         raise SchemaError(f"table {table.name} has an unknown column", file=file, place=f"column {min(extra)}")
     arrays = []
     for field in fields:
+        if field.name not in data.column_names and field.name in ADDED:
+            arrays.append(pa.chunked_array([pa.nulls(data.num_rows, field.type)]))
+            continue
         if field.name not in data.column_names:
             raise SchemaError(f"table {table.name} has no such column", file=file, place=f"column {field.name}")
         column = data.column(field.name)

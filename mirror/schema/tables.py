@@ -8,7 +8,7 @@ are derived from them, with the keys ``scene_id`` and ``traversal_id`` in front.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,9 @@ import pyarrow as pa
 KEY: Final = pa.dictionary(pa.int32(), pa.string())
 SHA256: Final = pa.binary(32)
 BBOX: Final = pa.struct([(name, pa.float64()) for name in ("xmin", "ymin", "xmax", "ymax")])
+
+ADDED: Final[Mapping[str, pa.DataType]] = {"attributes": pa.list_(pa.string())}
+"""Columns that a later minor version of the schema added; a table without one is read with nulls there."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +185,12 @@ BOXES: Final = Table(
                 "score",
                 pa.float64(),
                 "Confidence, 0 to 1; null for a label made by a person or a simulator.",
+                null=True,
+            ),
+            _field(
+                "attributes",
+                ADDED["attributes"],
+                "States of the object in the source's own words, such as `vehicle.parked`; null: not stated. Since 1.1.",
                 null=True,
             ),
             _field("source", KEY, "Who made the box."),

@@ -8,7 +8,7 @@ from typing import Final
 from mirror.errors import SchemaError
 from mirror.installation import upgrade_command
 
-SCHEMA_VERSION: Final = "1.0.0"
+SCHEMA_VERSION: Final = "1.1.0"
 
 
 def require_readable(stored: object, file: str | PurePath) -> None:

@@ -27,6 +27,7 @@ from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.filters import Circle
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.tables import BOXES, INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.version import SCHEMA_VERSION
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
 
 GEOD = pyproj.Geod(ellps="WGS84")
@@ -525,7 +526,7 @@ class TestOpening:
         builder = Builder(tmp_path)
         build_index(tmp_path)
         text = builder.layout.document.read_text()
-        builder.layout.document.write_text(text.replace("1.0.0", "9.0.0"))
+        builder.layout.document.write_text(text.replace(SCHEMA_VERSION, "9.0.0"))
         with pytest.raises(SchemaError, match="upgrade the toolkit"):
             mirror.open(tmp_path)
 

@@ -28,6 +28,7 @@ from tests.recordings.formats.street import synth_drives
 OFFSET_M = (1620.0, 1180.0, 0.0)
 CAMERAS = ("front_wide", "front_left", "rear")
 Tables = dict[str, dict[str, dict[str, Any]]]
+SeenBox = tuple[str, Poses, list[float], str, list[str]]
 
 
 def pose_of(row: dict[str, Any]) -> Poses:
@@ -98,8 +99,8 @@ def test_nuscenes_images_poses_and_cameras_come_back(nuscenes: tuple[Tables, Tab
         assert [found[key][name] for name in ("width", "height")] == [source[key][name] for name in ("width", "height")]
 
 
-def boxes_in_cameras(tables: Tables) -> dict[tuple[str, str, int], list[tuple[str, Poses, list[float], str]]]:
-    """Of each keyframe image: instance, pose in the camera, size and category of the boxes."""
+def boxes_in_cameras(tables: Tables) -> dict[tuple[str, str, int], list[SeenBox]]:
+    """Of each keyframe image: instance, pose in the camera, size, category and attributes of the boxes."""
     by_sample: dict[str, list[dict[str, Any]]] = {}
     for row in tables["sample_annotation"].values():
         by_sample.setdefault(row["sample_token"], []).append(row)
@@ -113,6 +114,7 @@ def boxes_in_cameras(tables: Tables) -> dict[tuple[str, str, int], list[tuple[st
                     world_SE3_camera.inverse() @ pose_of(box),
                     box["size"],
                     tables["category"][tables["instance"][box["instance_token"]]["category_token"]]["name"],
+                    [tables["attribute"][token]["name"] for token in box["attribute_tokens"]],
                 )
                 for box in by_sample.get(row["sample_token"], [])
             ]
@@ -122,20 +124,22 @@ def boxes_in_cameras(tables: Tables) -> dict[tuple[str, str, int], list[tuple[st
 def test_nuscenes_boxes_and_tracks_come_back(nuscenes: tuple[Tables, Tables]) -> None:
     source, found = map(boxes_in_cameras, nuscenes)
     same: dict[str, str] = {}
+    stated: set[str] = set()
     compared = 0
     for key in sorted(set(source) & set(found)):
         assert len(found[key]) == len(source[key]), key
-        for instance, pose, size, category in source[key]:
+        for instance, pose, size, category, attributes in source[key]:
             distances = [np.linalg.norm(other[1].translation - pose.translation) for other in found[key]]
             other = found[key][int(np.argmin(distances))]
             twist = (other[1].inverse() @ pose).log()[0]
             assert np.linalg.norm(twist[3:]) < 1e-5
             assert np.linalg.norm(twist[:3]) < 1e-6
             np.testing.assert_allclose(other[2], size, atol=1e-9)
-            assert other[3] == category
+            assert other[3] == category and other[4] == attributes
+            stated.update(attributes)
             assert same.setdefault(instance, other[0]) == other[0]
             compared += 1
-    assert compared > 100
+    assert compared > 100 and stated == {"vehicle.moving", "vehicle.parked"}
     assert len(set(same.values())) == len(same)
 
 

@@ -221,6 +221,7 @@ def test_boxes_follow_the_table(tmp_path: Path) -> None:
         "source": "s",
         "source_version": "1",
         "qw": 1.0,
+        "attributes": None,
     }
     table = pa.Table.from_pylist([row], schema=BOXES.schema)
     pq.write_table(table, path / "boxes.parquet")

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import unreadable_error
+from mirror.schema.tables import ADDED
 
 CACHE_BYTES: Final = 48 * 1024 * 1024
 
@@ -75,8 +76,13 @@ class ColumnCache:
     def decode(self, path: str, row_group: int, names: Sequence[str]) -> dict[str, pa.Array]:
         """Read columns of one row group by name from the file, without caching them."""
         file = self._files.parquet(path)
+        added = [name for name in names if name in ADDED and name not in file.schema_arrow.names]
         try:
-            table = file.read_row_group(row_group, columns=list(names), use_threads=False)
+            present = [name for name in names if name not in added]
+            table = file.read_row_group(row_group, columns=present, use_threads=False)
+            for name in added:
+                rows = file.metadata.row_group(row_group).num_rows
+                table = table.append_column(name, pa.chunked_array([pa.nulls(rows, ADDED[name])]))
             columns = [table.column(name) for name in names]
         except (pa.ArrowInvalid, OSError, KeyError) as error:
             raise unreadable_error(self._files.store.full_path(path), error) from error

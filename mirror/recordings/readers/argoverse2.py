@@ -33,9 +33,9 @@ from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_feather
+from mirror.recordings.readers.box_rows import make_box_table
 from mirror.recordings.readers.rotations import mark_rotations, require_poses
 from mirror.recordings.registry import refuse_options
-from mirror.schema.tables import BOXES
 
 
 class _City(NamedTuple):
@@ -255,14 +255,11 @@ class Argoverse2Recording:
         table = read_feather(file, _BOX_SCHEMA)
         quaternion, position = matrix_of(table, COLUMNS[:4]), matrix_of(table, COLUMNS[4:])
         ego_SE3_box = require_poses(quaternion, position, file=file, place="row {}".format)
-        count = table.num_rows
         columns = {
             **{name: table.column(name) for name in ("timestamp_ns", *_SIZES)},
             "track_id": table.column("track_uuid"),
-            "category": table.column("category").cast(pa.string()).dictionary_encode(),
-            **ego_SE3_box.to_columns(),
-            **dict.fromkeys(("vx_mps", "vy_mps", "vz_mps", "score"), pa.nulls(count, pa.float64())),
-            "source": ["argoverse2"] * count,
-            "source_version": ["v2"] * count,
+            "category": table.column("category").cast(pa.string()),
+            "source": "argoverse2",
+            "source_version": "v2",
         }
-        return pa.table(columns).select(BOXES.schema.names).cast(BOXES.schema).sort_by("timestamp_ns")
+        return make_box_table(ego_SE3_box, columns)

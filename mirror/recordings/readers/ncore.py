@@ -33,13 +33,13 @@ from mirror.recordings.coordinates import track_from_ecef
 from mirror.recordings.opening import require_file
 from mirror.recordings.paths import list_files, require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.readers.box_rows import make_box_table
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.ncore_lenses import SHUTTERS, to_camera
 from mirror.recordings.readers.ncore_store import NcoreStores
 from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
-from mirror.schema.tables import BOXES
 
 _STORE: Final = re.compile(r"(.+)\.ncore4(?:-[^.]+)?\.zarr(?:\.itar)?")
 _METADATA: Final = ".zmetadata.cbor.xz"
@@ -284,14 +284,12 @@ class NcoreRecording:
         columns = {
             "timestamp_ns": stamps.astype(np.int64) * 1_000,
             "track_id": [one.track_id for one in seen],
-            "category": pa.array([one.class_id for one in seen]).dictionary_encode(),
-            **ego_SE3_box.to_columns(),
+            "category": [one.class_id for one in seen],
             **dict(zip(("length_m", "width_m", "height_m"), values[:, 3:6].T)),
             "source": [f"ncore_{one.source}" for one in seen],
             "source_version": [to_identifier(one.version) for one in seen],
         }
-        nulls = {name: pa.nulls(len(seen), BOXES.schema.field(name).type) for name in BOXES.schema.names}
-        return pa.table({**nulls, **columns}).select(BOXES.schema.names).cast(BOXES.schema).sort_by("timestamp_ns")
+        return make_box_table(ego_SE3_box, columns)
 
     def _to_ego(
         self, frames: Sequence[str], frame_us: Float64, stamps: Float64, frame_SE3_box: Poses, file: Path

@@ -28,10 +28,10 @@ from mirror.recordings.calibration import Calibration, Stage, make_calibration, 
 from mirror.recordings.coordinates import track_from_utm
 from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
 from mirror.recordings.readers.nuplan_database import REMEDY, is_database, load_numbers, open_database
 from mirror.recordings.readers.rotations import mark_rotations, require_poses
 from mirror.recordings.registry import refuse_options
-from mirror.schema.tables import BOXES
 
 _TABLES: Final = ("log", "ego_pose", "camera", "image")
 _CANONICAL: Final = {
@@ -312,17 +312,14 @@ class NuplanRecording:
         columns = {
             "timestamp_ns": np.array(stamps, np.int64) * 1_000,
             "track_id": [row[1] for row in rows],
-            "category": pa.array([str(row[2]) for row in rows]).dictionary_encode(),
-            **(shifted.inverse() @ box).to_columns(),
+            "category": [str(row[2]) for row in rows],
             **dict(zip(("length_m", "width_m", "height_m"), values[:, 4:7].T)),
             "score": pa.array(np.ascontiguousarray(values[:, 10]), mask=np.isnan(values[:, 10])),
-            "source": ["nuplan"] * len(rows),
-            "source_version": ["v1.1"] * len(rows),
+            **velocity_columns(np.where(np.isnan(values[:, 7:10]), np.nan, velocity)),
+            "source": "nuplan",
+            "source_version": "v1.1",
         }
-        unknown = np.isnan(values[:, 7:10]).any(axis=1)
-        for name, speeds in zip(("vx_mps", "vy_mps", "vz_mps"), velocity.T):
-            columns[name] = pa.array(np.ascontiguousarray(speeds), mask=unknown)
-        return pa.table(columns).select(BOXES.schema.names).cast(BOXES.schema)
+        return make_box_table(shifted.inverse() @ box, columns)
 
 
 def _name(channel: str) -> str:

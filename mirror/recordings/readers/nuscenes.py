@@ -36,7 +36,8 @@ from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
-from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, SensorData, Tables, open_tables
+from mirror.recordings.readers.nuscenes_rows import SensorData
+from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, Tables, open_tables
 from mirror.recordings.readers.rotations import mark_rotations
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.weather import WEATHER

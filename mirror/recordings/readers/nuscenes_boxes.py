@@ -14,9 +14,10 @@ from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_normalise, rotate
 from mirror.recordings.coordinates import is_invalid_rotation
-from mirror.recordings.readers.nuscenes_tables import REMEDY, Annotations
+from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
+from mirror.recordings.readers.nuscenes_rows import Annotations
+from mirror.recordings.readers.nuscenes_tables import REMEDY
 from mirror.recordings.readers.rotations import require_poses
-from mirror.schema.tables import BOXES
 
 # The devkit's limits: a neighbour may be 1.5 s away, two neighbours 3 s apart.
 _FARTHEST_US: Final = 1_500_000
@@ -61,17 +62,13 @@ def make_boxes(
         "timestamp_ns": annotations.timestamp_us * 1_000,
         "track_id": [names[index] for index in annotations.instance.tolist()],
         "category": [categories[index] for index in annotations.instance.tolist()],
-        **(map_SE3_ego.inverse() @ map_SE3_box).to_columns(),
         **dict(zip(("width_m", "length_m", "height_m"), annotations.size_m.T)),
-        "score": pa.nulls(len(velocity), pa.float64()),
-        "source": ["nuscenes"] * len(velocity),
-        "source_version": [version] * len(velocity),
+        **velocity_columns(velocity),
+        "attributes": annotations.attributes,
+        "source": "nuscenes",
+        "source_version": version,
     }
-    for name, values in zip(("vx_mps", "vy_mps", "vz_mps"), velocity.T):
-        columns[name] = pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
-    order = np.argsort(annotations.timestamp_us, kind="stable")
-    table = pa.table({name: pa.array(columns[name], BOXES.schema.field(name).type) for name in BOXES.schema.names})
-    return table.take(pa.array(order)).cast(BOXES.schema)
+    return make_box_table(map_SE3_ego.inverse() @ map_SE3_box, columns)
 
 
 def velocities(annotations: Annotations) -> Float64:

@@ -11,17 +11,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mirror.arrays import Bool, Float64, Int64
+from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.opening import find_file, read_json, unreadable_error
 from mirror.recordings.readers.json_tables import matrix_of, read_columns
+from mirror.recordings.readers.nuscenes_rows import (
+    ANNOTATION,
+    EGO_POSE,
+    INSTANCE,
+    SAMPLE,
+    SAMPLE_DATA,
+    Annotations,
+    EgoPoses,
+    Index,
+    Sensor,
+    SensorData,
+)
 
 TABLES: Final = (
     "attribute",
@@ -40,129 +51,6 @@ TABLES: Final = (
 )
 REMEDY: Final = "download the metadata archive of this version again: it holds all 13 tables"
 _FOLDERS_HELD: Final = 2
-
-Index: TypeAlias = npt.NDArray[np.int32]
-
-
-def _columns(**types: pa.DataType) -> pa.Schema:
-    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in types.items()])
-
-
-_TEXT, _INTEGER = pa.string(), pa.int64()
-_SAMPLE: Final = _columns(token=_TEXT, timestamp=_INTEGER, scene_token=_TEXT)
-_SAMPLE_DATA: Final = (
-    _columns(
-        sample_token=_TEXT,
-        ego_pose_token=_TEXT,
-        calibrated_sensor_token=_TEXT,
-        timestamp=_INTEGER,
-        filename=_TEXT,
-        is_key_frame=pa.bool_(),
-    )
-    .append(pa.field("width", pa.float64()))
-    .append(pa.field("height", pa.float64()))
-)
-_EGO_POSE: Final = _columns(
-    token=_TEXT, timestamp=_INTEGER, rotation=pa.list_(pa.float64(), 4), translation=pa.list_(pa.float64(), 3)
-)
-_ANNOTATION: Final = _columns(
-    sample_token=_TEXT,
-    instance_token=_TEXT,
-    translation=pa.list_(pa.float64(), 3),
-    rotation=pa.list_(pa.float64(), 4),
-    size=pa.list_(pa.float64(), 3),
-)
-_INSTANCE: Final = _columns(token=_TEXT, category_token=_TEXT)
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """One sensor as mounted and calibrated in one log.
-
-    Attributes:
-        token: its token.
-        channel: the sensor's name, such as ``CAM_FRONT``.
-        modality: ``camera``, ``lidar`` or ``radar``.
-        record: the object of the table ``calibrated_sensor``.
-    """
-
-    token: str
-    channel: str
-    modality: str
-    record: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class SensorData:
-    """The rows of ``sample_data`` of all scenes or of one, sorted by scene, sensor and time; N rows.
-
-    Attributes:
-        timestamp_us: (N,) Unix microseconds.
-        sensor: (N,) index into `Tables.sensors`; -1: a dangling token.
-        pose: (N,) row of `Tables.poses`; -1: a dangling token.
-        key_frame: (N,) whether the row belongs to an annotated frame.
-        size_px: (N, 2) width and height of an image.
-        filename: (N,) path of the file, relative to the folder.
-    """
-
-    timestamp_us: Int64
-    sensor: Index
-    pose: Index
-    key_frame: Bool
-    size_px: Index
-    filename: pa.Array
-
-    def take(self, rows: Int64 | slice | Bool) -> SensorData:
-        """Some of the rows."""
-        positions = np.arange(len(self.timestamp_us))[rows]
-        return SensorData(
-            self.timestamp_us[rows],
-            self.sensor[rows],
-            self.pose[rows],
-            self.key_frame[rows],
-            self.size_px[rows],
-            self.filename.take(pa.array(positions)),
-        )
-
-
-@dataclass(frozen=True)
-class EgoPoses:
-    """The table ``ego_pose``; M rows.
-
-    Attributes:
-        timestamp_us: (M,) Unix microseconds.
-        rotation: (M, 4) ``map_SE3_ego``, scalar first, as written.
-        translation: (M, 3) metres, as written.
-    """
-
-    timestamp_us: Int64
-    rotation: Float64
-    translation: Float64
-
-
-@dataclass(frozen=True)
-class Annotations:
-    """The rows of ``sample_annotation`` of all scenes or of one, sorted by scene, instance and time; K rows.
-
-    Attributes:
-        timestamp_us: (K,) stamp of the annotated frame.
-        instance: (K,) index into `Tables.instances`; -1: a dangling token.
-        rotation: (K, 4) ``map_SE3_box``, scalar first.
-        translation: (K, 3) centre in the map's frame, metres.
-        size_m: (K, 3) width, length, height.
-    """
-
-    timestamp_us: Int64
-    instance: Index
-    rotation: Float64
-    translation: Float64
-    size_m: Float64
-
-    def take(self, rows: slice) -> Annotations:
-        """Some of the rows."""
-        return Annotations(
-            self.timestamp_us[rows], self.instance[rows], self.rotation[rows], self.translation[rows], self.size_m[rows]
-        )
 
 
 @dataclass(frozen=True)
@@ -286,7 +174,7 @@ class Tables:
     @cached_property
     def _samples(self) -> pa.Table:
         """Token, stamp and number of the scene of every sample."""
-        table = read_columns(self.file("sample"), _SAMPLE)
+        table = read_columns(self.file("sample"), SAMPLE)
         scene = self._find(table, "scene_token", pa.array(list(self._scene_numbers)), "sample", "scene")
         return table.drop_columns(["scene_token"]).append_column("scene", pa.array(scene))
 
@@ -306,7 +194,7 @@ class Tables:
     def _data(self) -> tuple[SensorData, EgoPoses, Int64]:
         """All sensor data and poses, and the first row of each scene."""
         with self._lock:
-            table = read_columns(self.file("sample_data"), _SAMPLE_DATA)
+            table = read_columns(self.file("sample_data"), SAMPLE_DATA)
             samples = self._samples
             sample = self._find(
                 table, "sample_token", samples.column("token").combine_chunks(), "sample_data", "sample"
@@ -316,7 +204,7 @@ class Tables:
             sensor = find_tokens(table.column("calibrated_sensor_token"), tokens)
             # Tokens that are followed are not needed any more; the next table is as large.
             table = table.drop_columns(["sample_token", "calibrated_sensor_token"])
-            poses = read_columns(self.file("ego_pose"), _EGO_POSE)
+            poses = read_columns(self.file("ego_pose"), EGO_POSE)
             pose = find_tokens(table.column("ego_pose_token"), poses.column("token").combine_chunks())
             stamps = np.asarray(table.column("timestamp"))
             order = np.lexsort((stamps, sensor, scene))
@@ -376,26 +264,47 @@ class Tables:
         Raises:
             RecordingError: a category does not exist.
         """
-        table = read_columns(self.file("instance"), _INSTANCE)
+        table = read_columns(self.file("instance"), INSTANCE)
         categories = self.records("category")
-        number = self._find(table, "category_token", pa.array(list(categories), _TEXT), "instance", "category")
+        number = self._find(table, "category_token", pa.array(list(categories), pa.string()), "instance", "category")
         names = [self.text("category", record, "name") for record in categories.values()]
         return table.column("token").to_pylist(), [names[index] for index in number.tolist()]
 
     @cached_property
     def _annotations(self) -> tuple[Annotations, Int64]:
         with self._lock:
-            table = read_columns(self.file("sample_annotation"), _ANNOTATION)
+            table = read_columns(self.file("sample_annotation"), ANNOTATION)
             samples = self._samples
             sample = self._find(
                 table, "sample_token", samples.column("token").combine_chunks(), "sample_annotation", "sample"
             )
             scene, stamps = (np.asarray(samples.column(name))[sample] for name in ("scene", "timestamp"))
-            instance = find_tokens(table.column("instance_token"), pa.array(self.instances[0], _TEXT))
+            instance = find_tokens(table.column("instance_token"), pa.array(self.instances[0], pa.string()))
             order = np.lexsort((stamps, instance, scene))
             numbers = [matrix_of(table.column(name))[order] for name in ("rotation", "translation", "size")]
-            rows = Annotations(stamps[order], instance[order], *numbers)
+            attributes = self._attributes(table).take(pa.array(order))
+            rows = Annotations(stamps[order], instance[order], numbers[0], numbers[1], numbers[2], attributes)
             return rows, np.searchsorted(scene[order], np.arange(len(self.scenes) + 1))
+
+    def _attributes(self, table: pa.Table) -> pa.Array:
+        """The names of the attributes of each annotation, as lists.
+
+        Raises:
+            RecordingError: an annotation names an attribute that does not exist.
+        """
+        lists = table.column("attribute_tokens").combine_chunks()
+        records = self.records("attribute")
+        tokens, owner = lists.flatten(), np.asarray(pc.list_parent_indices(lists))
+        found = find_tokens(tokens, pa.array(list(records), pa.string()))
+        if (found < 0).any():
+            place = int(np.argmax(found < 0))
+            token = tokens[place].as_py()
+            raise self.dangling_error(
+                "sample_annotation", f"object {owner[place]}", "attribute_tokens", str(token), "attribute"
+            )
+        names = pa.array([self.text("attribute", record, "name") for record in records.values()], pa.string())
+        ends = np.searchsorted(owner, np.arange(len(lists) + 1))
+        return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), names.take(pa.array(found)))
 
     def annotations_of(self, scene: Mapping[str, Any]) -> Annotations:
         """The annotations of a scene, sorted by instance and time.

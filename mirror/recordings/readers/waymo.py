@@ -33,13 +33,13 @@ from mirror.recordings.opening import find_file, require_file, unreadable_error
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_parquet
+from mirror.recordings.readers.box_rows import make_box_table
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import ns_from_seconds
 from mirror.recordings.weather import weather_label
-from mirror.schema.tables import BOXES
 
 _POSES: Final = "vehicle_pose"
 _IMAGES: Final = "camera_image"
@@ -346,18 +346,15 @@ class WaymoRecording:
             )
         rotation = quaternion_exp(np.outer(heading, (0.0, 0.0, 1.0)))
         ego_SE3_box = require_poses(rotation, matrix_of(table, _CENTRE), file=file, place="row {}".format)
-        count = table.num_rows
         columns = {
             "timestamp_ns": stamps * 1_000,
             "track_id": table.column("key.laser_object_id"),
-            "category": pa.array([_TYPES[kind] for kind in kinds.tolist()]).dictionary_encode(),
-            **ego_SE3_box.to_columns(),
+            "category": [_TYPES[kind] for kind in kinds.tolist()],
             **dict(zip(("length_m", "width_m", "height_m"), matrix_of(table, _SIZE).T)),
-            **dict.fromkeys(("vx_mps", "vy_mps", "vz_mps", "score"), pa.nulls(count, pa.float64())),
-            "source": ["waymo"] * count,
-            "source_version": ["v2"] * count,
+            "source": "waymo",
+            "source_version": "v2",
         }
-        return pa.table(columns).select(BOXES.schema.names).cast(BOXES.schema).sort_by("timestamp_ns")
+        return make_box_table(ego_SE3_box, columns)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes, quaternion_from_heading_pitch_roll
+from mirror.schema.files import conform
 from mirror.schema.tables import BOXES
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.road_users.body import Placement, RoadUser
@@ -122,5 +123,4 @@ def _make_table(
         "source": [SOURCE] * count,
         "source_version": [__version__] * count,
     }
-    arrays = [pa.array(columns[field.name], field.type) for field in BOXES.schema]
-    return pa.Table.from_arrays(arrays, schema=BOXES.schema)
+    return conform(pa.table(columns), BOXES, file=BOXES.place)

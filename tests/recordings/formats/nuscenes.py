@@ -22,6 +22,7 @@ CHANNELS = {
     "rear": "CAM_BACK",
 }
 CATEGORIES = {"car": "vehicle.car", "van": "vehicle.car", "truck": "vehicle.truck", "bus": "vehicle.bus.rigid"}
+ATTRIBUTES = ((), ("vehicle.moving",), ("vehicle.parked",))
 DECIMALS = 9
 Row = dict[str, Any]
 
@@ -29,6 +30,11 @@ Row = dict[str, Any]
 def token(*words: object) -> str:
     """A token of 32 hexadecimal digits."""
     return md5(" ".join(map(str, words)).encode()).hexdigest()
+
+
+def attributes_at(row: int) -> tuple[str, ...]:
+    """Attributes of the boxes of a drive's row of stamps."""
+    return ATTRIBUTES[row % len(ATTRIBUTES)]
 
 
 def write_nuscenes(
@@ -39,7 +45,9 @@ def write_nuscenes(
     The drives' world is the map's frame. Drives have the six cameras of nuScenes; others are left out.
     """
     tables: dict[str, list[Row]] = {name: [] for name in _TABLES}
-    tables["attribute"] = [{"token": token("moving"), "name": "vehicle.moving", "description": ""}]
+    tables["attribute"] = [
+        {"token": token("attribute", name), "name": name, "description": ""} for names in ATTRIBUTES for name in names
+    ]
     tables["visibility"] = [{"token": "4", "level": "v80-100", "description": ""}]
     tables["map"] = [
         {
@@ -196,7 +204,7 @@ def _write_boxes(tables: dict[str, list[Row]], drive: StreetDrive, samples: list
                     "sample_token": sample,
                     "instance_token": token("instance", drive.name, one.track_id),
                     "visibility_token": "4",
-                    "attribute_tokens": [token("moving")],
+                    "attribute_tokens": [token("attribute", name) for name in attributes_at(row)],
                     "translation": pose.translation[0].round(DECIMALS).tolist(),
                     "size": [width, length, height],
                     "rotation": pose.rotation[0].round(12).tolist(),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -262,9 +262,17 @@ def waymo(root: Path) -> Base:
 
 
 def kitti360(root: Path) -> Base:
-    """One drive of one camera."""
-    drive = straight_drive().placed((1107.0, 3826.0, 115.0)).with_cameras(("front_wide",))
-    path = write_kitti360(root / "kitti", [drive])
+    """One drive of a rectified camera and a fisheye, with a parked car."""
+    drive = straight_drive().placed((1107.0, 3826.0, 115.0))
+    cameras = {"front_wide": "front_wide", "rear_left": "rear"}
+    drive = replace(
+        drive,
+        cameras={name: drive.cameras[other] for name, other in cameras.items()},
+        ego_SE3_camera={name: drive.ego_SE3_camera[other] for name, other in cameras.items()},
+        image_ns=dict.fromkeys(cameras, drive.image_ns["front_wide"]),
+    )
+    drive.cameras["rear_left"] = replace(drive.cameras["rear_left"], width_px=1400, height_px=1400)
+    path = write_kitti360(root / "kitti", [replace(drive, objects=())], parked=drive.objects, boxes=True)
     return Base("kitti360", path, _roi_around(path, "kitti360"))
 
 

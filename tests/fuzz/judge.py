@@ -59,9 +59,10 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
     "colmap": {"sparse/": ALL, "images/": frozenset({SHOTS})},
     "nuplan": {"splits/": ALL, "sensor_blobs/": frozenset({SHOTS})},
     "kitti360": {
-        "data_poses/": frozenset({POSES}),
+        "data_poses/": frozenset({POSES, OBJECTS}),
         "calibration/": frozenset({CAMERAS}),
-        "data_2d_raw/": frozenset({POSES, SHOTS}),
+        "data_2d_raw/": frozenset({POSES, SHOTS, OBJECTS}),
+        "data_3d_bboxes/": frozenset({OBJECTS}),
     },
     "waymo": {
         "vehicle_pose/": frozenset({POSES}),

@@ -1,4 +1,4 @@
-"""KITTI-360: nine long drives through the same suburbs of Karlsruhe, with two rectified cameras and refined poses.
+"""KITTI-360: nine long drives through the same suburbs of Karlsruhe, with four cameras, refined poses and boxes.
 
 Facts of the format, from the calibration and conversion scripts that the dataset publishes:
 
@@ -6,9 +6,8 @@ Facts of the format, from the calibration and conversion scripts that the datase
   world is Mercator's projection of a sphere of 6,378,137 m, scaled to metres at its origin, a lake in Karlsruhe:
   x east, y north. Only frames that moved have a pose.
 - A frame's time is the line of its number in ``timestamps.txt`` of the first camera: date and time without a zone.
-- ``calib_cam_to_pose.txt`` holds ``imu_SE3_camera`` before rectification; ``R_rect`` of ``perspective.txt`` turns it.
-  Principal points have the centre of the first pixel at 0.
-- The fisheye cameras have Mei's model, for which MIRROR has no lens.
+- Two cameras are rectified (`kitti360_cameras`), two are fisheyes at the sides. Boxes are in the world
+  (`kitti360_boxes`).
 """
 
 from __future__ import annotations
@@ -23,16 +22,18 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_from_matrix, quaternion_inverse, quaternion_multiply, rotate
-from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
+from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_FRD
 from mirror.recordings.opening import find_file, read_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
+from mirror.recordings.readers.kitti360_boxes import NO_STAMP, find_boxes, read_boxes
+from mirror.recordings.readers.kitti360_cameras import CALIBRATION_FILES, CAMERAS, read_calibrations
 from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
@@ -40,8 +41,10 @@ from mirror.recordings.stamps import require_zone
 
 _POSES: Final = "data_poses"
 _IMAGES: Final = "data_2d_raw"
-_CAMERAS: Final = ("image_00", "image_01")
-_FISHEYES: Final = ("image_02", "image_03")
+_RECTIFIED: Final = ("image_00", "image_01")
+_STAMPS_OF: Final = {
+    camera: f"data_timestamps_{'perspective' if camera in _RECTIFIED else 'fisheye'}.zip" for camera in CAMERAS
+}
 _RADIUS_M: Final = 6378137.0
 _ORIGIN: Final = (48.9843445, 8.4295857)
 _STAMP: Final = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,9})?")
@@ -71,21 +74,17 @@ class Kitti360Reader:
         """Open a drive.
 
         The option ``tz`` is the zone of the stamps, which the dataset does not state (``UTC``, or an IANA name).
-        ``fisheye`` is ``no`` (the rectified cameras) or ``yes``, which is refused: there is no lens for them.
+        ``fisheye`` is ``yes`` (all cameras that have images) or ``no`` (the rectified ones). ``boxes`` is ``movable``
+        (road users), ``all`` (also buildings, poles and other objects) or ``no``.
         """
-        refuse_options(options, ("tz", "fisheye"), path)
+        refuse_options(options, ("tz", "fisheye", "boxes"), path)
         root, name = (path, None) if self.recognises(path) else (path.parent, path.name)
         if not self.recognises(root):
             raise RecordingError("no KITTI-360 folder", file=path, expected=self.expects)
-        if one_of(options, "fisheye", ("no", "yes"), path) == "yes":
-            raise RecordingError(
-                f"the cameras {' and '.join(_FISHEYES)} have the model of Mei, which is not supported",
-                file=root / "calibration" / f"{_FISHEYES[0]}.yaml",
-                expected="pinhole, brown_conrady, rational, kannala_brandt or f_theta",
-                remedy="read the rectified cameras alone: leave the option fisheye out",
-            )
+        cameras = CAMERAS if one_of(options, "fisheye", ("yes", "no"), path) == "yes" else _RECTIFIED
+        kinds = one_of(options, "boxes", ("movable", "all", "no"), path)
         drive = choose_drive(self.drives(root), name, root)
-        return Kitti360Recording(root, drive, options.get("tz", "UTC"))
+        return Kitti360Recording(root, drive, options.get("tz", "UTC"), tuple(cameras), kinds)
 
 
 @dataclass(frozen=True)
@@ -96,11 +95,15 @@ class Kitti360Recording:
         root: the folder of the dataset.
         drive: the drive's name.
         tz: the zone of its stamps.
+        cameras: the cameras to read.
+        kinds: the kinds of boxes to read: ``movable``, ``all`` or ``no``.
     """
 
     root: Path
     drive: str
     tz: str
+    cameras: tuple[str, ...]
+    kinds: str
 
     @cached_property
     def info(self) -> DriveInfo:
@@ -125,7 +128,7 @@ class Kitti360Recording:
                 "missing",
                 file=self.root / _IMAGES / self.drive / camera / "timestamps.txt",
                 expected="the stamps of the frames: without them poses and images have no time",
-                remedy="download data_timestamps_perspective.zip",
+                remedy=f"download {_STAMPS_OF[camera]}",
             )
         lines = read_file(file).decode(errors="replace").splitlines()
         none = np.datetime64("NaT", "ns")
@@ -137,7 +140,7 @@ class Kitti360Recording:
         require_zone(self.tz)
         local = pa.array(values[known], pa.timestamp("ns"))
         utc = pc.assume_timezone(local, self.tz, ambiguous="earliest", nonexistent="earliest").cast(pa.int64())
-        stamps = np.full(len(lines), np.iinfo(np.int64).min)
+        stamps = np.full(len(lines), NO_STAMP)
         stamps[known] = np.asarray(utc)
         return file, stamps
 
@@ -145,8 +148,8 @@ class Kitti360Recording:
     def _files(self) -> dict[str, dict[int, Path]]:
         """Images by camera and frame."""
         found: dict[str, dict[int, Path]] = {}
-        for camera in _CAMERAS:
-            folder = self.root / _IMAGES / self.drive / camera / "data_rect"
+        for camera in self.cameras:
+            folder = self.root / _IMAGES / self.drive / camera / CAMERAS[camera]
             if not folder.is_dir():
                 continue
             files = {}
@@ -163,22 +166,28 @@ class Kitti360Recording:
 
     @cached_property
     def rig(self) -> RigInfo | None:
-        """The rectified cameras that have images."""
+        """The cameras that have images."""
         cameras = tuple(CameraInfo(camera, camera) for camera in self._files)
         if not cameras:
             return None
-        return RigInfo("kitti360" if len(cameras) == 2 else f"kitti360_{cameras[0].name}", cameras, cameras[0].name)
+        names = tuple(camera.name for camera in cameras)
+        return RigInfo("kitti360" if names == _RECTIFIED else "_".join(("kitti360", *names)), cameras, names[0])
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """Poses, stamps, calibrations and images of the drive."""
-        names = [f"{_POSES}/{self.drive}/poses.txt", "calibration/calib_cam_to_pose.txt", "calibration/perspective.txt"]
-        names += [f"{_IMAGES}/{self.drive}/{camera}/timestamps.txt" for camera in _CAMERAS]
+        """Poses, stamps, calibrations, boxes and images of the drive."""
+        names = [f"{_POSES}/{self.drive}/poses.txt", *CALIBRATION_FILES]
+        names += [
+            f"{_IMAGES}/{self.drive}/{camera}/timestamps.txt" for camera in dict.fromkeys((*_RECTIFIED, *self.cameras))
+        ]
         files = [(name, file) for name in names if (file := find_file(self.root, name)) is not None]
+        boxes = None if self.kinds == "no" else find_boxes(self.root, self.drive)
+        if boxes is not None:
+            files.append((boxes.relative_to(self.root).as_posix(), boxes))
         images = [file for by_frame in self._files.values() for file in by_frame.values()]
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in images)])
 
-    def track(self) -> Track:
-        """The IMU's poses, on WGS 84, with axes x forward, y left, z up."""
+    @cached_property
+    def _poses(self) -> _FramePoses:
         file = require_file(self.root, f"{_POSES}/{self.drive}/poses.txt")
         rows, torn = [], []
         for number, line in enumerate(read_file(file).decode(errors="replace").splitlines(), 1):
@@ -193,29 +202,32 @@ class Kitti360Recording:
                 fault = RecordingError(str(problem), file=file, place=place, expected=expected, remedy=REMEDY)
                 torn.append((len(rows), fault))
         values = np.array(rows, np.float64).reshape(-1, _NUMBERS)
-        matrix = values[:, 1:].reshape(-1, 3, 4)
-        _, by_frame = self._stamps(_CAMERAS[0])
+        _, by_frame = self._stamps(_RECTIFIED[0])
         frame = values[:, 0]
         known = (frame >= 0) & (frame < len(by_frame)) & (frame == np.floor(frame))
         stamps: Int64 = np.where(known, by_frame[np.where(known, frame, 0).astype(np.int64)] if len(by_frame) else 0, 0)
-        known &= stamps != np.iinfo(np.int64).min
-        faults = RowFaults(len(values), torn)
+        known &= stamps != NO_STAMP
+        return _FramePoses(file, frame, stamps, known, values[:, 1:].reshape(-1, 3, 4), torn)
+
+    def track(self) -> Track:
+        """The IMU's poses, on WGS 84, with axes x forward, y left, z up."""
+        rows = self._poses
+        file, matrix = rows.file, rows.matrix
+        faults = RowFaults(len(matrix), rows.torn)
 
         def error(row: int) -> RecordingError:
             return RecordingError(
-                f"frame {frame[row]:g} with the matrix {matrix[row].tolist()}",
+                f"frame {rows.frame[row]:g} with the matrix {matrix[row].tolist()}",
                 file=file,
                 place=f"pose {row}",
                 expected="a frame that timestamps.txt has, and a rigid 3x4 matrix",
                 remedy=REMEDY,
             )
 
-        faults.add(~known, "time", error)
-        rotation = matrix[:, :, :3]
+        faults.add(~rows.known, "time", error)
         bad = is_no_rigid_motion(matrix, _ROTATION_TOLERANCE)
         faults.add(bad, "rotation", error)
-        frd = quaternion_from_matrix(np.where(bad[:, None, None], np.eye(3), rotation))
-        flu = quaternion_multiply(frd, quaternion_inverse(FLU_FROM_FRD))
+        flu = _flu_rotation(np.where(bad[:, None, None], np.eye(3), matrix[:, :, :3]))
         up = rotate(flu, (0.0, 0.0, 1.0))[:, 2]
         if faults.good.any() and np.median(up[faults.good]) < 0.0:
             raise RecordingError(
@@ -227,7 +239,7 @@ class Kitti360Recording:
         longitude, latitude = _to_degrees(matrix[:, 0, 3], matrix[:, 1, 3])
         return faults.drop_from(
             Track(
-                np.where(known, stamps, 0),
+                np.where(rows.known, rows.stamps, 0),
                 longitude_deg=longitude,
                 latitude_deg=latitude,
                 height_m=matrix[:, 2, 3],
@@ -237,60 +249,60 @@ class Kitti360Recording:
         )
 
     def calibrations(self) -> pa.Table:
-        """The rectified cameras that have images."""
-        calibrations: list[tuple[Stage, Calibration]] = []
-        if self._files:
-            lens_file, pose_file = (
-                require_file(self.root, f"calibration/{name}.txt") for name in ("perspective", "calib_cam_to_pose")
-            )
-            lenses, mountings = _read_values(lens_file), _read_values(pose_file)
-            for camera in self._files:
-                digits = camera[-2:]
-                projection = _values(lenses, f"P_rect_{digits}", (3, 4), lens_file)
-                rectified = np.eye(4)
-                rectified[:3, :3] = _values(lenses, f"R_rect_{digits}", (3, 3), lens_file).T
-                width, height = _values(lenses, f"S_rect_{digits}", (2,), lens_file)
-                matrix = np.concatenate([_values(mountings, camera, (3, 4), pose_file), [[0.0, 0.0, 0.0, 1.0]]])
-                imu_SE3_camera = Poses.from_matrix(matrix) @ Poses.from_matrix(rectified)
-                mounting = Poses(FLU_FROM_FRD[None], np.zeros((1, 3))) @ imu_SE3_camera
-                calibration = make_calibration(
-                    lens_file,
-                    camera,
-                    model="pinhole",
-                    width_px=int(width),
-                    height_px=int(height),
-                    fx_px=projection[0, 0],
-                    fy_px=projection[1, 1],
-                    cx_px=projection[0, 2] + 0.5,
-                    cy_px=projection[1, 2] + 0.5,
-                    ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
-                    method="KITTI-360 perspective.txt, images rectified",
-                )
-                calibrations.append(("factory", calibration))
+        """The cameras that have images."""
+        calibrations = read_calibrations(self.root, list(self._files))
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The rectified images; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
+        """The images; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
         streams: dict[str, ImageStream] = {}
         for camera, files in self._files.items():
             place, by_frame = self._stamps(camera)
             frames = np.fromiter(files, np.int64, len(files))
             inside = frames < len(by_frame)
             stamps: Int64 = np.where(inside, by_frame[np.where(inside, frames, 0)] if len(by_frame) else 0, 0)
-            missing = ~inside | (stamps == np.iinfo(np.int64).min)
+            missing = ~inside | (stamps == NO_STAMP)
             if missing.any():
                 raise RecordingError(
                     "the frame has no stamp",
                     file=files[int(frames[np.argmax(missing)])],
                     expected=f"a line with its number in {place.name}",
-                    remedy="download data_timestamps_perspective.zip again",
+                    remedy=f"download {_STAMPS_OF[camera]} again",
                 )
             streams[camera] = FileStream(camera, "png", stamps, stamps, tuple(files.values()))
         return streams
 
-    def boxes(self) -> None:
-        """None: the dataset's boxes are of static objects in the world, without an instant, and are not read."""
-        return
+    def boxes(self) -> pa.Table | None:
+        """Boxes of one frame at that frame, and static boxes at all frames of their window that are near enough."""
+        file = None if self.kinds == "no" else find_boxes(self.root, self.drive)
+        if file is None:
+            return None
+        frames = self._poses
+        good = frames.known & ~is_no_rigid_motion(frames.matrix, _ROTATION_TOLERANCE)
+        times, first = np.unique(frames.stamps[good], return_index=True)
+        if not len(times):
+            raise RecordingError("no pose is valid", file=frames.file, remedy=REMEDY)
+        matrix = frames.matrix[good][first]
+        poses = Poses(_flu_rotation(matrix[:, :, :3]), matrix[:, :, 3])
+        _, by_frame = self._stamps(_RECTIFIED[0])
+        return read_boxes(file, by_frame, times, poses, all_kinds=self.kinds == "all")
+
+
+@dataclass(frozen=True)
+class _FramePoses:
+    """The rows of ``poses.txt``: frames, their stamps where known, matrices, and the lines that are no rows."""
+
+    file: Path
+    frame: Float64
+    stamps: Int64
+    known: Bool
+    matrix: Float64
+    torn: list[tuple[int, RecordingError]]
+
+
+def _flu_rotation(rotation: Float64) -> Float64:
+    """(N, 4) rotations of the vehicle, y left and z up, from (N, 3, 3) ones of the IMU, y right and z down."""
+    return quaternion_multiply(quaternion_from_matrix(rotation), quaternion_inverse(FLU_FROM_FRD))
 
 
 def _is_stamp(line: str) -> bool:
@@ -311,22 +323,3 @@ def _to_degrees(x_m: Float64, y_m: Float64) -> tuple[Float64, Float64]:
     with np.errstate(all="ignore"):
         latitude = 2.0 * np.degrees(np.arctan(np.exp((y_m + north) / scale))) - 90.0
         return np.degrees((x_m + east) / scale), latitude
-
-
-def _read_values(file: Path) -> dict[str, list[str]]:
-    """The words of each line ``name: values``."""
-    lines = read_file(file).decode(errors="replace").splitlines()
-    return {name.strip(): values.split() for name, found, values in (line.partition(":") for line in lines) if found}
-
-
-def _values(lines: Mapping[str, list[str]], name: str, shape: tuple[int, ...], file: Path) -> Float64:
-    try:
-        return np.array([float(word) for word in lines[name]], np.float64).reshape(shape)
-    except (KeyError, ValueError) as error:
-        raise RecordingError(
-            "the line is missing" if isinstance(error, KeyError) else f"values that cannot be used ({error})",
-            file=file,
-            place=name,
-            expected=f"numbers of shape {shape}",
-            remedy="download the calibration again",
-        ) from error

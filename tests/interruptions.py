@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +60,14 @@ def hear_again() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.SIGINT, *, group: bool = True) -> Ended:
+def interrupt(
+    words: Sequence[str | Path],
+    after_s: float,
+    number: int = signal.SIGINT,
+    *,
+    group: bool = True,
+    once: Callable[[], bool] = lambda: True,
+) -> Ended:
     """Start a command and send it a signal.
 
     Args:
@@ -68,6 +75,7 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
         after_s: seconds from when it hears signals.
         number: which signal.
         group: send it to all its processes, as a terminal does; else to the first alone.
+        once: the seconds count once this is true.
     """
     module = words[words.index("-m") + 1]
     rest = [str(word) for word in words[words.index("-m") + 2 :]]
@@ -82,7 +90,9 @@ def interrupt(words: Sequence[str | Path], after_s: float, number: int = signal.
     assert running.stdout is not None and running.stderr is not None
     try:
         assert running.stderr.readline() == b"begun\n"
-        hit = True
+        hit, last = True, time.monotonic() + NEVER_S
+        while not once() and running.poll() is None and time.monotonic() < last:
+            time.sleep(0.05)
         try:
             running.wait(after_s)
             hit = False

@@ -2,6 +2,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# Without bytecode each of the hundreds of processes of the tests compiles every module that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test fuzz peers lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt

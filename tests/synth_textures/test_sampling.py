@@ -10,8 +10,6 @@ from mirror.synth.textures.atlas import atlas
 from mirror.synth.textures.catalogue import BILLBOARDS, DIRECTION_SIGNS, PLATES, SHOP_SIGNS, TRAFFIC_SIGNS, Grain
 from mirror.synth.textures.sampling import grain_at, image_at
 
-FULL = atlas()
-
 
 def pixels(count: int, ratio: float, texels: tuple[float, float], seed: int) -> np.ndarray:
     """Random parallelograms (N, 6) in texels: position on a unit square, then both sides."""
@@ -26,11 +24,11 @@ def pixels(count: int, ratio: float, texels: tuple[float, float], seed: int) -> 
 
 
 def grains(grain: Grain, at: np.ndarray) -> np.ndarray:
-    return np.array([grain_at(FULL.grains, FULL.grain_index, int(grain), *row) for row in at])
+    return np.array([grain_at(atlas().grains, atlas().grain_index, int(grain), *row) for row in at])
 
 
 def images(number: int, at: np.ndarray) -> np.ndarray:
-    return np.array([image_at(FULL.images, FULL.image_index, number, *row) for row in at])
+    return np.array([image_at(atlas().images, atlas().image_index, number, *row) for row in at])
 
 
 @njit(cache=True)
@@ -61,14 +59,14 @@ def exact(texels: np.ndarray, at: np.ndarray, count: int, repeat: bool) -> np.nd
 
 
 def finest(grain: Grain) -> tuple[np.ndarray, float]:
-    first, log, scale = FULL.grain_index[grain, :3]
+    first, log, scale = atlas().grain_index[grain, :3]
     size = 1 << int(log)
-    return FULL.grains[int(first) : int(first) + size * size].reshape(size, size, 1).astype(np.float64), float(scale)
+    return atlas().grains[int(first) : int(first) + size * size].reshape(size, size, 1).astype(np.float64), float(scale)
 
 
 def light(number: int) -> np.ndarray:
-    wide, high, _, first = FULL.image_index[number, :4]
-    return (FULL.images[first : first + wide * high].reshape(high, wide, 3) / 255.0) ** 2
+    wide, high, _, first = atlas().image_index[number, :4]
+    return (atlas().images[first : first + wide * high].reshape(high, wide, 3) / 255.0) ** 2
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0, 8.0])
@@ -117,7 +115,7 @@ def test_tiny_pixels_interpolate_texels(grain: Grain) -> None:
 def test_huge_pixels_show_the_mean() -> None:
     for size in (1e2, 1e4, 1e8):
         for grain in Grain:
-            assert grain_at(FULL.grains, FULL.grain_index, int(grain), 1.0, 2.0, size, 0.0, 0.0, size) == 1.0
+            assert grain_at(atlas().grains, atlas().grain_index, int(grain), 1.0, 2.0, size, 0.0, 0.0, size) == 1.0
     whole = light(PLATES[3]).mean(axis=(0, 1))
     for size in (1.0, 5.0, 1e6):
         np.testing.assert_allclose(images(PLATES[3], np.array([[0.5, 0.5, size, 0, 0, size]]))[0], whole, atol=0.1)
@@ -132,10 +130,10 @@ def test_huge_pixels_show_the_mean() -> None:
 def test_grains_tile(
     grain: Grain, u: float, v: float, turn: float, wide: float, ratio: float, right: int, up: int
 ) -> None:
-    period = 1.0 / FULL.grain_index[grain, 2] * 2 ** FULL.grain_index[grain, 1]
+    period = 1.0 / atlas().grain_index[grain, 2] * 2 ** atlas().grain_index[grain, 1]
     sides = (ratio * wide * np.cos(turn), ratio * wide * np.sin(turn), -wide * np.sin(turn), wide * np.cos(turn))
-    here = grain_at(FULL.grains, FULL.grain_index, int(grain), u, v, *sides)
-    there = grain_at(FULL.grains, FULL.grain_index, int(grain), u + right * period, v + up * period, *sides)
+    here = grain_at(atlas().grains, atlas().grain_index, int(grain), u, v, *sides)
+    there = grain_at(atlas().grains, atlas().grain_index, int(grain), u + right * period, v + up * period, *sides)
     assert abs(here - there) < 1e-3
     assert 0.05 < here < 5.0
 
@@ -149,7 +147,7 @@ def test_image_samples_stay_within_the_texels_range(
     number: int, s: float, t: float, s1: float, t1: float, s2: float, t2: float
 ) -> None:
     texels = light(number)
-    colour = np.array(image_at(FULL.images, FULL.image_index, number, s, t, s1, t1, s2, t2))
+    colour = np.array(image_at(atlas().images, atlas().image_index, number, s, t, s1, t1, s2, t2))
     assert (colour >= texels.min(axis=(0, 1)) - 0.01).all() and (colour <= texels.max(axis=(0, 1)) + 0.01).all()
 
 
@@ -158,7 +156,7 @@ def test_images_are_upright_and_not_mirrored() -> None:
     for s, t in ((0.02, 0.97), (0.05, 0.5), (0.9, 0.1)):
         row, column = int((1 - t) * texels.shape[0]), int(s * texels.shape[1])
         here = image_at(
-            FULL.images, FULL.image_index, PLATES[0], (column + 0.5) / 256, 1 - (row + 0.5) / 64, 0, 0, 0, 0
+            atlas().images, atlas().image_index, PLATES[0], (column + 0.5) / 256, 1 - (row + 0.5) / 64, 0, 0, 0, 0
         )
         np.testing.assert_allclose(here, texels[row, column], atol=1e-3)
 
@@ -168,17 +166,17 @@ def test_invalid_coordinates_read_no_memory_outside(bad: float) -> None:
     for place in range(6):
         row = [0.3, 0.4, 0.01, 0.0, 0.0, 0.01]
         row[place] = bad
-        value = grain_at(FULL.grains, FULL.grain_index, 0, *row)
+        value = grain_at(atlas().grains, atlas().grain_index, 0, *row)
         assert np.isnan(value) or 0.0 < value < 5.0
-        colour = np.array(image_at(FULL.images, FULL.image_index, 443, *row))
+        colour = np.array(image_at(atlas().images, atlas().image_index, 443, *row))
         assert np.isnan(colour).any() or ((colour >= 0.0) & (colour <= 1.0)).all()
 
 
 def test_degenerate_pixels_are_valid() -> None:
     """Pixels without area, and pixels that are a line."""
     for sides in ((0, 0, 0, 0), (1, 0, 0, 0), (0, 0, 0, 1), (0.1, 0.1, 0.1, 0.1), (1e-12, 0, 0, 5)):
-        assert 0.0 < grain_at(FULL.grains, FULL.grain_index, 2, 0.3, 0.2, *sides) < 3.0
-        assert all(0.0 <= part <= 1.0 for part in image_at(FULL.images, FULL.image_index, 3, 0.3, 0.2, *sides))
+        assert 0.0 < grain_at(atlas().grains, atlas().grain_index, 2, 0.3, 0.2, *sides) < 3.0
+        assert all(0.0 <= part <= 1.0 for part in image_at(atlas().images, atlas().image_index, 3, 0.3, 0.2, *sides))
 
 
 def test_the_order_of_the_sides_does_not_matter() -> None:

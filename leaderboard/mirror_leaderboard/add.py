@@ -25,7 +25,7 @@ from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
-from mirror_leaderboard.rescore import Sources, require_plan, rescore
+from mirror_leaderboard.rescore import Sources, require_plan, rescore, rescore_rollouts
 from mirror_leaderboard.trust import today
 
 _MAX_BYTES: Final = 64 << 20
@@ -56,7 +56,8 @@ def add_result(
         setting: setting that distinguishes this row from others of the same method and version.
         sources: dataset that the result is held against. With its submission, the renders are scored again, and a few
             are shown beside their truth; without, the entry stands in a table of unverified ones. None: the result is
-            held against its own table of images alone.
+            held against its own table of images alone. For the protocol safety: the rollouts, which are always scored
+            again from their state logs.
         progress: receives the progress of the scoring.
         day: day of the entry; None: today (UTC).
 
@@ -75,7 +76,11 @@ def add_result(
     _require_name(entry.method, "submission.method.name", path)
     for name in filter(None, (entry.version, entry.setting, dataset)):
         _require_name(name, "version, setting or dataset name", path)
-    if sources is not None and sources.submission is not None:
+    if result.protocol.task == "safety":
+        result = rescore_rollouts(result, path, sources, progress)
+        entry = make_entry(result, dataset, file=path, setting=setting)
+        entry = entry.model_copy(update={"verified": True})
+    elif sources is not None and sources.submission is not None:
         result = rescore(result, path, sources, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)
         entry = entry.model_copy(update={"verified": True})

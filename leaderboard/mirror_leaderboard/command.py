@@ -62,7 +62,8 @@ class Add:
     result: tyro.conf.Positional[Path]
     """`result.json` of `mirror evaluate`."""
     dataset: tyro.conf.Positional[str]
-    """Folder or URL of the dataset: the result is held against its plan."""
+    """Folder or URL of the dataset: the result is held against its plan. For the protocol safety: the folder of the
+    rollouts, which are scored again from their state logs."""
     dataset_name: Annotated[str, help_text(metavar="NAME")]
     """Name of the dataset on the board."""
     setting: Annotated[str | None, help_text(default="none")] = None

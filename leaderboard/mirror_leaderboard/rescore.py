@@ -13,6 +13,7 @@ import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.result import Figure, Result
+from mirror.evaluation.rollouts import evaluate_rollouts
 from mirror.evaluation.run import EvaluationOptions, evaluate, list_warnings
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -39,7 +40,7 @@ class Sources:
     """What an organiser holds a result against.
 
     Attributes:
-        dataset: folder or URL of the dataset with the truth.
+        dataset: folder or URL of the dataset with the truth; for the protocol safety, the folder of the rollouts.
         submission: folder or zip of the renders; None: they are not scored again.
         hidden: folder of hidden truth, for protocols that use it.
         features: folder of cached features of the truth, by hash; None: none are kept.
@@ -92,6 +93,38 @@ def rescore(result: Result, path: Path, sources: Sources, progress: ProgressRepo
     _require_equal("warnings", result.warnings, done.result.warnings, path)
     _require_equal_figures(result.figures, done.result.figures, path)
     return done.result
+
+
+def rescore_rollouts(
+    result: Result, path: Path, sources: Sources | None, progress: ProgressReporter | None = None
+) -> Result:
+    """Score rollouts again from their state logs, and return the new result if the given one states the same.
+
+    Args:
+        result: the given result.
+        path: its file, for messages.
+        sources: the rollouts.
+        progress: receives the progress.
+
+    Raises:
+        RefusedError: there are no sources, the rollouts are others, or a figure or a warning differs.
+        UsageError: there is no rollout in the folder.
+        DatasetError: a rollout is incomplete or was changed.
+    """
+    if sources is None or sources.submission is not None or sources.hidden is not None:
+        raise RefusedError(
+            "figures of rollouts are taken from their state logs", file=path, expected="the folder of the rollouts",
+            remedy="mirror leaderboard add RESULT ROLLOUTS, without --submission and --hidden",
+        )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="mirror-rescore-") as folder:
+        done = evaluate_rollouts(Path(sources.dataset), result.protocol, Path(folder) / "results", progress).result
+    _require_equal("submission_hash", result.submission_hash, done.submission_hash, path)
+    _require_equal("dataset", result.dataset, done.dataset, path)
+    _require_equal("submission.method", result.submission.method, done.submission.method, path)
+    _require_equal("options", result.options, done.options, path)
+    _require_equal("warnings", result.warnings, done.warnings, path)
+    _require_equal_figures(result.figures, done.figures, path)
+    return done
 
 
 def require_plan(result: Result, path: Path, dataset: str) -> None:

@@ -105,14 +105,40 @@ def test_hashes_identify_policy_scenarios_and_logs(runs: Path, tmp_path: Path) -
 def test_a_row_stands_on_the_board(runs: Path, tmp_path: Path) -> None:
     from mirror_leaderboard.add import add_result
     from mirror_leaderboard.boards import make_boards
-    from mirror_leaderboard.entry import load_entries
+    from mirror_leaderboard.entry import Measured, load_entries
+    from mirror_leaderboard.rescore import Sources
 
     evaluate_rollouts(runs, PROTOCOL, tmp_path / "out")
-    add_result(tmp_path / "out" / "result.json", tmp_path / "board", "Synthetic street")
-    (board,) = make_boards(load_entries(tmp_path / "board" / "entries"))
+    add_result(tmp_path / "out" / "result.json", tmp_path / "board", "Synthetic street", sources=Sources(str(runs)))
+    (entry,) = load_entries(tmp_path / "board" / "entries")
+    assert isinstance(entry, Measured) and entry.verified
+    (board,) = make_boards([entry])
     assert (board.protocol, board.ranked_by) == ("safety", ("rollouts", "epdms"))
     assert board.entries[0].method == "cautious"
     assert {metric for _, metric in board.columns} == set(PROTOCOL.metric_names)
+
+
+def test_the_board_takes_the_figures_of_the_state_logs_and_no_others(runs: Path, tmp_path: Path) -> None:
+    from mirror_leaderboard.add import add_result
+    from mirror_leaderboard.refused import RefusedError
+    from mirror_leaderboard.rescore import Sources
+
+    result = evaluate_rollouts(runs, PROTOCOL, tmp_path / "out").result
+    path, board, sources = tmp_path / "out" / "result.json", tmp_path / "board", Sources(str(runs))
+    with pytest.raises(RefusedError, match="taken from their state logs"):
+        add_result(path, board, "Synthetic street")
+    better = [
+        figure.model_copy(update={"value": 1.0, "low": 1.0, "high": 1.0}) if figure.metric == "epdms" else figure
+        for figure in result.figures
+    ]
+    write_json(path, result.model_copy(update={"figures": tuple(better)}))
+    with pytest.raises(RefusedError, match="epdms"):
+        add_result(path, board, "Synthetic street", sources=sources)
+    write_json(path, result)
+    other = drive(tmp_path / "other", "scenario0", gap_m=41.0)
+    with pytest.raises(RefusedError, match="submission_hash"):
+        add_result(path, board, "Synthetic street", sources=Sources(str(other)))
+    assert not board.exists()
 
 
 def test_the_verb(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

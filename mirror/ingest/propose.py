@@ -213,7 +213,7 @@ def _candidates(tracks: Sequence[_DriveTrack], radius_m: float) -> Float64:
                 if around not in seen_ns or stamp - seen_ns[around] > 60_000_000_000:
                     near[around] += 1
                 seen_ns[around] = stamp
-        drives.update(seen_ns)
+        drives.update(seen_ns.keys())
     best = sorted(sums, key=lambda cell: (-drives[cell], -near[cell], cell))[:_FINALISTS]
     return np.array([sums[cell][:2] / sums[cell][2] / scale + middle for cell in best]).reshape(-1, 2)
 

@@ -161,6 +161,16 @@ def test_circles_agree_with_the_exact_geodesic(
         assert np.max(farthest) <= radius
 
 
+def test_a_circle_touches_a_box_at_its_northernmost_place() -> None:
+    """At the equator the curvature is the smallest, so that the bound of the latitude has only its own margin."""
+    circle = Circle(10.0, 0.0, 200.0)
+    north = np.array([GEOD.fwd(10.0, 0.0, 0.0, 200.0)[1]])
+    assert circle.touches(np.array([9.9]), np.array([10.1]), north, north + 1.0)[0]
+    assert circle.touches(np.array([9.9]), np.array([10.1]), -north - 1.0, -north)[0]
+    beyond = np.array([GEOD.fwd(10.0, 0.0, 0.0, 200.1)[1]])
+    assert not circle.touches(np.array([9.9]), np.array([10.1]), beyond, beyond + 1.0)[0]
+
+
 def test_the_edge_of_a_circle_belongs_to_it() -> None:
     circle = Circle(10.0, 50.0, 0.0)
     assert circle.contains(np.array([10.0, np.nan]), np.array([50.0, 50.0])).tolist() == [True, False]

@@ -138,3 +138,12 @@ def test_proposals_are_not_written_into_what_is_something_else(fleet: Path, caps
     assert main(["rois", "propose", str(fleet), "--out", str(drive / "rois.geojson")]) == 2
     assert "which is a recording" in capsys.readouterr().err
     assert tree(drive) == before
+
+
+def test_a_place_passed_again_after_more_than_a_minute_comes_before_places_passed_once(tmp_path: Path) -> None:
+    """A drive ends where it was 85 s before; more cells are passed once than are judged."""
+    seconds = np.arange(0.0, 3672.0, 0.5)
+    metres = np.where(seconds < 3600.0, 11.0 * seconds, 11.0 * 3600.0 - 5.0 * (seconds - 3600.0))
+    write_csv(tmp_path / "fleet" / "there.csv", seconds, metres)
+    best = propose_rois([tmp_path / "fleet" / "there.csv"], radius_m=60.0, count=1).ranked[0]
+    assert best.traversals == 2

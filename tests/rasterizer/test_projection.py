@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from hybridworldsim.kernels.memory import empty_aligned
+from hybridworldsim.rasterizer.cpu.projection import project as project_module
 from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
 from hybridworldsim.rasterizer.lenses import Lens
@@ -139,6 +141,35 @@ def test_what_is_culled_has_no_gradient() -> None:
     for gradient in gradients(ours, inputs)[:3]:
         assert (gradient[hidden] == 0.0).all()
         assert gradient[~hidden].abs().sum(1).min() > 0.0
+
+
+def test_every_row_of_the_gradients_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts write the rows of culled Gaussians between theirs, and the memory that they get is not zero before."""
+
+    def dirty(count: int, dtype: Any) -> Any:
+        array = empty_aligned(count, dtype)
+        array.fill(float("nan"))
+        return array
+
+    monkeypatch.setattr(project_module, "empty_aligned", dirty)
+    number = 10 * PART
+    inputs = leaves(random_gaussians(number))
+    ours = through(compiled, inputs)
+    assert len(ours.ids) > 2 * PART
+    hidden = torch.ones(number, dtype=torch.bool)
+    hidden[ours.ids] = False
+    for gradient in gradients(ours, inputs)[:3]:
+        assert (gradient[hidden] == 0.0).all() and gradient.isfinite().all()
+
+
+@pytest.mark.parametrize("project", [compiled, reference])
+def test_what_lies_on_a_plane_is_drawn(project: Any) -> None:
+    depths = torch.tensor([2.0, 7.0]).repeat_interleave(3) + torch.tensor([-1.0, 0.0, 1.0]).repeat(2) * 2.0**-20
+    means = torch.stack([torch.zeros(6), torch.zeros(6), depths], 1)
+    quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(6, 1)
+    inputs = (means, quats, torch.full((6, 3), 0.1), torch.full((6,), 0.5), torch.eye(4))
+    ours = through(project, inputs, near_plane=2.0, far_plane=7.0)
+    assert ours.ids.tolist() == [1, 2, 3, 4]
 
 
 def sound(inputs: Inputs, **how: Any) -> ProjectedGaussians:

@@ -87,6 +87,9 @@ def test_float_seconds_keep_their_precision(seconds: float) -> None:
         ([1, 2**62], "unix_us", 1),
         ([1.0, float("nan")], "unix_s", 1),
         ([1.0, float("inf")], "gps_s", 1),
+        # 2^63 ns are 9.22e9 s, less the 0.32e9 s of the epoch of GPS.
+        ([8.9e9, 9.3e9], "unix_s", 1),
+        ([8.9e9, 9.0e9], "gps_s", 1),
     ],
 )
 def test_invalid_stamp_is_named_by_its_row(values: list[object], base: str, row: int) -> None:

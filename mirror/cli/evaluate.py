@@ -46,7 +46,8 @@ class Arguments:
     out: Annotated[Path | None, help_text(default="SUBMISSION-results, beside the submission", metavar="FOLDER")] = None
     """Folder for the results. For rollouts: RUN-results, beside the rollouts."""
     report: bool = False
-    """Also write report.html: figures, and the worst, median and best renders beside truth and error."""
+    """Also write report.html: figures, and the worst, median and best renders beside truth and error. For rollouts:
+    figures, and the worst rollouts from above."""
     baseline: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="RESULTS")] = ()
     """Show another evaluation of the same views in the report, such as that of a floor."""
     require: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="METRIC")] = ()
@@ -125,7 +126,6 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
     folder = local_path(Path(arguments.dataset), "DATASET")
     unused = {
         "--split": arguments.split,
-        "--report": arguments.report,
         "--baseline": arguments.baseline,
         "--require": arguments.require,
         "--stand-ins": arguments.stand_ins,
@@ -145,12 +145,16 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
     protocol = load_protocol(arguments.protocol or "safety")
     with progress_bar(quiet=arguments.json) as bar:
         evaluation = evaluate_rollouts(folder, protocol, out, bar)
-    result = evaluation.result
+    result, page = evaluation.result, out / "report.html" if arguments.report else None
+    if page is not None:
+        from mirror.evaluation.rollout_report import write_rollout_report
+
+        write_rollout_report(evaluation, folder, page)
     if arguments.json:
-        plain = {"out": str(out), "result_hash": result.hash, "result": result.model_dump(mode="json")}
-        print(json.dumps(plain))
+        places = {"out": str(out), "report": None if page is None else str(page), "result_hash": result.hash}
+        print(json.dumps({**places, "result": result.model_dump(mode="json")}))
     else:
-        _print(result, out, None, "rollout")
+        _print(result, out, page, "rollout")
     return ExitCode.DONE
 
 

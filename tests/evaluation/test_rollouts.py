@@ -156,6 +156,16 @@ def test_the_verb(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "a rollout" in capsys.readouterr().err
 
 
+def test_the_report_shows_figures_and_the_worst_rollouts(runs: Path, tmp_path: Path) -> None:
+    assert main(["evaluate", str(runs), "--report", "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("<svg") == 4 and page.count("<circle") == 2
+    assert "12</b><span>rollouts of 6 scenarios" in page and "2</b><span>with a collision" in page
+    assert page.index("scenario0, seed") < page.index("scenario1, seed")
+    assert "By scenario" in page and "http" not in page.replace("http-equiv", "")
+    assert page.count("<tr>") >= 12 + 6
+
+
 def test_failed_policies_are_scored_with_a_warning_and_interrupted_rollouts_are_refused(tmp_path: Path) -> None:
     drive(tmp_path / "runs", "scenario0", ending="policy", reason="no answer within 1 s")
     result = evaluate_rollouts(tmp_path / "runs", PROTOCOL, tmp_path / "out").result

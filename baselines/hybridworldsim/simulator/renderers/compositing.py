@@ -31,6 +31,7 @@ _FADE_M: Final = 0.25
 _REACH_M: Final = 0.9
 _HEIGHT_M: Final = 0.45
 _FARTHEST_M: Final = 70.0
+_NEAR_M: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,24 +174,37 @@ def _bounds(
     width: int,
     height: int,
 ) -> tuple[int, int, int, int]:
-    """Pixels of a rectangle on the ground; all of them where it reaches behind the camera."""  # fmt: skip
-    left, top, right, bottom = float(width), float(height), 0.0, 0.0
-    behind = 0
+    """Pixels of a box over a rectangle on the ground: of the part of it that is before the camera."""  # fmt: skip
+    corners = np.empty((8, 3))
     for corner in range(8):
         u = along if corner & 1 else -along
         v = aside if corner & 2 else -aside
         dx, dy = x + cos * u - sin * v - origin[0], y + sin * u + cos * v - origin[1]
         dz = z + (_HEIGHT_M if corner & 4 else -_HEIGHT_M) - origin[2]
-        depth = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        if depth < 0.2:
-            behind += 1
-            continue
-        column = lens[0] * (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / depth + lens[2]
-        row = lens[1] * (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth + lens[3]
-        left, right = min(left, column), max(right, column)
-        top, bottom = min(top, row), max(bottom, row)
-    if behind == 8:
+        for axis in range(3):
+            corners[corner, axis] = rotation[0, axis] * dx + rotation[1, axis] * dy + rotation[2, axis] * dz
+    left, top, right, bottom = math.inf, math.inf, -math.inf, -math.inf
+    for corner in range(8):
+        for bit in (0, 1, 2, 4):
+            other = corner | bit
+            a, b, depth = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+            far = corners[other, 2]
+            if bit and (depth < _NEAR_M) != (far < _NEAR_M):
+                # The edge ends at the near plane.
+                share = (_NEAR_M - depth) / (far - depth)
+                a, b = a + share * (corners[other, 0] - a), b + share * (corners[other, 1] - b)
+                depth = _NEAR_M
+            elif bit or depth < _NEAR_M:
+                continue
+            column, row = lens[0] * a / depth + lens[2], lens[1] * b / depth + lens[3]
+            left, right = min(left, column), max(right, column)
+            top, bottom = min(top, row), max(bottom, row)
+    if left > right:
         return 0, 0, 0, 0
-    if behind:
-        return 0, 0, width, height
-    return max(int(left), 0), max(int(top), 0), min(int(right) + 2, width), min(int(bottom) + 2, height)
+    # Far beyond the image a coordinate may not fit an integer.
+    return (
+        int(min(max(left, 0.0), width)),
+        int(min(max(top, 0.0), height)),
+        int(min(max(right + 2.0, 0.0), width)),
+        int(min(max(bottom + 2.0, 0.0), height)),
+    )

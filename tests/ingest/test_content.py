@@ -73,7 +73,7 @@ def test_frames_of_a_video_are_decoded_only_inside_passes(
 
 def test_boxes_of_the_recording_become_a_layer(drive: Path, tmp_path: Path) -> None:
     stamps = [START_NS + int(seconds * 1e9) for seconds in (2, 8, 15, 22, 28)]
-    values = {field.name: pa.nulls(5, pa.float64()) for field in BOXES.schema}
+    values = {field.name: pa.nulls(5, field.type if field.nullable else pa.float64()) for field in BOXES.schema}
     for name, value in {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "tx_m": 9.0, "ty_m": 1.0, "tz_m": 0.8}.items():
         values[name] = pa.array([value] * 5)
     for name, value in {"length_m": 4.5, "width_m": 1.9, "height_m": 1.6}.items():

@@ -13,18 +13,23 @@ from hybridworldsim.simulator.ego.vehicle import EgoState
 from hybridworldsim.simulator.renderers.exact import ExactRenderer
 from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
 from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
-from hybridworldsim.simulator.street.obstacles import wall_at
+from hybridworldsim.simulator.street.obstacles import corners_of, wall_at
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
+from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.model import Model
+from mirror.synth.truth.casting import cast_rays
 
 SMALLEST_PX = 200
 _KINDS = ("car", "car", "van", "pedestrian", "cyclist", "truck")
 _AGENTS = 40
 _REACH_M = 45.0
+_HIDDEN_REACH_M = 25.0
+_TRIES = 1500
+_EYE_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,19 @@ class Mask:
     pixels: int
 
 
-def measure_masks(street: Street, model: OpenModel, places: int, width_px: int, seed: int = 0) -> Iterator[Mask]:
-    """Compare masks at places of a recorded drive, with agents that stand at random on the ground around them."""
+def measure_masks(
+    street: Street, model: OpenModel, places: int, width_px: int, *, hidden: bool = False, seed: int = 0
+) -> Iterator[Mask]:
+    """Compare masks at places of a recorded drive, with agents that stand at random on the ground around them.
+
+    Args:
+        street: the street.
+        model: its model.
+        places: number of places.
+        width_px: width of the images.
+        hidden: only agents of which fixed objects hide a part from the ego stand there.
+        seed: of their places.
+    """
     cameras = rig_cameras(street, tuple(street.rig), width_px)
     scenario = Scenario(name="masks")
     recording = street.recordings[min(street.recordings)]
@@ -51,7 +67,9 @@ def measure_masks(street: Street, model: OpenModel, places: int, width_px: int, 
     for place in np.linspace(0.1, 0.9, places):
         row = int(place * (len(recording.poses) - 1))
         x, y, yaw = recording.poses[row].tolist()
-        snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns)
+        snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns, hidden=hidden)
+        if not snapshot.agents:
+            continue
         # The vehicle's own body is part of the recorded images, but not of a reconstruction.
         bare = replace(street, drive=_without_ego(street))
         exact = ExactRenderer(bare, scenario, snapshot, cameras, 0)
@@ -81,12 +99,33 @@ def _without_ego(street: Street) -> SynthDrive:
     return bare
 
 
-def _snapshot(street: Street, ego: EgoState, rng: np.random.Generator, start_ns: int) -> Snapshot:
+def _hidden_share(street: Street, ego: EgoState, box: Float64, height_m: float) -> float:
+    """Share of points of a box (x, y, yaw, half length, half width) that fixed objects hide from above the ego."""
+    if street.drive is None:
+        raise UsageError("the exact world of the street is not known")
+    floor = corners_of(box) * 0.8 + box[:2] * 0.2
+    flat = np.concatenate([floor, 0.5 * (floor + np.roll(floor, 1, axis=0))])
+    x, y = np.array([ego.x_m, *flat[:, 0]]), np.array([ego.y_m, *flat[:, 1]])
+    ground = np.asarray(street.ground.height_m(x, y))
+    eye = np.array([ego.x_m, ego.y_m, ground[0] + _EYE_M])
+    points = np.concatenate([np.column_stack([flat, ground[1:] + share * height_m]) for share in (0.2, 0.5, 0.8)])
+    rays = points - eye
+    length = np.linalg.norm(rays, axis=1)
+    distance, index = cast_rays(street.drive.world.model, eye, rays / length[:, None])
+    return float(np.mean((index >= 0) & (distance < length - 0.3)))
+
+
+def _snapshot(
+    street: Street, ego: EgoState, rng: np.random.Generator, start_ns: int, *, hidden: bool = False
+) -> Snapshot:
     agents: list[Agent] = []
     rows: list[tuple[float, float, float, float]] = []
-    while len(agents) < _AGENTS:
+    for _ in range(_TRIES):
+        if len(agents) == _AGENTS:
+            break
         kind = _KINDS[len(agents) % len(_KINDS)]
-        x, y = np.array([ego.x_m, ego.y_m]) + rng.uniform(-_REACH_M, _REACH_M, 2)
+        reach_m = _HIDDEN_REACH_M if hidden else _REACH_M
+        x, y = np.array([ego.x_m, ego.y_m]) + rng.uniform(-reach_m, reach_m, 2)
         yaw = rng.uniform(-np.pi, np.pi)
         body = draw_body(kind, f"agent-{len(agents)}", 0)
         reach = 0.5 * float(np.hypot(*body.size_m[:2]))
@@ -94,11 +133,14 @@ def _snapshot(street: Street, ego: EgoState, rng: np.random.Generator, start_ns:
         if np.hypot(x - ego.x_m, y - ego.y_m) < reach + 5.0 or not apart:
             continue
         ring = np.array([(x, y), *((x + reach * np.cos(t), y + reach * np.sin(t)) for t in np.linspace(0, 6.3, 9))])
+        box = np.array([x, y, yaw, 0.5 * body.size_m[0], 0.5 * body.size_m[1]])
+        if hidden and not 0.3 <= _hidden_share(street, ego, box, body.size_m[2]) <= 0.9:
+            continue
         if not street.is_inside(ring).all() or wall_at(street, ring):
             continue
         agents.append(Agent(f"agent-{len(agents):02d}", kind, body.size_m, body))
         rows.append((x, y, yaw, reach))
-    columns = np.array(rows)
+    columns = np.array(rows).reshape(-1, 4)
     zeros = np.zeros(len(agents))
     states = AgentStates(
         columns[:, 0], columns[:, 1], columns[:, 2], zeros, zeros.copy(), zeros.copy(), np.ones(len(agents), np.bool_)

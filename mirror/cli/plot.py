@@ -46,6 +46,7 @@ def main(argv: Sequence[str]) -> int:
     import mirror
     from mirror.schema.folders import FolderKind, require_output_folder
     from mirror.view.figures import FIGURES, draw_figures
+    from mirror.view.privacy_figure import RemovedRegions
 
     unknown = [name for name in arguments.figure if name not in FIGURES]
     if unknown:
@@ -54,8 +55,13 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(f"{arguments.dpi} dpi", place="--dpi", expected="30 to 1200")
     require_output_folder(arguments.out, FolderKind.OTHER)
     dataset = mirror.open(arguments.dataset).where(scene=arguments.scene or None)
-    files = []
-    for name, drawn in draw_figures(dataset, arguments.figure or FIGURES):
+    names, removed, files = arguments.figure or FIGURES, None, []
+    if "privacy" in names:
+        from mirror.privacy.summary import summarize_redactions
+
+        summary = summarize_redactions(dataset)
+        removed = None if summary is None else RemovedRegions(summary.regions, summary.covered_share)
+    for name, drawn in draw_figures(dataset, names, removed):
         for suffix in dict.fromkeys(arguments.format):
             files.append(arguments.out / f"{name}.{suffix}")
             _save(drawn, files[-1], arguments.dpi)

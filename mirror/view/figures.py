@@ -20,6 +20,7 @@ from mirror.view.plots import (
     traversals_figure,
     whole_numbers,
 )
+from mirror.view.privacy_figure import RemovedRegions, privacy_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,15 +38,17 @@ _MOST_CATEGORIES: Final = 16
 _COLUMNS: Final = 4
 _WEDGE_M: Final = 1.2
 _STAGE_COLOURS: Final = {"factory": "#4c78a8", "online": "#f58518", "refined": "#54a24b"}
-_PRIVACY_COLOURS: Final = {"raw": "#c8553d", "redacted": "#54a24b"}
 
 
-def draw_figures(dataset: Dataset, names: Sequence[str]) -> Iterator[tuple[str, Figure]]:
+def draw_figures(
+    dataset: Dataset, names: Sequence[str], removed: RemovedRegions | None = None
+) -> Iterator[tuple[str, Figure]]:
     """Draw figures one after the other; one without data is left out.
 
     Args:
         dataset: the dataset or a view of it.
         names: names among `FIGURES`.
+        removed: what was removed from redacted images, for the figure ``privacy``.
 
     Yields:
         Name and figure.
@@ -64,7 +67,7 @@ def draw_figures(dataset: Dataset, names: Sequence[str]) -> Iterator[tuple[str, 
         "coverage": lambda: coverage_figure(dataset),
         "place": lambda: place_figure(dataset),
         "cameras": lambda: cameras_figure(dataset),
-        "privacy": lambda: privacy_figure(dataset),
+        "privacy": lambda: privacy_figure(dataset, removed),
     }
     for name in names:
         figure = drawers[name]()
@@ -221,29 +224,6 @@ def cameras_figure(dataset: Dataset) -> Figure | None:
         panels[0].plot([], [], color=_STAGE_COLOURS[stage], label=stage)
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle("Cameras from above: mounting and field of view by calibration stage", fontsize=10)
-    return figure
-
-
-def privacy_figure(dataset: Dataset) -> Figure | None:
-    """Plot the number of raw and redacted images of each camera."""
-    rows = dataset.table("images", ["camera", "privacy"])
-    if not rows.num_rows:
-        return None
-    counts = rows.group_by(["camera", "privacy"]).aggregate([([], "count_all")]).to_pylist()
-    cameras = dataset.cameras()
-    figure = new_figure(6.0, 1.6 + 0.3 * len(cameras))
-    axes = new_axes(figure)
-    left = np.zeros(len(cameras))
-    for state, colour in _PRIVACY_COLOURS.items():
-        found = {row["camera"]: row["count_all"] for row in counts if row["privacy"] == state}
-        values = np.array([found.get(camera, 0) for camera in cameras], np.float64)
-        if values.any():
-            axes.barh(cameras, values, left=left, color=colour, label=state, height=0.7)
-            left += values
-    axes.invert_yaxis()
-    axes.set_xlabel("images")
-    axes.set_title("Images by privacy state", fontsize=10)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure
 
 

@@ -23,8 +23,9 @@ from mirror.errors import DatasetError, UsageError
 from mirror.integrity import check
 from mirror.privacy.log import read_log
 from mirror.privacy.operators import Redaction
-from mirror.privacy.regions import covered_share
+from mirror.privacy.regions import covered_share, grown_box
 from mirror.privacy.run import deidentify
+from mirror.privacy.summary import summarize_redactions
 from tests.dataset.builders import Builder, write_reconstruction
 from tests.privacy.conftest import FACE, PLATE, make_dataset, options
 
@@ -199,3 +200,34 @@ def test_a_dataset_without_images_or_an_unknown_traversal(tmp_path: Path) -> Non
         deidentify(root, options(), traversals=["nowhere"])
     with pytest.raises(DatasetError, match="no dataset"):
         deidentify(tmp_path / "none", options())
+
+
+def test_what_was_removed_is_counted_and_drawn(deidentified: Path, tmp_path: Path) -> None:
+    dataset = mirror.open(str(deidentified))
+    summary = summarize_redactions(dataset)
+    assert summary is not None and summary.images == 18
+    records = [record for log in deidentified.rglob("redaction/*/log.jsonl") for record in read_log(log)]
+    counted: dict[tuple[str, str], int] = {}
+    covered = pixels = 0
+    for record in records:
+        shown = np.zeros((record.height_px, record.width_px), np.bool_)
+        for region in record.regions:
+            counted[region.kind, region.origin] = counted.get((region.kind, region.origin), 0) + 1
+            left, top, right, bottom = grown_box(region, record.grow, record.width_px, record.height_px) or (0, 0, 0, 0)
+            shown[top:bottom, left:right] = True
+        covered, pixels = covered + int(shown.sum()), pixels + shown.size
+    found = {(kind, origin): n for kind, origins in summary.regions.items() for origin, n in origins.items() if n}
+    assert found == counted and set(counted) >= {("face", "detector"), ("plate", "detector")}
+    assert summary.covered_share == pytest.approx(covered / pixels, rel=1e-12)
+    # A view counts its own images only.
+    one = summarize_redactions(dataset.where(camera="rear_left"))
+    assert (
+        one is not None and one.images == 6 and not any(n for counts in one.regions.values() for n in counts.values())
+    )
+    pytest.importorskip("matplotlib", reason="the extra view is not installed")
+    words = ["plot", str(deidentified), "--figure", "privacy", "--format", "svg", "--out", str(tmp_path / "plots")]
+    assert main(words) == 0
+    assert (tmp_path / "plots" / "privacy.svg").stat().st_size > 1000
+    raw = tmp_path / "raw"
+    make_dataset(raw)
+    assert summarize_redactions(mirror.open(str(raw))) is None

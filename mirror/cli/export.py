@@ -35,6 +35,14 @@ _EXAMPLES: Final = {
         "mirror export kitti demo/dataset --scene street --undistort --out kitti",
         "mirror export kitti demo/dataset --scene street --camera front_wide --undistort --out kitti",
     ),
+    "webdataset": (
+        "mirror export webdataset demo/dataset --scene street --split novel --out shards",
+        "mirror export webdataset demo/dataset --scene street --camera front_wide rear --undistort --out shards",
+    ),
+    "lerobot": (
+        "mirror export lerobot demo/dataset --scene street --out lerobot",
+        "mirror export lerobot demo/dataset --scene street --camera front_wide --split novel --out lerobot",
+    ),
 }
 _SUMMARIES: Final = {
     "colmap": "a COLMAP 4 model: cameras, rigs, frames, images, points, masks",
@@ -42,6 +50,8 @@ _SUMMARIES: Final = {
     "gsplat": "the data of gsplat's example trainer",
     "nuscenes": "the tables of nuScenes with images and boxes",
     "kitti": "KITTI odometry sequences with tracking labels",
+    "webdataset": "tar files with one sample for each frame",
+    "lerobot": "a LeRobot v3.0 dataset with one episode for each traversal",
 }
 
 

@@ -25,6 +25,7 @@ from mirror.export.scene import ExportImage, ExportScene
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.installation import install_command
+from mirror.progress import ProgressReporter
 
 if TYPE_CHECKING:
     import pycolmap
@@ -208,7 +209,7 @@ def _is_rigid(segment: _Segment) -> bool:
     return True
 
 
-def _write(scene: ExportScene, out: Path) -> Written:
+def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     return write_sparse_model(scene, out / "sparse" / "0", colmap_lens)
 
 

@@ -33,17 +33,28 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
         DatasetError: the image cannot be read, or the file cannot be written.
     """
     image = item.image
-    encoded = image.codec in ("jpeg", "png") and image.video_pts is None
-    if item.is_resampled or not encoded or target.suffix != item.suffix:
+    if not _keeps_bytes(item, target.suffix):
         if not target.is_file():
-            pixels = item.raster.image(image.decode()) if item.is_resampled else image.decode()
-            write_bytes(target, encode_image(pixels, target.suffix))
+            write_bytes(target, image_bytes(item, target.suffix))
         return
     if target.is_file() and target.stat().st_size == image.byte_length:
         return
     if not copy and _link(store, item, target):
         return
-    write_bytes(target, image.read())
+    write_bytes(target, image_bytes(item, target.suffix))
+
+
+def image_bytes(item: ExportImage, suffix: str) -> bytes:
+    """The encoded image of an export: the dataset's bytes where the format allows it, else encoded as `place_image`."""
+    image = item.image
+    if _keeps_bytes(item, suffix):
+        return image.read()
+    return encode_image(item.raster.image(image.decode()) if item.is_resampled else image.decode(), suffix)
+
+
+def _keeps_bytes(item: ExportImage, suffix: str) -> bool:
+    encoded = item.image.codec in ("jpeg", "png") and item.image.video_pts is None
+    return encoded and not item.is_resampled and suffix == item.suffix
 
 
 def encode_image(pixels: UInt8, suffix: str) -> bytes:

@@ -15,9 +15,10 @@ from mirror.export.colmap import write_sparse_model
 from mirror.export.layout import Written
 from mirror.export.lenses import gsplat_lens
 from mirror.export.scene import ExportScene
+from mirror.progress import ProgressReporter
 
 
-def _write(scene: ExportScene, out: Path) -> Written:
+def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     return write_sparse_model(scene, out / "sparse" / "0", gsplat_lens)
 
 

@@ -24,6 +24,7 @@ from mirror.export.lenses import pinhole_lens
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses
+from mirror.progress import ProgressReporter
 from mirror.schema.files import write_bytes
 
 CATEGORIES: Final = {
@@ -45,7 +46,7 @@ def _image_path(item: ExportImage) -> str:
     return f"sequences/{item.sequence:04}/image_2/{item.number:06}.png"
 
 
-def _write(scene: ExportScene, out: Path) -> Written:
+def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     sequences: dict[int, list[ExportImage]] = {}
     for item in scene.images:
         sequences.setdefault(item.sequence, []).append(item)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mirror.export.lenses import LensMap
 from mirror.export.scene import ExportImage, ExportScene
+from mirror.progress import ProgressReporter
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,14 @@ class Written:
         files: paths of the files.
         boxes: number of boxes in them.
         points: number of points in them.
+        masks: number of masks in them.
         notes: decisions that the user should know.
     """
 
     files: tuple[Path, ...]
     boxes: int = 0
     points: int = 0
+    masks: int = 0
     notes: tuple[str, ...] = ()
 
 
@@ -54,6 +57,7 @@ class ExportLayout:
         mask_path: path of an image's mask below that folder; None: the format has no masks.
         needs_all_masks: whether every image must have a mask as soon as one has.
         write: writes all other files into a folder.
+        holds_images: whether `write` puts the images into files of its own; `image_path` then names them there.
         kept: fields that it keeps.
         lost: fields that it cannot hold.
     """
@@ -64,6 +68,7 @@ class ExportLayout:
     image_path: Callable[[ExportImage], str]
     mask_path: Callable[[ExportImage], str] | None
     needs_all_masks: bool
-    write: Callable[[ExportScene, Path], Written]
+    write: Callable[[ExportScene, Path, ProgressReporter], Written]
     kept: tuple[Kept, ...]
     lost: tuple[str, ...]
+    holds_images: bool = False

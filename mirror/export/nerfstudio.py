@@ -19,6 +19,7 @@ from mirror.errors import UsageError
 from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.lenses import nerfstudio_lens
 from mirror.export.scene import ExportImage, ExportScene
+from mirror.progress import ProgressReporter
 from mirror.schema.files import write_bytes
 
 TRANSFORMS: Final = "transforms.json"
@@ -44,7 +45,7 @@ def _mask_path(item: ExportImage) -> str:
     return f"masks/{Path(item.name).with_suffix('.png').as_posix()}"
 
 
-def _write(scene: ExportScene, out: Path) -> Written:
+def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     model = _only_model(scene)
     masked = (out / "masks").is_dir()
     document: dict[str, Any] = {

@@ -25,6 +25,7 @@ from mirror.export.files import encode_image
 from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.lenses import pinhole_lens
 from mirror.export.scene import ExportImage, ExportScene
+from mirror.progress import ProgressReporter
 from mirror.schema.files import write_bytes
 
 VERSION: Final = "v1.0-mirror"
@@ -111,7 +112,7 @@ class _Tables:
         return tuple(paths)
 
 
-def _write(scene: ExportScene, out: Path) -> Written:
+def _write(scene: ExportScene, out: Path, _: ProgressReporter) -> Written:
     tables = _Tables()
     for number, level in enumerate(_VISIBILITY, 1):
         tables.add_named("visibility", str(number), level=f"v{level}", description=f"visible: {level} %")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,10 +24,10 @@ from mirror.export.scene import ExportImage, ExportScene, select_scene
 from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import FileEntry
-from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
+from mirror.schema.files import read_json, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 
-LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti")
+LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti", "webdataset", "lerobot")
 """The formats; each is a module of this package."""
 
 _IMAGES: Final = "images.csv"
@@ -100,10 +101,11 @@ def export(
             return complete
     require_lenses(layout, scene.images, form.lens_of)
     write_json(out / UNFINISHED, request)
-    _place_images(scene, form, out, copy=chosen.copies, progress=reporter)
+    if not form.holds_images:
+        _place_images(scene, form, out, copy=chosen.copies, progress=reporter)
     masks = _write_masks(scene, form, out, reporter)
+    written = form.write(scene, out, reporter)
     reporter.start("tables", 1)
-    written = form.write(scene, out)
     files = [*written.files, *_write_lists(scene, form, out)]
     document = _document(scene, form, request, written, masks, files, out)
     write_json(out / MANIFEST, document)
@@ -206,6 +208,8 @@ def _write_lists(scene: ExportScene, form: ExportLayout, out: Path) -> list[Path
         )  # fmt: skip
     write_bytes(out / _IMAGES, sink.getvalue().encode())
     files = [out / _IMAGES]
+    if form.holds_images:
+        return files
     for role in sorted({item.role for item in scene.images if item.role is not None}):
         names = [Path(form.image_path(item)) for item in scene.images if item.role == role]
         lines = [name.relative_to("images").as_posix() if name.parts[0] == "images" else str(name) for name in names]
@@ -220,14 +224,15 @@ def _document(
 ) -> ExportDocument:  # fmt: skip
     entries = {}
     for path in sorted(files):
-        data = path.read_bytes()
-        entries[path.relative_to(out).as_posix()] = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        entries[path.relative_to(out).as_posix()] = FileEntry(bytes=path.stat().st_size, sha256=digest)
     x, y, z = scene.origin_m.tolist()
     return ExportDocument(
         request=request,
         origin_m=(x, y, z),
         images=len(scene.images),
-        masks=masks,
+        masks=masks + written.masks,
         points=written.points,
         boxes=written.boxes,
         withheld=scene.withheld,

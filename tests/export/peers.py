@@ -33,10 +33,22 @@ def export_gsplat(street: Dataset, out: Path) -> None:
     export(street, "gsplat", out, ExportOptions(undistort=True))
 
 
+def export_webdataset(street: Dataset, out: Path) -> None:
+    """All cameras, distorted, with a split."""
+    export(street, "webdataset", out, ExportOptions(split="novel"))
+
+
+def export_lerobot(street: Dataset, out: Path) -> None:
+    """All cameras, distorted."""
+    export(street, "lerobot", out)
+
+
 EXPORTS = {
     "nuscenes_export": export_nuscenes,
     "nerfstudio_export": export_nerfstudio,
     "gsplat_export": export_gsplat,
+    "webdataset_export": export_webdataset,
+    "lerobot_export": export_lerobot,
 }
 
 

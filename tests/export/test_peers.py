@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -100,3 +101,43 @@ def test_gsplat_reads_cameras_and_points(street: Dataset) -> None:
     same = np.lexsort(found.T)
     np.testing.assert_allclose(found[same], points.position_m[order], atol=1e-5)
     np.testing.assert_array_equal(np.array(read["points"]["rgb"])[same], points.rgb[order])
+
+
+def test_webdataset_reads_the_samples(street: Dataset) -> None:
+    read = result("webdataset_export")
+    assert set(read) == {"train-000000.tar", "held_out-000000.tar"}
+    samples = {sample["key"]: sample for shard in read.values() for sample in shard}
+    masks = 0
+    for frame in street.frames():
+        sample = samples.pop(f"{frame.traversal_id.replace('.', '_')}-{frame.frame_index:06}")
+        assert sample["json"]["timestamp_ns"] == frame.timestamp_ns
+        for camera, image in frame.images.items():
+            entry = sample["images"][f"{camera}.jpg"]
+            assert entry["sha256"] == hashlib.sha256(image.read()).hexdigest()
+            assert entry["shape"] == [image.height_px, image.width_px, 3]
+            assert abs(entry["mean"] - image.decode().mean()) < 1.0
+            masks += f"{camera}.mask.png" in sample["images"]
+            stated = sample["json"]["cameras"][camera]["world_SE3_camera"]
+            assert stated[4:] == image.world_SE3_camera.translation[0].tolist()
+    assert not samples and masks > 0
+
+
+def test_lerobot_reads_the_rows(street: Dataset) -> None:
+    read = result("lerobot_export")
+    assert read["episodes"] == 2 and read["episode_of"] == list(street.traversals())
+    assert read["cameras"] == sorted(f"observation.images.{camera}" for camera in street.cameras())
+    frames = {(frame.traversal_id, frame.timestamp_ns): frame for frame in street.frames()}
+    for row in read["rows"]:
+        traversal = read["episode_of"][row["episode_index"]]
+        frame = frames.pop((traversal, row["timestamp_ns"]))
+        light = {"d0": "day", "d1": "night"}[traversal.split(".")[1]]
+        assert row["task"].startswith(f"drive, {light}")
+        # Its tensors are float32.
+        np.testing.assert_allclose(row["observation.state"][4:], frame.world_SE3_ego.translation[0], rtol=1e-7)
+        for camera, image in frame.images.items():
+            entry = row[f"observation.images.{camera}"]
+            assert entry["shape"] == [3, image.height_px, image.width_px]
+            assert abs(255 * entry["mean"] - image.decode().mean()) < 1.0
+            pose = row[f"observation.camera_poses.{camera}"]
+            np.testing.assert_allclose(pose[4:], image.world_SE3_camera.translation[0], rtol=1e-7)
+    assert not frames

@@ -28,6 +28,8 @@ DATASET_FIRST = (
     "export colmap",
     "export gsplat",
     "export kitti",
+    "export lerobot",
+    "export webdataset",
     "export nerfstudio",
     "export nuscenes",
     "export-ply",

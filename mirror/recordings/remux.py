@@ -16,7 +16,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.video import av_error_type, has_time_stamps, open_video, read_video_stamps
+from mirror.recordings.video import av_error_type, from_key_frame, has_time_stamps, open_video, read_video_stamps
 
 if TYPE_CHECKING:
     import av
@@ -148,31 +148,15 @@ def _identity(packet: av.Packet[Stream]) -> int:
 
 def _timed_packets(container: InputContainer, stream: Stream, pts: Int64) -> Iterator[av.Packet[Stream]]:
     first, pending = int(pts[0]), set(pts.tolist())
-    for packet in _from_key_frame(container, stream, first):
-        pending.discard(_identity(packet))
+
+    def demux() -> Iterator[tuple[int, av.Packet[Stream]]]:
+        return ((packet.pts, packet) for packet in container.demux(stream) if packet.size and packet.pts is not None)
+
+    for shown, packet in from_key_frame(container, stream, first, demux):
+        pending.discard(shown)
         yield packet
         if not pending:
             return
-
-
-def _from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[av.Packet[Stream]]:
-    """Demux from a key frame that is displayed at or before a time stamp; without an index, from the first packet."""
-    target, start = pts, stream.start_time or 0
-    indexed = len(stream.index_entries) > 0
-    while True:
-        if indexed:
-            container.seek(target, stream=stream, backward=True)
-        packets = (packet for packet in container.demux(stream) if packet.size and packet.pts is not None)
-        head = next(packets, None)
-        if head is None:
-            return
-        shown = _identity(head)
-        if shown <= pts or target < start or not indexed:
-            break
-        # The index is in decoding order: the key frame found may be displayed after the requested frame.
-        target = min(target, shown) - max(1, shown - pts)
-    yield head
-    yield from packets
 
 
 def _raw_packets(container: InputContainer, stream: Stream, pts: Int64, file: Path) -> Iterator[av.Packet[Stream]]:

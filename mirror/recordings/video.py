@@ -8,12 +8,12 @@ the frame.
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream as Stream
 
 JPEG_QUALITY: Final = 95
+
+Item = TypeVar("Item")
 
 
 @runtime_checkable
@@ -254,10 +256,14 @@ def _decode_by_time(
     In real files the time stamps of frames do not always ascend in the order of display, so a frame counts as missing
     only at the end of the video.
     """
+
+    def decode() -> Iterator[tuple[int, av.VideoFrame]]:
+        return ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
+
     pending = dict.fromkeys(sorted(requested))
     while pending:
         target, reached = next(iter(pending)), -sys.maxsize
-        for pts, frame in _decode_from_key_frame(container, stream, target):
+        for pts, frame in from_key_frame(container, stream, target, decode):
             yield pts, frame
             pending.pop(pts, None)
             reached = max(reached, pts)
@@ -268,11 +274,19 @@ def _decode_by_time(
             return
 
 
-def _decode_from_key_frame(container: InputContainer, stream: Stream, pts: int) -> Iterator[tuple[int, av.VideoFrame]]:
-    """Decode from a key frame that is displayed at or before a pts, to the end of the video.
+def from_key_frame(
+    container: InputContainer, stream: Stream, pts: int, read: Callable[[], Iterator[tuple[int, Item]]]
+) -> Iterator[tuple[int, Item]]:
+    """Read packets or frames from a key frame that is displayed at or before a pts, to the end of the video.
 
     Containers are indexed in decoding order: the key frame found may be displayed after the requested frame, which then
-    belongs to the previous GOP. A container without an index (MPEG-TS) is decoded from its current position.
+    belongs to the previous GOP. A container without an index (MPEG-TS) is read from its current position.
+
+    Args:
+        container: the video.
+        stream: its stream.
+        pts: time stamp of the requested frame.
+        read: begins to read at the container's position, and gives packets or frames with their time stamps.
     """
     target = pts
     first = stream.start_time or 0
@@ -280,15 +294,15 @@ def _decode_from_key_frame(container: InputContainer, stream: Stream, pts: int) 
     while True:
         if indexed:
             container.seek(target, stream=stream, backward=True)
-        frames = ((int(frame.pts), frame) for frame in container.decode(stream) if frame.pts is not None)
-        head = next(frames, None)
+        items = read()
+        head = next(items, None)
         if head is None:
             return
         if head[0] <= pts or target < first or not indexed:
             break
         target = min(target, head[0]) - max(1, head[0] - pts)
     yield head
-    yield from frames
+    yield from items
 
 
 def _has_key_frame_between(stream: Stream, reached: int, requested: int) -> bool:

@@ -1,4 +1,4 @@
-"""Generates traffic over the synthetic street and measures it: conditioning, edits, drift, steps."""
+"""Generates traffic over the synthetic street and measures it: conditioning, vehicles, edits, identity, steps."""
 
 from __future__ import annotations
 
@@ -10,43 +10,54 @@ from typing import Literal
 import tyro
 
 from mirror.errors import ExitCode
-from mirror.progress import ProgressReporter
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """A part of the study. Every part resumes where it was interrupted."""
+    """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
-    what: tyro.conf.Positional[Literal["clips", "judges"]]
-    """clips: render the clips that all other parts use: 25 core-minutes. judges: train the segmenter and the
-    classifier, and check them on true images: 6 core-minutes."""
+    list: the stages with their budgets. run: the stages that are not finished. report: the tables of
+    docs/generation.md and sheets of images. clips, judges: these stages alone.
+    """
+
+    what: tyro.conf.Positional[Literal["list", "run", "report", "clips", "judges"]]
+    """What to do."""
     out: Path = Path("benchmarks/out/generation")
     """Folder of the study."""
+    stage: str | None = None
+    """Run this stage alone, so that a queue can take one stage after another."""
+    hours: float | None = None
+    """Core-hours after which no stage is begun. None: the declaration's."""
+    check: bool = False
+    """Of report: change nothing, and fail if docs/generation.md has other tables."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run a part of the study."""
+    """Run the study, or a part of it."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks generation")
 
+    from benchmarks.studies.generation.declaration import load_declaration
+    from benchmarks.studies.generation.make_clips import make_clips
+    from benchmarks.studies.generation.report import PAGE, describe_stages, format_report, update_page, write_sheets
+    from benchmarks.studies.generation.stages import Study, run_stages
     from mirror.progress import progress_bar
 
+    study = Study(arguments.out, load_declaration(), make_clips)
+    print(f"declaration {study.declaration.hash}")
+    if arguments.what == "list":
+        print("\n".join(describe_stages(study)))
+        return ExitCode.DONE
+    if arguments.what == "report":
+        text = format_report(study)
+        if arguments.check:
+            return ExitCode.DONE if text in PAGE.read_text() else ExitCode.FINDINGS
+        update_page(study)
+        print(text)
+        if study.figures("clips") is not None:
+            print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
+        return ExitCode.DONE
+    only = arguments.stage if arguments.what == "run" else arguments.what
     with progress_bar(quiet=False) as bar:
-        if arguments.what == "clips":
-            _clips(arguments.out, bar)
-        else:
-            _judges(arguments.out, bar)
+        left = run_stages(study, bar, only=only, hours=arguments.hours)
+    print(f"{left} stages are left: python -m benchmarks generation list")
     return ExitCode.DONE
-
-
-def _clips(out: Path, progress: ProgressReporter) -> None:
-    from benchmarks.studies.generation.make_clips import make_clips
-
-    clips = make_clips(out / "clips", progress)
-    print(f"{len(clips.training)} training clips and {len(clips.test)} test clips in {out / 'clips'}")
-
-
-def _judges(out: Path, progress: ProgressReporter) -> None:
-    from benchmarks.studies.generation.train_judges import train_judges
-
-    for name, figure in train_judges(out / "clips", out / "judges", progress).items():
-        print(f"{name:30} {figure:.3f}" if isinstance(figure, float) else f"{name:30} {figure}")

@@ -1,0 +1,184 @@
+"""The report of the study: tables for docs/generation.md, and sheets of images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from benchmarks.studies.generation.stages import Study, is_void, list_stages, used_core_s
+from mirror.errors import UsageError
+from mirror.schema.files import write_bytes
+
+PAGE: Final = Path(__file__).parents[3] / "docs" / "generation.md"
+BEGIN: Final = "<!-- generation study: written by `python -m benchmarks generation report` -->"
+END: Final = "<!-- generation study: end -->"
+_SHEETS: Final = 4
+_COLUMNS: Final = 8
+
+_Row = tuple[str, str, str, str]
+"""What is measured, the bar, the figure, and whether it is met: yes, no, void, or not run."""
+
+
+def format_report(study: Study) -> str:
+    """The section of the page, with its markers. It states what has not been run."""
+    rows = list(_list_rows(study))
+    stages = list_stages(study.declaration)
+    left = [stage.name for stage in stages if study.figures(stage.name) is None]
+    lines = [
+        BEGIN,
+        f"Declaration `{study.declaration.hash[:12]}`, {len(stages) - len(left)} of {len(stages)} stages, "
+        f"{used_core_s(study) / 3600.0:.1f} core-hours.",
+        "",
+        "| measured | bar | figure | met |",
+        "|---|---|---|---|",
+        *(f"| {' | '.join(row)} |" for row in rows),
+        "",
+    ]
+    if left:
+        lines += [f"Not run: {', '.join(left)}.", ""]
+    lines += [f"Cut: {'; '.join(f'{name}: {reason}' for name, reason in study.declaration.cut.items())}.", END]
+    return "\n".join(lines)
+
+
+def update_page(study: Study, page: Path = PAGE) -> None:
+    """Replace the section between the markers of a page.
+
+    Raises:
+        UsageError: the page has no markers.
+    """
+    text = page.read_text()
+    begin, end = text.find(BEGIN), text.find(END)
+    if begin < 0 or end < begin:
+        raise UsageError("has no place for the report", file=page, expected=f"the lines {BEGIN} and {END}")
+    write_bytes(page, (text[:begin] + format_report(study) + text[end + len(END) :]).encode())
+
+
+def write_sheets(study: Study, out: Path) -> list[Path]:
+    """Write sheets of the first test clips: truth, background, and each model that has been rolled out."""
+    names = [
+        path.name for path in sorted((study.folder / "rollouts").glob("*")) if not path.name.startswith("teacher-")
+    ]
+    written = []
+    for clip in study.test[:_SHEETS]:
+        rows = [clip.images[study.references :], clip.background[study.references :]]
+        for name in names:
+            file = study.folder / "rollouts" / name / f"{clip.clip_id}.npz"
+            if file.is_file():
+                with np.load(file) as stored:
+                    rows.append(stored["images"])
+        frames = np.linspace(0, len(rows[0]) - 1, _COLUMNS).astype(int)
+        # One row for each source and view, one column for each instant.
+        sheet = np.concatenate(
+            [np.concatenate(list(images[frames, view]), axis=1) for images in rows for view in range(len(clip.views))]
+        )
+        path = out / f"{clip.clip_id}.png"
+        write_bytes(path, cv2.imencode(".png", sheet[..., ::-1])[1].tobytes())
+        written.append(path)
+    return written
+
+
+def _list_rows(study: Study) -> Iterator[_Row]:
+    bars, seed = study.declaration.bars, study.declaration.training["seeds"][0]
+    judges, own, off = (study.figures(name) for name in ("judges", f"score-on-{seed}", f"score-off-{seed}"))
+    noise, edits, steps = (study.figures(name) for name in ("score-noise", "edits", "score-distilled"))
+    copy, conditioning, vehicles = (study.figures(name) for name in ("background", "conditioning", "vehicles"))
+    yield _at_least("classifier on true crops", bars["classifier_on_truth"], judges, "classifier_accuracy")
+    yield _at_least(
+        "background outside the masks, dB",
+        bars["background_db"],
+        own,
+        "db",
+        _beside(own, "copy_db", "the empty street copied"),
+    )
+    yield _at_most(
+        "drift of the background, last ten frames less first ten, dB", bars["background_drift_db"], own, "drift_db"
+    )
+    yield _at_least("background without conditioning on it, dB (else void)", bars["off_background_db"], off, "db")
+    for kind, name in (("image", "image distance, on / off"), ("motion", "motion distance, on / off")):
+        bar = bars[f"{kind}_ratio"]
+        if is_void(study):
+            yield (name, f"upper end <= {bar:g}", "-", "void")
+        else:
+            yield _ratio(name, bar, conditioning if conditioning is None else conditioning.get(kind), upper=True)
+    yield _ratio("crop distance, generated / empty background", bars["crop_ratio"], vehicles, most=1.0)
+    yield _at_least(
+        "class of generated crops named",
+        bars["classified"],
+        own,
+        "classified",
+        _beside(copy, "classified", "empty background"),
+    )
+    yield _at_least("IoU at 0 m", bars["iou_0m"], own, "iou", _beside(study.figures("truth"), "iou", "truth"))
+    for metres in study.declaration.scoring["edits_m"]:
+        one = None if edits is None else edits.get(f"{metres:g}m")
+        note = (
+            ""
+            if not one or "floor" not in one
+            else f" (IoU {one['iou']:.2f}, floor {one['floor']:.2f}, ceiling {one['ceiling']:.2f}, n {one['n']})"
+        )
+        yield _at_least(f"IoU at {metres:g} m, normalised", bars[f"iou_{metres:g}m"], one, "normalised", note)
+    yield _at_least(
+        "identity: correlation of brightness",
+        bars["identity"],
+        own,
+        "correlation",
+        _beside(noise, "correlation", "with noise on references"),
+    )
+    yield _at_least(
+        "identity kept at the end of a track",
+        bars["identity_kept"],
+        own,
+        "kept",
+        _beside(noise, "kept", "with noise on references"),
+    )
+    for kind in ("image", "crop"):
+        one = None if steps is None else steps.get(kind)
+        yield _ratio(f"{kind} distance, distilled / best teacher", bars["distilled"], one, most=bars["distilled_upper"])
+
+
+def _at_least(name: str, bar: float, figures: dict[str, Any] | None, key: str, note: str = "") -> _Row:
+    return _single(name, f">= {bar:g}", figures, key, lambda value: value >= bar, note)
+
+
+def _at_most(name: str, bar: float, figures: dict[str, Any] | None, key: str, note: str = "") -> _Row:
+    return _single(name, f"<= {bar:g}", figures, key, lambda value: value <= bar, note)
+
+
+def _single(name: str, bar: str, figures: dict[str, Any] | None, key: str, is_met: Any, note: str) -> _Row:
+    if figures is None or figures.get("void"):
+        return (name, bar, "-", "not run" if figures is None else "void")
+    value = figures.get(key)
+    if value is None or math.isnan(value):
+        return (name, bar, f"none{note}", "no")
+    return (name, bar, f"{value:.3g}{note}", "yes" if is_met(value) else "no")
+
+
+def _ratio(
+    name: str, bar: float, figures: dict[str, Any] | None, *, upper: bool = False, most: float | None = None
+) -> _Row:
+    text = f"upper end <= {bar:g}" if upper else f"<= {bar:g}" + ("" if most is None else f", upper end <= {most:g}")
+    if figures is None or figures.get("void"):
+        return (name, text, "-", "not run" if figures is None else "void")
+    value, high = figures["value"], figures["high"]
+    met = high <= bar if upper else value <= bar and (most is None or high <= most)
+    shown = f"{value:.3g} ({figures['low']:.3g} to {high:.3g}; n {figures['n']:,})"
+    return (name, text, shown, "yes" if met else "no")
+
+
+def _beside(figures: dict[str, Any] | None, key: str, name: str) -> str:
+    value = None if figures is None else figures.get(key)
+    return "" if value is None else f" ({name} {value:.3g})"
+
+
+def describe_stages(study: Study) -> Sequence[str]:
+    """One line for each stage: its budget, and whether it is finished."""
+    lines = []
+    for stage in list_stages(study.declaration):
+        state = "not run" if study.figures(stage.name) is None else "done"
+        lines.append(f"{stage.name:16} {stage.core_minutes:4.0f} core-minutes  {state}")
+    return lines

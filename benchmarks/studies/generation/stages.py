@@ -1,0 +1,415 @@
+"""The stages of the study in their order, each with its budget; a finished stage leaves its figures in a file.
+
+A stage whose file exists is not run again. Trainings and rollouts continue where they were interrupted. Files state
+the declaration's hash: those of another declaration are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from benchmarks.studies.generation.comparison import Ratio, Statistics, collect_statistics, compare, measure_distance
+from benchmarks.studies.generation.declaration import Declaration
+from benchmarks.studies.generation.edits import generate_edits, normalise, plan_edits, score_edit
+from benchmarks.studies.generation.features import Features, load_features
+from benchmarks.studies.generation.rollouts import roll_out_all, shorten
+from benchmarks.studies.generation.scoring import Scores, background_db, identity, score_clip
+from benchmarks.studies.generation.train_judges import load_judges, train_judges
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.clips.folder import read_clips, read_list
+from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
+from hybridworldsim.generation.training.distillation import DistillationSettings
+from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips, without_background
+from mirror.errors import DatasetError, UsageError
+from mirror.progress import ProgressReporter
+from mirror.schema.files import write_bytes
+
+Figures = dict[str, Any]
+_TRUTH: Final = "truth"
+_COPY: Final = "background"
+
+
+@dataclass
+class Study:
+    """The folder of a study, and what its stages share.
+
+    Attributes:
+        folder: the folder.
+        declaration: what was declared.
+        make_clips: makes the clips of a folder; resumable.
+        network: settings of the generators' training; the declaration's values replace some.
+        autoencoder_settings: of the autoencoder's training.
+        load: the features of images.
+        judge_steps: steps of the judges' training; None: their own.
+    """
+
+    folder: Path
+    declaration: Declaration
+    make_clips: Callable[[Path, ProgressReporter], object]
+    network: GeneratorSettings = field(default_factory=GeneratorSettings)
+    autoencoder_settings: AutoencoderSettings = field(default_factory=AutoencoderSettings)
+    load: Callable[[], Features] = load_features
+    judge_steps: dict[str, int] | None = None
+
+    @property
+    def references(self) -> int:
+        """T, number of reference frames, which are never scored."""
+        return self.network.references
+
+    @property
+    def clips(self) -> Path:
+        """Folder of the clips."""
+        return self.folder / "clips"
+
+    @cached_property
+    def test(self) -> list[Clip]:
+        """The test clips."""
+        return read_clips(self.clips, read_list(self.clips).test)
+
+    @cached_property
+    def features(self) -> Features:
+        """The features of images."""
+        return self.load()
+
+    @property
+    def drives(self) -> dict[str, str]:
+        """Drive of each test clip."""
+        return {clip.clip_id: clip.drive_id for clip in self.test}
+
+    @property
+    def autoencoder(self) -> Path:
+        """The autoencoder of all models: that of the first training."""
+        return self.folder / "models" / "on-0" / "autoencoder" / "model.safetensors"
+
+    def model(self, name: str) -> Path:
+        """File of a generator."""
+        return self.folder / "models" / name / "generator" / "model.safetensors"
+
+    def figures(self, stage: str) -> Figures | None:
+        """Figures of a finished stage; None: it is not finished.
+
+        Raises:
+            UsageError: the stage was run under another declaration.
+        """
+        path = self.folder / "figures" / f"{stage}.json"
+        if not path.is_file():
+            return None
+        document = json.loads(path.read_text())
+        if document["declaration"] != self.declaration.hash:
+            raise UsageError(
+                f"made under the declaration {document['declaration'][:12]}, not {self.declaration.hash[:12]}",
+                file=path,
+                remedy="choose another --out",
+            )
+        return dict(document["figures"])
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the study.
+
+    Attributes:
+        name: its name.
+        core_minutes: its budget, from measured costs.
+        run: does it, and returns its figures.
+    """
+
+    name: str
+    core_minutes: float
+    run: Callable[[Study, ProgressReporter], Figures]
+
+
+def list_stages(declaration: Declaration) -> list[Stage]:
+    """All stages in their order: what the most bars need comes first."""
+    seeds = [int(seed) for seed in declaration.training["seeds"]]
+    stages = [
+        Stage("clips", 25.0, _clips),
+        Stage("judges", 6.0, _judges),
+        Stage("truth", 2.0, partial(_score_given, name=_TRUTH)),
+        Stage("background", 2.0, partial(_score_given, name=_COPY)),
+    ]
+    for seed in seeds:
+        for kind in ("on", "off"):
+            stages.append(Stage(f"train-{kind}-{seed}", 62.0, partial(_train, kind=kind, seed=seed)))
+            stages.append(Stage(f"score-{kind}-{seed}", 8.0, partial(_score, name=f"{kind}-{seed}")))
+        if seed == seeds[0]:
+            stages += [
+                Stage("edits", 10.0, _edits),
+                Stage("teacher-steps", 12.0, _teacher_steps),
+                Stage("distil", 70.0, _distil),
+                Stage("score-distilled", 16.0, _score_distilled),
+            ]
+    stages += [
+        Stage("train-noise", 62.0, partial(_train, kind="noise", seed=seeds[0])),
+        Stage("score-noise", 8.0, partial(_score, name=f"noise-{seeds[0]}")),
+        Stage("conditioning", 10.0, _conditioning),
+        Stage("vehicles", 3.0, _vehicles),
+    ]
+    return stages
+
+
+def run_stages(study: Study, progress: ProgressReporter, *, only: str | None = None, hours: float | None = None) -> int:
+    """Run the stages that are not finished, until the budget is used up.
+
+    Args:
+        study: the study.
+        progress: receives the progress.
+        only: name of one stage; None: all.
+        hours: core-hours after which no stage is begun, those of finished stages included; None: the declaration's.
+
+    Returns:
+        The number of stages that are left.
+
+    Raises:
+        UsageError: there is no such stage.
+    """
+    stages = list_stages(study.declaration)
+    if only is not None and only not in {stage.name for stage in stages}:
+        raise UsageError(f"no stage {only!r}", expected=", ".join(stage.name for stage in stages))
+    if only not in ("clips", "judges"):
+        # Missing weights are named before minutes are spent.
+        _ = study.features
+    budget_s = 3600.0 * (study.declaration.budget["core_hours"] if hours is None else hours)
+    torch.set_num_threads(int(study.declaration.training["threads"]))
+    left = 0
+    for stage in stages:
+        if study.figures(stage.name) is not None:
+            continue
+        if only is not None and stage.name != only:
+            left += 1
+            continue
+        if used_core_s(study) + 60.0 * stage.core_minutes > budget_s:
+            progress.message(f"{stage.name}: {stage.core_minutes:g} core-minutes are more than is left of the budget")
+            # Later stages need this one.
+            return sum(study.figures(one.name) is None for one in stages)
+        progress.message(f"{stage.name}: about {stage.core_minutes:g} core-minutes")
+        begin = time.process_time()
+        figures = stage.run(study, progress)
+        # An interrupted training counts its earlier parts itself.
+        core_s = float(figures.pop("core_s", time.process_time() - begin))
+        document = {"declaration": study.declaration.hash, "core_s": core_s, "figures": figures}
+        write_bytes(study.folder / "figures" / f"{stage.name}.json", json.dumps(document, indent=1).encode())
+    return left
+
+
+def used_core_s(study: Study) -> float:
+    """Processor time of finished stages."""
+    files = sorted((study.folder / "figures").glob("*.json"))
+    return sum(float(json.loads(file.read_text())["core_s"]) for file in files)
+
+
+def is_void(study: Study) -> bool:
+    """Whether the comparison of conditioning is void: the first off model does not beat a copy of the last frame."""
+    seed = study.declaration.training["seeds"][0]
+    figures = study.figures(f"score-off-{seed}")
+    return figures is not None and figures["db"] <= study.declaration.bars["off_background_db"]
+
+
+def _clips(study: Study, progress: ProgressReporter) -> Figures:
+    study.make_clips(study.clips, progress)
+    listed = read_list(study.clips)
+    drives = {clip.drive_id for clip in study.test}
+    figures = {"training": len(listed.training), "test": len(listed.test), "test_drives": len(drives)}
+    for name, found in (("least_training_clips", len(listed.training)), ("least_test_drives", len(drives))):
+        if found < study.declaration.clips[name]:
+            raise DatasetError(f"{found} of {study.declaration.clips[name]}", file=study.clips, place=name)
+    return figures
+
+
+def _judges(study: Study, progress: ProgressReporter) -> Figures:
+    return train_judges(study.clips, study.folder / "judges", progress, study.judge_steps)
+
+
+def _score_given(study: Study, progress: ProgressReporter, *, name: str) -> Figures:
+    first, given = study.references, {}
+    for clip in study.test:
+        given[clip.clip_id] = (clip.images if name == _TRUTH else clip.background)[first:]
+    return _write_scores(study, name, given, progress)
+
+
+def _train(study: Study, progress: ProgressReporter, *, kind: str, seed: int) -> Figures:
+    if is_void(study) and kind != "noise":
+        return {"void": True}
+    training = study.declaration.training
+    settings = study.network
+    if kind == "off":
+        settings = without_background(settings)
+    if kind == "noise":
+        settings = replace(settings, context_noise=float(training["context_noise"]))
+    options = TrainingOptions(
+        steps=int(training["steps"]),
+        autoencoder_steps=int(training["autoencoder_steps"]),
+        autoencoder=None if (kind, seed) == ("on", training["seeds"][0]) else study.autoencoder,
+        settings=settings,
+        autoencoder_settings=study.autoencoder_settings,
+        seed=seed,
+        threads=int(training["threads"]),
+    )
+    result = train_on_clips(study.clips, study.folder / "models" / f"{kind}-{seed}", options, progress)
+    outcomes = [one for one in (result.generator_outcome, result.autoencoder_outcome) if one is not None]
+    figures: Figures = {"core_s": sum(one.core_s for one in outcomes), "loss": result.generator_outcome.loss}
+    if result.autoencoder_outcome is not None:
+        figures["autoencoder_db"] = result.autoencoder_outcome.psnr_db
+    return figures
+
+
+def _score(study: Study, progress: ProgressReporter, *, name: str) -> Figures:
+    if not study.model(name).is_file():
+        return {"void": True}
+    noise = float(study.declaration.training["context_noise"]) if name.startswith("noise") else 0.0
+    steps = int(study.declaration.scoring["sampler_steps"])
+    images = roll_out_all(
+        study.model(name), study.autoencoder, study.test, study.folder / "rollouts" / name, steps, progress,
+        context_noise=noise,
+    )  # fmt: skip
+    return _write_scores(study, name, images, progress)
+
+
+def _edits(study: Study, progress: ProgressReporter) -> Figures:
+    scoring = study.declaration.scoring
+    name = f"on-{study.declaration.training['seeds'][0]}"
+    segmenter, _ = load_judges(study.folder / "judges")
+    least, figures = int(scoring["mask_px"]), {}
+    for dy_m in scoring["edits_m"]:
+        edits = plan_edits(
+            study.test,
+            study.references,
+            int(scoring["edit_frames"]),
+            int(scoring["edits_per_clip"]),
+            float(dy_m),
+            least,
+            float(scoring["nearest_m"]),
+        )
+        images = generate_edits(study.model(name), study.autoencoder, edits, int(scoring["sampler_steps"]), progress)
+        scores = [one for edit, made in zip(edits, images) for one in score_edit(edit, made, segmenter, least)]
+        figures[f"{dy_m:g}m"] = {"edits": len(edits), **(normalise(scores) if scores else {"n": 0})}
+    return figures
+
+
+def _teacher_steps(study: Study, progress: ProgressReporter) -> Figures:
+    """Image distance of the first model by number of steps, over the first frames of the test clips."""
+    name, frames = f"on-{study.declaration.training['seeds'][0]}", int(study.declaration.distillation["teacher_frames"])
+    clips = [shorten(clip, 0, min(frames, len(clip))) for clip in study.test]
+    truth = _statistics(study, {clip.clip_id: clip.images[study.references :] for clip in clips}, clips)
+    distances = {}
+    for steps in study.declaration.distillation["teacher_steps"]:
+        images = roll_out_all(
+            study.model(name), study.autoencoder, clips, study.folder / "rollouts" / f"teacher-{steps}", int(steps),
+            progress,
+        )  # fmt: skip
+        distances[str(steps)] = measure_distance(_statistics(study, images, clips), truth)
+    return {"distances": distances, "best": int(min(distances, key=lambda steps: distances[steps]))}
+
+
+def _distil(study: Study, progress: ProgressReporter) -> Figures:
+    declared = study.declaration.distillation
+    seed = int(study.declaration.training["seeds"][0])
+    options = DistillationOptions(
+        steps=int(declared["steps"]),
+        distillation=DistillationSettings(int(declared["segments"]), int(declared["small_steps"])),
+        settings=replace(study.network, learning_rate=2e-4),
+        seed=seed,
+        threads=int(study.declaration.training["threads"]),
+    )
+    out = study.model("distilled").parent
+    _, outcome = distil_on_clips(study.clips, study.model(f"on-{seed}"), study.autoencoder, out, options, progress)
+    return {"core_s": outcome.core_s, "loss": outcome.loss}
+
+
+def _score_distilled(study: Study, progress: ProgressReporter) -> Figures:
+    """The student in its number of steps, against the best teacher, over the whole test clips."""
+    name = f"on-{study.declaration.training['seeds'][0]}"
+    best = (study.figures("teacher-steps") or {}).get("best")
+    if best is None:
+        raise UsageError("the teacher's steps are not chosen yet", expected="the stage teacher-steps")
+    segments = int(study.declaration.distillation["segments"])
+    for model, steps, label in ((name, int(best), "teacher"), ("distilled", segments, "distilled")):
+        images = roll_out_all(
+            study.model(model), study.autoencoder, study.test, study.folder / "rollouts" / label, steps, progress
+        )
+        _write_scores(study, label, images, progress)
+    return {kind: asdict(_compare(study, ["distilled"], ["teacher"], kind)) for kind in ("image", "crop")} | {
+        "teacher_steps": int(best)
+    }
+
+
+def _conditioning(study: Study, progress: ProgressReporter) -> Figures:
+    """The ratio of the distances with and without background conditioning."""
+    if is_void(study):
+        return {"void": True}
+    seeds = study.declaration.training["seeds"]
+    names = [[f"{kind}-{seed}" for seed in seeds] for kind in ("on", "off")]
+    return {kind: asdict(_compare(study, names[0], names[1], kind)) for kind in ("image", "motion")}
+
+
+def _vehicles(study: Study, progress: ProgressReporter) -> Figures:
+    """The distance of crops, as a share of that of the empty background."""
+    name = f"on-{study.declaration.training['seeds'][0]}"
+    return asdict(_compare(study, [name], [_COPY], "crop"))
+
+
+def _compare(study: Study, first: list[str], second: list[str], kind: str) -> Ratio:
+    scoring = study.declaration.scoring
+    truth = collect_statistics(_read_scores(study, _TRUTH), study.drives, kind)
+    models = [
+        [collect_statistics(_read_scores(study, one), study.drives, kind) for one in names] for names in (first, second)
+    ]
+    return compare(models[0], models[1], truth, resamples=int(scoring["resamples"]), level=float(scoring["level"]))
+
+
+def _statistics(study: Study, images: Mapping[str, np.ndarray], clips: list[Clip]) -> Statistics:
+    scores = {
+        clip.clip_id: score_clip(clip, study.references, images[clip.clip_id], study.features, None) for clip in clips
+    }
+    return collect_statistics(scores, {clip.clip_id: clip.drive_id for clip in clips}, "image")
+
+
+def _write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], progress: ProgressReporter) -> Figures:
+    """Score images of all test clips, write the arrays of each clip, and return the figures of all."""
+    judges = load_judges(study.folder / "judges")
+    progress.start("scoring", len(study.test))
+    for clip in study.test:
+        path = _scores_file(study, name, clip.clip_id)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scores = score_clip(clip, study.references, images[clip.clip_id], study.features, judges)
+        temporary = path.with_name(f".{path.name}")
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **scores)
+        temporary.replace(path)
+        progress.advance(1)
+    every = list(_read_scores(study, name).values())
+    scoring = study.declaration.scoring
+    classes, found = (np.concatenate([one[key] for one in every]) for key in ("crop_class", "crop_found"))
+    ious = np.concatenate([one["iou"] for one in every])
+    return {
+        **background_db(every),
+        **identity(every, int(scoring["long_track_frames"]), int(scoring["least_long_tracks"])),
+        "classified": float((classes == found).mean()) if len(classes) else float("nan"),
+        "crops": len(classes),
+        "iou": float(ious.mean()) if len(ious) else float("nan"),
+        "masks": len(ious),
+        "images": sum(len(one["image"]) for one in every),
+    }
+
+
+def _read_scores(study: Study, name: str) -> dict[str, Scores]:
+    found: dict[str, Scores] = {}
+    for clip in study.test:
+        with np.load(_scores_file(study, name, clip.clip_id)) as file:
+            found[clip.clip_id] = {key: file[key] for key in file.files}
+    return found
+
+
+def _scores_file(study: Study, name: str, clip_id: str) -> Path:
+    return study.folder / "scores" / name / f"{clip_id}.npz"

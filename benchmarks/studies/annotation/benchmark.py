@@ -14,12 +14,13 @@ import numpy as np
 
 from benchmarks.studies.annotation.declaration import Declaration, load_declaration
 from benchmarks.studies.annotation.references import ground_boxes, prior_boxes
-from benchmarks.studies.annotation.scoring import CLASS, Found, TestFrame, read_test_frames, score
+from benchmarks.studies.annotation.scoring import CLASS, Found, TestFrame, operating_points, read_test_frames, score
 from benchmarks.studies.annotation.streets import assign_drives, open_streets, recordings_of
 from hybridworldsim.petr.tiny.network import TinyPetr
 from hybridworldsim.petr.tiny.samples import Sample
 from mirror.progress import ProgressReporter
 
+_SCORES: Final = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 OUTCOMES: Final = Path(__file__).with_name("outcomes.jsonl")
 
 
@@ -33,11 +34,12 @@ def main(argv: list[str]) -> int:
         ("score", "score the finished runs that have no outcome yet"),
         ("curve", "score copies of checkpoints of a run, in the folder --out"),
         ("references", "score what needs no training"),
+        ("points", "precision and recall of the model --out, by the least score of boxes"),
     ):
         verb = verbs.add_parser(name, help=text)
         verb.add_argument("--streets", type=Path, required=True, help="folder of recordings-N and dataset-N")
         if name != "references":
-            verb.add_argument("--out", type=Path, required=True, help="folder of the runs, or of checkpoints")
+            verb.add_argument("--out", type=Path, required=True, help="folder of the runs, or of checkpoints; a model")
         if name == "train":
             verb.add_argument("--minutes", type=float, help="this budget alone")
             verb.add_argument("--seed", type=int, help="this seed alone")
@@ -53,6 +55,8 @@ def main(argv: list[str]) -> int:
             _score_checkpoints(declaration, arguments)
         case "references":
             _references(declaration, arguments)
+        case "points":
+            _points(declaration, arguments)
         case "show":
             _show(declaration)
     return 0
@@ -182,6 +186,19 @@ def _references(declaration: Declaration, arguments: argparse.Namespace) -> None
         row = {"reference": name, **_both(held_out, known, find, declaration)}
         _append(declaration, row)
         print(json.dumps(row))
+
+
+def _points(declaration: Declaration, arguments: argparse.Namespace) -> None:
+    from hybridworldsim.petr.tiny.model_file import read_model
+
+    network, _ = read_model(arguments.out)
+    held_out, known = _test_frames(declaration, arguments.streets)
+    print("| score at least | precision, known scenes | recall | precision, held-out scenes | recall |")
+    print("|---|---|---|---|---|")
+    both = (operating_points(frames, _finder(network), declaration.bar, _SCORES) for frames in (known, held_out))
+    for one, other in zip(*both):
+        values = (one.score, one.precision, one.recall, other.precision, other.recall)
+        print(f"| {' | '.join(f'{value:.2f}' for value in values)} |")
 
 
 def _rows(declaration: Declaration) -> list[dict[str, Any]]:

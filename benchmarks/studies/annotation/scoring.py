@@ -138,6 +138,41 @@ def score(frames: Sequence[TestFrame], find: Callable[[TestFrame], Found], bar: 
     return Scores(aps, float(result.mean_ap), translation, heading, len(frames), len(truth))
 
 
+@dataclass(frozen=True)
+class OperatingPoint:
+    """What is found above a score: shares of the boxes found that match a true one, and of the true ones found."""
+
+    score: float
+    precision: float
+    recall: float
+
+
+def operating_points(
+    frames: Sequence[TestFrame], find: Callable[[TestFrame], Found], bar: Bar, scores: Sequence[float]
+) -> list[OperatingPoint]:
+    """Precision and recall above each of some scores; the best box first, matches within the largest threshold."""
+    rows: list[tuple[float, bool]] = []
+    count = 0
+    for frame in frames:
+        boxes, free = find(frame), np.ones(len(frame.truth.score), np.bool_)
+        count += len(free)
+        for one in np.argsort(-boxes.score, kind="stable"):
+            if np.hypot(*boxes.centre_m[one, :2]) > bar.range_m:
+                continue
+            away = np.linalg.norm(frame.truth.centre_m[:, :2] - boxes.centre_m[one, :2], axis=1)
+            away[~free] = np.inf
+            matched = bool(len(away)) and away.min() < max(bar.thresholds_m)
+            if matched:
+                free[away.argmin()] = False
+            rows.append((float(boxes.score[one]), matched))
+    values = np.array(rows).reshape(-1, 2)
+    points = []
+    for least in scores:
+        right = values[values[:, 0] >= least, 1]
+        points.append(OperatingPoint(least, float(right.mean()) if len(right) else 1.0, float(right.sum()) / count))
+    return points
+
+
 def _boxes(frames: Sequence[Found]) -> DetectionBoxes:
     count = sum(len(one.score) for one in frames)
     return DetectionBoxes(

@@ -126,7 +126,7 @@ def test_page_without_entries(tmp_path: Path) -> None:
 def test_metric_without_values_is_noted_and_has_no_column(tmp_path: Path) -> None:
     text = build_site([measured("a", 20.0, pairs=())], [], tmp_path / "site").read_text()
     assert "LPIPS alex: unavailable: alexnet" in text
-    assert '">LPIPS alex' not in text
+    assert '">LPIPS alex <span' not in text
     assert '"dim">n/a' not in text
 
 

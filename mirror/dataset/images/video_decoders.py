@@ -76,6 +76,7 @@ class _Decoder:
         self._stream.thread_type = "AUTO"
         self._frames: Iterator[av.VideoFrame] = iter(())
         self._last: int | None = None
+        self._target = 0
         self._lock = threading.Lock()
 
     def close(self) -> None:
@@ -90,7 +91,7 @@ class _Decoder:
                 frame = self._read_up_to(pts) if self._is_shortly_after_last(pts) else None
                 if frame is None:
                     self._container.seek(pts, stream=self._stream, backward=True)
-                    self._frames = self._container.decode(self._stream)
+                    self._frames = self._decode()
                     frame = self._read_up_to(pts)
             except av.FFmpegError:
                 frame = None
@@ -104,8 +105,19 @@ class _Decoder:
             return False
         return 0 < (pts - self._last) * unit * rate <= _NEAR_FRAMES
 
+    def _decode(self) -> Iterator[av.VideoFrame]:
+        """Decode from the container's position on, without frames before the target that no other frame refers to."""
+        context = self._stream.codec_context
+        # HEVC has frames that count as such and that frames of a higher temporal layer refer to.
+        skips = context.name == "h264"
+        for packet in self._container.demux(self._stream):
+            early = skips and packet.pts is not None and packet.pts < self._target
+            context.skip_frame = "NONREF" if early else "DEFAULT"
+            yield from context.decode(packet)
+
     def _read_up_to(self, pts: int) -> av.VideoFrame | None:
         """Decode frames until the one with a time stamp; None: it does not come."""
+        self._target = pts
         key_frames_beyond = 0
         for frame in self._frames:
             if frame.pts == pts:

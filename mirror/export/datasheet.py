@@ -42,7 +42,7 @@ def write_datasheet(dataset: Dataset, bundle: Bundle, *, name: str, contact: str
         ],
         "Withheld data": [
             f"{len(bundle.withheld):,} images are withheld: those of held-out traversals of split `{bundle.split}`, and"
-            f" those that the protocols {', '.join(f'`{protocol}`' for protocol in bundle.protocols)} score. Layers"
+            f" those scored by {', '.join(f'`{protocol}`' for protocol in bundle.protocols)}. Layers"
             " of depth and points, which could contain them, are withheld too. The organiser has them.",
         ],
         "Collection and cleaning": [

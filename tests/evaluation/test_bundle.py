@@ -114,7 +114,7 @@ def test_images_that_a_protocol_scores_in_training_traversals_are_withheld(
     document = publish(root, str(tmp_path / "b"), options(protocols=(small(), training)))
     names = {path.rpartition("/")[2].partition(".")[0] for path in document.withheld}
     assert scored and {str(stamp) for stamp in scored} <= names
-    assert "protocols `small`, `small`" in (tmp_path / "b" / "README.md").read_text()
+    assert "those scored by `small`, `small`." in (tmp_path / "b" / "README.md").read_text()
 
 
 def test_fetched_dataset_asks_for_the_same_views(dataset: Dataset, url: str, tmp_path: Path) -> None:

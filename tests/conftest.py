@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import sys
 from collections.abc import Iterator
@@ -55,9 +56,15 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     from mirror.ingest.run import ingest_recordings
     from mirror.schema.documents import NovelTraversal
 
-    folder = tmp_path_factory.mktemp("tiny")
-    recordings = mirror.synth.write_recordings(folder / "tiny", "tiny", 0).recordings
-    rois = read_rois(folder / "tiny" / "rois.geojson")
-    assert not ingest_recordings(recordings, rois, folder / "dataset", IngestOptions()).failures
-    make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
+    folder = tmp_path_factory.getbasetemp()
+    # Workers of one run share it: the folder of a worker lies in that of the run.
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "tiny_dataset"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "dataset" / "splits" / "novel.json").exists():
+            recordings = mirror.synth.write_recordings(folder / "tiny", "tiny", 0).recordings
+            rois = read_rois(folder / "tiny" / "rois.geojson")
+            assert not ingest_recordings(recordings, rois, folder / "dataset", IngestOptions()).failures
+            make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")

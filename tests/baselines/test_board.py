@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mirror.dataset import Dataset
-from mirror.evaluation.run import evaluate
+from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.writing import write_submission
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
@@ -29,13 +29,13 @@ def test_baselines_appear_on_a_leaderboard(dataset: Dataset, tmp_path: Path) -> 
     for method in (nearest_frame, mean_color):
         name = method.METHOD.name
         write_submission(dataset, plan, method.render, method.METHOD, method.APPEARANCE, submissions[name])
-        evaluate(submissions[name], truth, protocol, "novel", tmp_path / f"{name}-result")
+        evaluate(submissions[name], truth, protocol, "novel", tmp_path / f"{name}-result", EvaluationOptions(workers=1))
         result = tmp_path / f"{name}-result" / "result.json"
         other = next(folder for key, folder in submissions.items() if key != name)
         if other.exists():
             with pytest.raises(RefusedError, match="submission_hash"):
-                add_result(result, board, "a street", sources=Sources(str(truth), other))
-        add_result(result, board, "a street", sources=Sources(str(truth), submissions[name]))
+                add_result(result, board, "a street", sources=Sources(str(truth), other, workers=1))
+        add_result(result, board, "a street", sources=Sources(str(truth), submissions[name], workers=1))
     entries = [entry for entry in load_entries(board / "entries") if isinstance(entry, Measured)]
     assert {entry.method for entry in entries} == set(submissions)
     # All methods show the same views of the same truth.

@@ -14,14 +14,13 @@ import pytest
 import mirror
 import mirror.synth
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.splits import make_split
 from mirror.dataset.statistics import compute_statistics
 from mirror.errors import DatasetError
 from mirror.geometry.box_projection import project_boxes
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import read_rois
 from mirror.ingest.run import ingest_recordings
-from mirror.schema.documents import CANONICAL_CAMERAS, NovelTraversal
+from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.view.images import busiest_frame, category_colours, legend, rig_images, same_place
 from mirror.view.report import map_legend, write_report
 from mirror.view.svg import Line, scene_map
@@ -60,17 +59,13 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return mirror.synth.write_recordings(tmp_path_factory.mktemp("view") / "tiny").recordings
+def dataset(tiny_dataset: Dataset) -> Dataset:
+    return tiny_dataset
 
 
 @pytest.fixture(scope="module")
-def dataset(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    out = tmp_path_factory.mktemp("view") / "dataset"
-    report = ingest_recordings(recordings, read_rois(recordings[0].parent / "rois.geojson"), out, IngestOptions())
-    assert not report.failures
-    make_split(out, "novel", NovelTraversal(train=1, held_out=1))
-    return mirror.open(out)
+def recordings(dataset: Dataset) -> list[Path]:
+    return sorted(file.parent for file in (Path(dataset.root).parent / "tiny").glob("*/recording.json"))
 
 
 @pytest.fixture(scope="module")

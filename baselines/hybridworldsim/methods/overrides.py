@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from functools import cache
 from typing import Any, Final, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -17,6 +16,7 @@ from mirror.errors import UsageError
 _Settings = TypeVar("_Settings")
 
 _SEED: Final = "seed"
+_ADAPTERS: Final[dict[type, TypeAdapter[Any]]] = {}
 
 
 def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Settings:
@@ -73,10 +73,11 @@ def settings_document(settings: Any) -> dict[str, Any]:
     return document
 
 
-@cache
 def _adapter(settings: type[_Settings]) -> TypeAdapter[_Settings]:
-    # Building one takes 3 ms; a study reads the settings of hundreds of jobs.
-    return TypeAdapter(settings)
+    """The adapter of a class of settings: making one takes 3 ms, and a study reads the settings of hundreds of jobs."""
+    if settings not in _ADAPTERS:
+        _ADAPTERS[settings] = TypeAdapter(settings)
+    return _ADAPTERS[settings]
 
 
 def _setting_names(values: Mapping[str, Any], under: str = "") -> list[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mirror.errors import UsageError
+from mirror.installation import install_command
 
 DRIVER_SERVICE: Final = "egodriver.EgodriverService"
 SENSOR_SERVICE: Final = "nre.grpc.protos.sensorsim.SensorsimService"
@@ -73,5 +74,5 @@ def wire() -> Messages:
     except ModuleNotFoundError as error:
         raise UsageError(
             f"{error.name} is not installed", expected="the packages of the extra simulator",
-            remedy='pip install "mirror-dataset[simulator]"',
+            remedy=install_command("simulator"),
         ) from error  # fmt: skip

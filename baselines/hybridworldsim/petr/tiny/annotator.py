@@ -24,7 +24,7 @@ from mirror.geometry.poses import Poses
 from mirror.progress import ProgressReporter
 
 SHIPPED: Final = Path(str(files("hybridworldsim.petr.tiny") / "weights" / "petr_tiny.safetensors"))
-SHIPPED_SHA256: Final = "cf5ab1e3831584cf56e1ab71e61309f6c73076cfead9662807729b0038818c93"
+SHIPPED_SHA256: Final = "f66508bce56b92dda7fba82989b7c50343eed9947e87e5969cba8c0cb444a9fc"
 _SETTINGS: Final = {
     "weights": "model.safetensors of `mirror annotate train`; by default the network that is installed",
     "sha256": "its hash; a file with another one is refused",

@@ -251,6 +251,10 @@ def _draw_rig(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
             is_narrow = len(ends) == 2 and np.linalg.norm(ends[1] - ends[0]) < _WEDGE_M
             label = place + (1.2 if is_narrow else 0.6) * _WEDGE_M * axis
             axes.text(-label[1], label[0], row["camera"], ha="center", va="center", fontsize=5.5, zorder=5)
+            # Texts do not widen the axes: without this a label lies on the title.
+            axes.update_datalim([(-label[1], label[0])])
+    axes.margins(0.08)
+    axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set_xlabel("right of the rear axle (m)", fontsize=7)
     axes.set_ylabel("ahead (m)", fontsize=7)

@@ -104,6 +104,7 @@ def _scene_page(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence
     parts += [
         "<h2>Traversals</h2>",
         _table("traversals", traversals, _TRAVERSALS, ("light", "weather", "vehicle"), {}, where=True),
+        "<h2>Conditions and contents</h2>",
         f'<div class="grid">{"".join(draw_charts(view, traversals))}</div>',
     ]
     return _page(f"{scene['scene_id']} - {title}", parts)

@@ -97,6 +97,11 @@ class NcoreStores:
     instances: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
+    def _opened(self) -> dict[Any, dict[str, tuple[Path, Any]]]:
+        """The components that were opened, by their kind."""
+        return {}
+
+    @cached_property
     def _readers(self) -> list[tuple[Path, SequenceComponentGroupsReader]]:
         try:
             from ncore.data.v4 import SequenceComponentGroupsReader
@@ -128,6 +133,8 @@ class NcoreStores:
 
     def _components(self, kind: Any) -> dict[str, tuple[Path, Any]]:
         """Components of one kind by the name of their instance, with their stores."""
+        if kind in self._opened:
+            return self._opened[kind]
         found: dict[str, tuple[Path, Any]] = {}
         for path, reader in self._readers:
             with store_errors(path):
@@ -140,6 +147,7 @@ class NcoreStores:
                             remedy="move one of the stores elsewhere",
                         )
                     found[name] = path, component
+        self._opened[kind] = found
         return found
 
     def _choose(self, what: str, kind: Any) -> tuple[Path, Any] | None:

@@ -36,8 +36,11 @@ class Arguments:
 
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset."""
-    method: Literal["nearest_frame", "grey_frame", "mean_color", "opendwm", "magicdrive-v2", "driveeditor"]
-    """The floor, or the generator."""
+    method: Annotated[
+        Literal["nearest_frame", "grey_frame", "mean_color", "opendwm", "magicdrive-v2", "driveeditor"],
+        help_text(metavar="NAME"),
+    ]
+    """The floor or the generator, one of the names above."""
     split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""
     out: Annotated[Path, help_text(metavar="FOLDER")]

@@ -163,6 +163,19 @@ def test_clips_that_are_too_short_or_of_another_rig_are_refused() -> None:
         ClipWindows([make_clip(), other], codec, NETWORK, OWN_STYLE, T)
 
 
+def test_exhausted_memory_is_named(clips: Path, trained: Path, tmp_path: Path) -> None:
+    """A layer of 280 TB: no processor has the addresses for it."""
+    huge = replace(NETWORK, head_channels=1 << 22)
+    options = replace(
+        OPTIONS,
+        settings=replace(OPTIONS.settings, network=huge),
+        autoencoder=trained / "autoencoder" / "model.safetensors",
+    )
+    with pytest.raises(DatasetError, match="too little memory"):
+        train_on_clips(clips, tmp_path / "run", options, NullProgress())
+    assert not (tmp_path / "run" / "generator" / "model.safetensors").exists()
+
+
 def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

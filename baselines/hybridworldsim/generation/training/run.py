@@ -111,12 +111,19 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
             generator, done = _train_generator(
                 loaded, clips_hash, autoencoder, out / "generator", options, processes, reporter
             )
-    except torch.OutOfMemoryError as error:
+    except (RuntimeError, MemoryError) as error:
+        if not _is_memory_exhausted(error):
+            raise
         raise DatasetError(
             "the device has too little memory", place=options.device, expected="memory for a part of a batch",
             remedy="more --accumulate, a smaller --batch, --recompute, or --precision bf16",
         ) from error  # fmt: skip
     return TrainingResult(generator, autoencoder, done, outcome)
+
+
+def _is_memory_exhausted(error: Exception) -> bool:
+    """Whether memory ran out: torch has an error of its own for accelerators, and a plain one for the processor."""
+    return isinstance(error, torch.OutOfMemoryError | MemoryError) or "DefaultCPUAllocator" in str(error)
 
 
 def _train_autoencoder(

@@ -28,7 +28,6 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
-from mirror.geometry.geodesy import TangentFrame
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
@@ -37,15 +36,15 @@ from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_tangent
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import natural_key, require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
-from mirror.recordings.readers.collection import choose_drive, one_of
+from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.colmap_lenses import to_lens
 from mirror.recordings.readers.colmap_model import ColmapModel, read_model
+from mirror.recordings.readers.colmap_settings import OPTIONS, ColmapSettings, read_settings
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.time import SECOND_NS
 
 _FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap", "")
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
-_OPTIONS: Final = ("model", "images", "stamps", "rate_hz", "scale", "up", "origin", "frame")
 _STAMP: Final = re.compile(r"\d{16}|\d{19}")
 # Poses of the reference camera further apart than this do not give a pose between them.
 _GAP_NS: Final = 2 * SECOND_NS
@@ -74,8 +73,8 @@ class ColmapReader:
         ``up`` is ``z`` (the model's z) or ``images`` (the mean of the images' upward direction); ``origin`` is
         ``longitude,latitude,height`` of the model's origin; ``frame`` names the local frame.
         """
-        refuse_options(options, _OPTIONS, path)
-        settings = _read_settings(options, path)
+        refuse_options(options, OPTIONS, path)
+        settings = read_settings(options, path)
         root, name = path, None
         folder = options.get("model", _model_folder(path) if path.is_dir() else None)
         if folder is None:
@@ -108,57 +107,6 @@ def _by_drive(names: Sequence[str]) -> dict[str, list[int]]:
         drive = name.rpartition("/")[0].rpartition("/")[0]
         rows[to_identifier(drive) if drive else _SINGLE].append(row)
     return dict(sorted(rows.items()))
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """The options of `ColmapReader.open`."""
-
-    images: str
-    stamps: str
-    rate_hz: float
-    scale: float
-    up: str
-    origin: TangentFrame | None
-    frame: str | None
-
-
-def _read_settings(options: Mapping[str, str], path: Path) -> _Settings:
-    origin = None
-    if "origin" in options:
-        try:
-            longitude, latitude, height = (float(word) for word in options["origin"].split(","))
-            if not (abs(longitude) <= 180.0 and abs(latitude) <= 90.0 and abs(height) < 1e5):
-                raise ValueError("not a place on the globe")
-        except ValueError as error:
-            raise RecordingError(
-                f"origin={options['origin']!r:.80} ({error})",
-                file=path,
-                place="option origin",
-                expected="longitude,latitude,height in degrees and metres",
-            ) from error
-        origin = TangentFrame(longitude, latitude, height)
-    return _Settings(
-        images=options.get("images", "images"),
-        stamps=one_of(options, "stamps", ("auto", "name", "order"), path),
-        rate_hz=_positive(options, "rate_hz", path),
-        scale=_positive(options, "scale", path),
-        up=one_of(options, "up", ("z", "images"), path),
-        origin=origin,
-        frame=to_identifier(options["frame"]) if "frame" in options else None,
-    )
-
-
-def _positive(options: Mapping[str, str], name: str, path: Path) -> float:
-    try:
-        value = float(options.get(name, "1"))
-    except ValueError:
-        value = 0.0
-    if not 1e-6 <= value <= 1e6:
-        raise RecordingError(
-            f"{name}={options[name]!r:.80}", file=path, place=f"option {name}", expected="a number from 1e-6 to 1e6"
-        )
-    return value
 
 
 @dataclass(frozen=True)
@@ -196,7 +144,7 @@ class ColmapRecording:
     model: ColmapModel
     drive: str
     rows: Sequence[int]
-    settings: _Settings
+    settings: ColmapSettings
 
     @property
     def _is_single(self) -> bool:

@@ -13,8 +13,8 @@ Facts of the format, from the component definitions that the dataset publishes (
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -23,19 +23,20 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA
-from mirror.recordings.opening import find_file, require_file, unreadable_error
+from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_parquet
 from mirror.recordings.readers.box_rows import make_box_table
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
+from mirror.recordings.readers.waymo_images import IMAGE, ParquetStream
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import ns_from_seconds
@@ -49,8 +50,7 @@ _STATS: Final = "stats"
 _STAMP: Final = "key.frame_timestamp_micros"
 _CAMERA: Final = "key.camera_name"
 _POSE: Final = "[VehiclePoseComponent].world_from_vehicle.transform"
-_IMAGE: Final = "[CameraImageComponent]."
-_SHUTTER: Final = f"{_IMAGE}rolling_shutter_params."
+_SHUTTER: Final = f"{IMAGE}rolling_shutter_params."
 _LENS: Final = "[CameraCalibrationComponent]."
 _BOX: Final = "[LiDARBoxComponent]."
 _STAT: Final = "[StatsComponent]."
@@ -68,7 +68,6 @@ _LIGHT: Final = {"day": "day", "dawn/dusk": "dusk", "night": "night"}
 _CITIES: Final = {"location_sf": "San Francisco", "location_phx": "Phoenix"}
 _LAST_US: Final = 9_000_000_000_000_000
 _MATRIX: Final = pa.list_(pa.float64(), 16)
-_BATCH: Final = 16
 
 
 def _schema(**kinds: pa.DataType) -> pa.Schema:
@@ -79,8 +78,8 @@ _POSE_SCHEMA: Final = _schema(**{_STAMP: pa.int64(), _POSE: _MATRIX})
 _IMAGE_SCHEMA: Final = _schema(
     **{
         _CAMERA: pa.int64(),
-        f"{_IMAGE}pose.transform": _MATRIX,
-        f"{_IMAGE}pose_timestamp": pa.float64(),
+        f"{IMAGE}pose.transform": _MATRIX,
+        f"{IMAGE}pose_timestamp": pa.float64(),
         f"{_SHUTTER}shutter": pa.float64(),
         f"{_SHUTTER}camera_trigger_time": pa.float64(),
         f"{_SHUTTER}camera_readout_done_time": pa.float64(),
@@ -186,7 +185,7 @@ class WaymoRecording:
         return None if file is None else read_parquet(file, _IMAGE_SCHEMA)
 
     @cached_property
-    def _streams(self) -> dict[int, _ParquetStream]:
+    def _streams(self) -> dict[int, ParquetStream]:
         """Streams by number of the camera."""
         rows, file = self._rows, self._find(_IMAGES)
         if rows is None or file is None:
@@ -210,7 +209,7 @@ class WaymoRecording:
             mine = np.flatnonzero(cameras == number)
             mine = mine[np.argsort(trigger[mine], kind="stable")]
             start, end = ns_from_seconds(trigger[mine]), ns_from_seconds(done[mine])
-            streams[number] = _ParquetStream(_NAMES[number], start, end, file, mine)
+            streams[number] = ParquetStream(_NAMES[number], start, end, file, mine)
         return streams
 
     @property
@@ -241,10 +240,10 @@ class WaymoRecording:
         stamps[0] = np.where(good_stamp, stamps[0], 0) * 1_000
         rows = self._rows
         if rows is not None:
-            seconds = np.asarray(rows.column(f"{_IMAGE}pose_timestamp"))
+            seconds = np.asarray(rows.column(f"{IMAGE}pose_timestamp"))
             good = np.abs(seconds) < 9e9
             stamps.append(ns_from_seconds(np.where(good, seconds, 0.0)))
-            matrices.append(_matrices(rows.column(f"{_IMAGE}pose.transform")))
+            matrices.append(_matrices(rows.column(f"{IMAGE}pose.transform")))
             good_stamp = np.concatenate([good_stamp, good])
         matrix, stamp = np.concatenate(matrices), np.concatenate(stamps)
         bad = is_no_rigid_motion(matrix)
@@ -355,56 +354,6 @@ class WaymoRecording:
             "source_version": "v2",
         }
         return make_box_table(ego_SE3_box, columns)
-
-
-@dataclass(frozen=True)
-class _ParquetStream:
-    """Images in rows of a Parquet file; only their batches are decoded."""
-
-    camera: str
-    exposure_start_ns: Int64
-    exposure_end_ns: Int64
-    file: Path
-    rows: Int64 = field(repr=False)
-    codec: str = "jpeg"
-
-    def path(self, index: int) -> None:
-        """None: the images lie in one file."""
-
-    def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
-        """Yield the bytes of images.
-
-        Raises:
-            RecordingError: the file cannot be read, or an image is null.
-        """
-        import pyarrow.parquet as parquet
-
-        wanted = {int(self.rows[index]): index for index in indices}
-        waiting = list(indices)
-        found: dict[int, bytes | None] = {}
-        try:
-            opened = parquet.ParquetFile(self.file)
-            start = 0
-            for group in range(opened.num_row_groups):
-                end = start + opened.metadata.row_group(group).num_rows
-                batches = opened.iter_batches(_BATCH, row_groups=[group], columns=[f"{_IMAGE}image"])
-                for batch in batches if any(start <= row < end for row in wanted) else ():
-                    for place in range(batch.num_rows):
-                        if start + place in wanted:
-                            found[wanted[start + place]] = batch.column(0)[place].as_py()
-                    start += batch.num_rows
-                    # The rows of a camera are in order of time, so few images wait for an earlier one.
-                    while waiting and waiting[0] in found:
-                        index = waiting.pop(0)
-                        yield index, self._image(found.pop(index), index)
-                start = end
-        except (OSError, pa.ArrowException) as error:
-            raise unreadable_error(self.file, error) from error
-
-    def _image(self, data: bytes | None, index: int) -> bytes:
-        if not isinstance(data, bytes):
-            raise RecordingError("no image", file=self.file, place=f"row {self.rows[index]}", remedy=REMEDY)
-        return data
 
 
 def _matrices(column: pa.ChunkedArray) -> Float64:

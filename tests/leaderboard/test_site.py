@@ -117,6 +117,7 @@ def test_older_protocol_is_marked(tmp_path: Path) -> None:
     )
     assert "an older version" not in new
     assert "an older version" in old
+    assert ", older version</span>" in old and ", older version</span>" not in new
 
 
 def test_page_without_entries(tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ def log_scene(
         else:
             recording.save(str(temporary))
         logger = _Logger(rerun, recording, options)
+        recording.send_blueprint(_make_layout(view))
         logger.log_static(view)
         rows = {row["traversal_id"]: row for row in view.table("traversals").to_pylist()}
         frames = view.frames()[:: options.every]
@@ -109,6 +110,29 @@ def log_scene(
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return LoggedScene(logger.frames, logger.images, logger.boxes, logger.points)
+
+
+def _make_layout(view: Dataset) -> Any:
+    """The scene in space beside the cameras of one traversal; a tab for each traversal, by time of entry."""
+    from rerun import blueprint
+
+    rows = sorted(view.table("traversals", ["traversal_id", "entry_ns", "light", "weather"]).to_pylist(), key=_entry)
+    grids = []
+    for row in rows:
+        name = row["traversal_id"]
+        cameras = view.where(traversal=name).cameras()
+        views = [blueprint.Spatial2DView(origin=f"world/{name}/{camera}", name=camera) for camera in cameras]
+        if views:
+            grids.append(blueprint.Grid(*views, name=f"{row['light']}, {row['weather']}: {name}"))
+    log = blueprint.TextLogView(origin="conditions", name="conditions")
+    space = blueprint.Vertical(blueprint.Spatial3DView(origin="world", name="scene"), log, row_shares=[4, 1])
+    parts = [space, blueprint.Tabs(*grids, active_tab=0)] if grids else [space]
+    panels = (blueprint.TimePanel(state="expanded"), blueprint.SelectionPanel(state="collapsed"))
+    return blueprint.Blueprint(blueprint.Horizontal(*parts), *panels)
+
+
+def _entry(row: Mapping[str, Any]) -> int:
+    return int(row["entry_ns"])
 
 
 class _Logger:

@@ -43,6 +43,29 @@ def test_the_file_has_what_the_dataset_has(street: Dataset, tmp_path: Path) -> N
     np.testing.assert_allclose(np.array(positions), expected, atol=1e-4)
 
 
+def test_the_layout_has_the_scene_and_a_tab_for_each_traversal(street: Dataset, tmp_path: Path) -> None:
+    """Without a layout, rerun opens a view for each camera of each traversal."""
+    out = tmp_path / "street.rrd"
+    log_scene(street, "a", RerunOptions(out, every=5))
+    found: dict[str, set[str]] = {"ViewBlueprint:class_identifier": set(), "ViewBlueprint:space_origin": set()}
+    tabs = set()
+    reader = rerun_chunk.RrdReader(str(out))
+    (layout,) = reader.blueprints()
+    for chunk in reader.stream(store=layout):
+        for row in chunk.to_record_batch().to_pylist():
+            for name, values in found.items():
+                values |= set(row.get(name) or ())
+            tabs |= {
+                name
+                for name in row.get("ContainerBlueprint:display_name") or ()
+                if any(traversal in name for traversal in street.traversals())
+            }
+    assert found["ViewBlueprint:class_identifier"] == {"3D", "2D", "TextLog"}
+    cameras = {f"world/{traversal}/{camera}" for traversal in street.traversals() for camera in street.cameras()}
+    assert cameras | {"world", "conditions"} == {origin.strip("/") for origin in found["ViewBlueprint:space_origin"]}
+    assert len(tabs) == 2
+
+
 def test_the_verb(street: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "night.rrd"
     words = ["view", street.root, "--traversal", street.traversals()[1], "--camera", "rear", "--every", "2"]

@@ -40,7 +40,7 @@ _EXAMPLES: Final = {
         "mirror export webdataset demo/dataset --scene street --camera front_wide rear --undistort --out shards",
     ),
     "lerobot": (
-        "mirror export lerobot demo/dataset --scene street --out lerobot",
+        "mirror export lerobot demo/dataset --scene street --traversal street.drive-01.1747209979231 --out lerobot",
         "mirror export lerobot demo/dataset --scene street --camera front_wide --split novel --out lerobot",
     ),
 }

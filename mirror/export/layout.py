@@ -57,6 +57,7 @@ class ExportLayout:
         mask_path: path of an image's mask below that folder; None: the format has no masks.
         needs_all_masks: whether every image must have a mask as soon as one has.
         write: writes all other files into a folder.
+        require: refuses scenes that the format cannot hold, before anything is written; None: it holds every scene.
         holds_images: whether `write` puts the images into files of its own; `image_path` then names them there.
         kept: fields that it keeps.
         lost: fields that it cannot hold.
@@ -71,4 +72,5 @@ class ExportLayout:
     write: Callable[[ExportScene, Path, ProgressReporter], Written]
     kept: tuple[Kept, ...]
     lost: tuple[str, ...]
+    require: Callable[[ExportScene], None] | None = None
     holds_images: bool = False

@@ -68,8 +68,18 @@ def _image_path(item: ExportImage) -> str:
     return f"{_feature(item.image.camera)}/{item.frame.traversal_id}/{item.frame.frame_index:06}{item.suffix}"
 
 
+def _cameras(scene: ExportScene) -> list[str]:
+    return sorted({item.image.camera for item in scene.images})
+
+
+def _require(scene: ExportScene) -> None:
+    """Refuse scenes whose images of a camera differ in size, or without a complete frame."""
+    _rasters(scene, _cameras(scene))
+    complete_episodes(scene, _cameras(scene))
+
+
 def _write(scene: ExportScene, out: Path, progress: ProgressReporter) -> Written:
-    cameras = sorted({item.image.camera for item in scene.images})
+    cameras = _cameras(scene)
     rasters = _rasters(scene, cameras)
     episodes, left_out = complete_episodes(scene, cameras)
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
@@ -117,8 +127,18 @@ def _write(scene: ExportScene, out: Path, progress: ProgressReporter) -> Written
     _write_table(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet", [pa.Table.from_pylist(rows)])
     files.append(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     files += _write_meta(scene, out, episodes, tasks, features, pa.concat_tables(numbers), cameras)
-    notes = (f"{left_out} frames lack an image of a camera and are left out",) if left_out else ()
-    return Written(tuple(files), notes=notes)
+    notes = [f"{left_out} frames lack an image of a camera and are left out"] if left_out else []
+    rate_hz, fps = _rates(episodes)
+    if abs(rate_hz - fps) > 0.05 * fps:
+        notes.append(f"frames come at {rate_hz:.3g} Hz, which LeRobot states as a whole number: {fps}")
+    return Written(tuple(files), notes=tuple(notes))
+
+
+def _rates(episodes: Sequence[Episode]) -> tuple[float, int]:
+    """The rate of the frames in the median, and the whole number that LeRobot states."""
+    steps = np.concatenate([np.diff(episode.stamps) for episode in episodes])
+    rate_hz = 1e9 / float(np.median(steps)) if len(steps) else 1.0
+    return rate_hz, max(1, round(rate_hz))
 
 
 def _rasters(scene: ExportScene, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
@@ -277,7 +297,6 @@ def _write_meta(
 ) -> list[Path]:  # fmt: skip
     import pandas as pd
 
-    steps = np.concatenate([np.diff(episode.stamps) for episode in episodes])
     roles: dict[str, list[int]] = {}
     for number, episode in enumerate(episodes):
         roles.setdefault(next(iter(episode.frames[0][1].values())).role or "train", []).append(number)
@@ -290,7 +309,7 @@ def _write_meta(
         "chunks_size": _FILES_IN_CHUNK,
         "data_files_size_in_mb": FILE_BYTES // 2**20,
         "video_files_size_in_mb": 200,
-        "fps": max(1, round(1e9 / float(np.median(steps)))) if len(steps) else 1,
+        "fps": _rates(episodes)[1],
         # LeRobot states ranges; episodes of one role need not follow each other.
         "splits": {role: ",".join(map(str, members)) for role, members in roles.items()} if scene.split else
         {"train": f"0:{len(episodes)}"},
@@ -346,6 +365,7 @@ LAYOUT: Final = ExportLayout(
     mask_path=None,
     needs_all_masks=False,
     write=_write,
+    require=_require,
     holds_images=True,
     kept=(
         Kept("bytes of each image", "observation.images.<camera>", "exact; frames of videos become PNG"),

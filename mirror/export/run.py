@@ -100,6 +100,8 @@ def export(
         if complete is not None:
             return complete
     require_lenses(layout, scene.images, form.lens_of)
+    if form.require is not None:
+        form.require(scene)
     write_json(out / UNFINISHED, request)
     if not form.holds_images:
         _place_images(scene, form, out, copy=chosen.copies, progress=reporter)

@@ -18,7 +18,7 @@ import mirror.export.webdataset as webdataset
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.export.run import ExportOptions, export
-from mirror.export.scene import select_scene
+from mirror.export.scene import ExportImage, select_scene
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
@@ -170,6 +170,25 @@ def test_frames_without_a_camera_are_left_out_of_lerobot(street: Dataset, tmp_pa
     with pytest.raises(UsageError, match="no frame has an image of each") as caught:
         lerobot.complete_episodes(replace(selected, images=alone), cameras)
     assert "--camera" in str(caught.value.remedy)
+
+
+def test_a_camera_with_images_of_two_sizes_is_refused_before_anything_is_written(
+    street: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = ExportImage.lens.fget
+    assert real is not None
+
+    def lens(item: ExportImage) -> Camera:
+        found: Camera = real(item)
+        return (
+            found.scaled(0.5) if item.image.camera == "rear" and item.frame.traversal_id.startswith("a.d1") else found
+        )
+
+    monkeypatch.setattr(ExportImage, "lens", property(lens))
+    with pytest.raises(UsageError, match="images of 2 sizes") as caught:
+        export(street, "lerobot", tmp_path / "out")
+    assert caught.value.place == "camera rear" and "--traversal" in str(caught.value.remedy)
+    assert not (tmp_path / "out").exists()
 
 
 def test_data_files_of_lerobot_end_at_their_size(

@@ -18,8 +18,8 @@ from hybridworldsim.simulator.remote.driver_file import DriverFile
 from hybridworldsim.simulator.remote.policy import RemotePolicy
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from tests.simulator.drivers import Driver, serving, straight_on
+from tests.simulator.served import car_at, request, service
 from tests.simulator.streets import straight_street
-from tests.simulator.test_serve import car_at, request, service
 
 RESULT = Path(__file__).resolve().parents[1] / "peers" / "alpasim" / "result.json"
 

@@ -11,10 +11,10 @@ import pytest
 from google.protobuf import json_format
 
 from hybridworldsim.simulator.remote.messages import DRIVER_SERVICE, SENSOR_SERVICE, wire
-from hybridworldsim.simulator.remote.policy import _CALLS as DRIVER_CALLS
+from hybridworldsim.simulator.remote.policy import DRIVER_CALLS
 from tests.simulator.drivers import REQUESTS
 from tests.simulator.peers import RESULT, sample_messages
-from tests.simulator.test_serve import CALLS as SENSOR_CALLS
+from tests.simulator.served import CALLS as SENSOR_CALLS
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from mirror.errors import SchemaError, UsageError
 from mirror.metrics.safety import read_state_log
 from mirror.schema.rollout import STATES_FILE, read_rollout
 from tests.simulator.drivers import Driver, serving, straight_on
+from tests.simulator.requests import STREET, request
 from tests.simulator.streets import LANE_M, scenario
-from tests.simulator.test_rollout import STREET, request
 
 MAPPED = DriverFile(cameras={"rear": "camera_rear_tele_30fov"}, deadline_s=20.0)
 

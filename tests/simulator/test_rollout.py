@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,9 @@ from hybridworldsim.simulator.ego.vehicle import Controls
 from hybridworldsim.simulator.policies.protocol import Observation, ObservationSpec, PlannedTrajectory
 from hybridworldsim.simulator.policies.references import LaneKeeping, Log, Stop
 from hybridworldsim.simulator.policies.registry import make_policy, policy_names
-from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
-from hybridworldsim.simulator.rollout.run import VIDEO_FILE, RolloutRequest, run_rollout
+from hybridworldsim.simulator.rollout.run import VIDEO_FILE, run_rollout
 from mirror.errors import UsageError
 from mirror.methods.model_document import Reconstruction
 from mirror.metrics.safety import read_state_log
@@ -24,13 +22,8 @@ from mirror.schema.files import write_json
 from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import STATES_FILE, read_rollout
 from mirror.schema.scenario import read_scenario
-from tests.simulator.streets import scenario, straight_street
-
-STREET = straight_street()
-BRAKE = scenario(
-    {"id": "lead", "behaviour": {"kind": "hard-brake", "ahead_m": 25.0, "trigger": {"ttc_s": 2.0, "latest_s": 1.0}}},
-    duration_s=3.0,
-)
+from tests.simulator.requests import BRAKE, STREET, request
+from tests.simulator.streets import scenario
 
 
 class Scripted:
@@ -50,13 +43,6 @@ class Scripted:
 
     def close(self) -> None:
         self.closed += 1
-
-
-def request(policy, **more) -> RolloutRequest:
-    chosen = RolloutRequest(
-        STREET, BRAKE, policy, "test", rig_cameras(STREET, tuple(STREET.rig), 48), RendererFactory("boxes")
-    )
-    return replace(chosen, **more)
 
 
 def test_the_folder_of_a_rollout_is_complete(tmp_path: Path) -> None:

@@ -10,14 +10,12 @@ import grpc
 import numpy as np
 import pytest
 
-from hybridworldsim.simulator.agents.replay import RecordedTrack
-from hybridworldsim.simulator.agents.states import Agent
-from hybridworldsim.simulator.remote.lenses import from_spec, to_spec
+from hybridworldsim.simulator.remote.lenses import from_spec
 from hybridworldsim.simulator.remote.messages import SENSOR_SERVICE, wire
-from hybridworldsim.simulator.remote.poses import from_pose, to_flat_pose, to_pose
+from hybridworldsim.simulator.remote.poses import from_pose, to_flat_pose
 from hybridworldsim.simulator.remote.scenes import ServedScene, open_scenes
 from hybridworldsim.simulator.remote.server import render_server
-from hybridworldsim.simulator.remote.service import Limits, SensorService
+from hybridworldsim.simulator.remote.service import Limits
 from hybridworldsim.simulator.renderers.boxes import COLOURS
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
@@ -25,17 +23,10 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from tests.simulator.streets import EGO_R_CAMERA, straight_street
+from tests.simulator.served import CALLS, car_at, pair, request, sensor_pose, service
+from tests.simulator.streets import straight_street
 
 WIDE = Camera("f_theta", 320, 200, 1.0, 1.0, 160.0, 100.0, (0.0, 150.0, 2.0, -6.0))
-CALLS = {
-    "get_version": ("Empty", "VersionId"),
-    "get_available_scenes": ("Empty", "AvailableScenesReturn"),
-    "get_available_cameras": ("AvailableCamerasRequest", "AvailableCamerasReturn"),
-    "get_available_ego_masks": ("Empty", "AvailableEgoMasksReturn"),
-    "render_rgb": ("RGBRenderRequest", "RGBRenderReturn"),
-    "batch_render_rgb": ("BatchRGBRenderRequest", "BatchRGBRenderReturn"),
-}
 
 
 class Client:
@@ -51,36 +42,10 @@ class Client:
         return getattr(wire(), answer).FromString(self.raw(name, data))
 
 
-def service(limits: Limits | None = None) -> SensorService:
-    street = straight_street()
-    track = RecordedTrack(Agent("car-1", "car", (4.5, 1.9, 1.5)), np.zeros(1), np.zeros((1, 3)))
-    street = replace(street, recordings={"drive-1": replace(street.recordings["drive-1"], tracks=(track,))})
-    return SensorService(open_scenes(street, RendererFactory("boxes")), limits)
-
-
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
     with render_server(service(), "127.0.0.1", 0) as port:
         yield Client(port)
-
-
-def sensor_pose(x: float = 100.0, y: float = -1.75) -> object:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = EGO_R_CAMERA, (x, y, 1.5)
-    return to_pose(Poses.from_matrix(matrix))
-
-
-def pair(start: object, end: object | None = None) -> object:
-    return wire().PosePair(start_pose=start, end_pose=end or start)
-
-
-def request(camera: Camera | None = None, **more: object) -> object:
-    chosen = camera or Camera("pinhole", 320, 200, 160.0, 160.0, 160.0, 100.0)
-    fields = {
-        "scene_id": "drive-1", "camera_intrinsics": to_spec(chosen, "any"), "frame_start_us": 1_700_000_000_000_000,
-        "frame_end_us": 1_700_000_000_010_000, "sensor_pose": pair(sensor_pose()), "image_format": 1,
-    }  # fmt: skip
-    return wire().RGBRenderRequest(**{**fields, **more})
 
 
 def pixels(data: bytes) -> np.ndarray:
@@ -89,10 +54,6 @@ def pixels(data: bytes) -> np.ndarray:
 
 def render(client: Client, asked: object) -> np.ndarray:
     return pixels(wire().RGBRenderReturn.FromString(client.raw("render_rgb", asked.SerializeToString())).image_bytes)
-
-
-def car_at(x: float, y: float, yaw: float = 0.0) -> object:
-    return wire().DynamicObject(track_id="car-1", pose_pair=pair(to_flat_pose(x, y, yaw)))
 
 
 def is_car(image: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ _CLOSE_S: Final = 1.0
 _EVERY: Final = 2
 _LEAST_STEP_M: Final = 3.5
 _LAST_PORT: Final = 65535
-_CALLS: Final = {
+DRIVER_CALLS: Final = {
     "start_session": "SessionRequestStatus",
     "close_session": "Empty",
     "submit_image_observation": "Empty",
@@ -95,7 +95,7 @@ class RemotePolicy:
                 request_serializer=lambda message: message.SerializeToString(),
                 response_deserializer=getattr(messages, answer).FromString,
             )
-            for name, answer in _CALLS.items()
+            for name, answer in DRIVER_CALLS.items()
         }
         vehicle = messages.DriveSessionRequest.RolloutSpec.VehicleDefinition(
             available_cameras=[self._available(name, wired) for name, wired in self._driver.cameras.items()]

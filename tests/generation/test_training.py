@@ -164,8 +164,8 @@ def test_clips_that_are_too_short_or_of_another_rig_are_refused() -> None:
 
 
 def test_exhausted_memory_is_named(clips: Path, trained: Path, tmp_path: Path) -> None:
-    """A layer of 280 TB: no processor has the addresses for it."""
-    huge = replace(NETWORK, head_channels=1 << 22)
+    """A layer of more than 280 TB: no processor has the addresses for it."""
+    huge = replace(NETWORK, head_channels=1 << 40)
     options = replace(
         OPTIONS,
         settings=replace(OPTIONS.settings, network=huge),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import ClassVar
@@ -234,7 +235,13 @@ def test_slider_moves_and_shows_the_selected_images(browser: Browser, board: Pat
     browser.script(choose.format(1, 2))
     assert browser.script(source.format("left")) == f"{IMAGE_FOLDER}/street/nearest_frame-1.jpg"
     assert browser.script(source.format("right")) == f"{IMAGE_FOLDER}/street/hybridworldsim-1.jpg"
-    browser.script("document.querySelector('.stage').scrollIntoView()")
+    browser.script("document.querySelector('.stage').scrollIntoView({behavior: 'instant'})")
+    # Images load when they come into view, and would move the stage between the measurement of its place and the click.
+    loaded = "[...document.querySelectorAll('.stage img')].every(image => image.complete)"
+    until = time.monotonic() + 20.0
+    while not browser.script(loaded) and time.monotonic() < until:
+        time.sleep(0.02)
+    browser.script("document.querySelector('.stage').scrollIntoView({behavior: 'instant'})")
     left, top, width, height = browser.script(
         "(r => [r.x, r.y, r.width, r.height])(document.querySelector('.stage').getBoundingClientRect())"
     )

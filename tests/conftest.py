@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
 
 # The first example of a test may compile a kernel, and machines that run tests are loaded. The examples are the same in
-# each run: one commit passes or fails, wherever it is tested. `make explore` draws others.
+# each run: one commit passes or fails, wherever it is tested. HYPOTHESIS_PROFILE=explore draws others.
 settings.register_profile("mirror", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None, max_examples=500, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "mirror"))

@@ -14,8 +14,8 @@ from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.parts import LatentSelector
 from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
-from mirror.geometry.poses import Poses
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 
 STEP_M = 0.1
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Final
@@ -13,12 +13,12 @@ from mirror.html import html_table
 _WIDEST: Final = 8
 """With more metrics a table has a row for each, since a page would not show so many columns."""
 
-_LEVELS: Final[Sequence[tuple[Level, str]]] = (
-    ("scene", "By scene"),
-    ("traversal", "By traversal"),
-    ("camera", "By camera"),
-    ("condition", "By condition"),
-)
+LEVELS: Final[Mapping[Level, str]] = {
+    "scene": "By scene",
+    "traversal": "By traversal",
+    "camera": "By camera",
+    "condition": "By condition",
+}
 
 
 @dataclass
@@ -55,9 +55,9 @@ def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes)
     return _format(("group", "method"), [row for row in rows if row.figures], notes)
 
 
-def breakdown_tables(result: Result, notes: Footnotes) -> Iterator[str]:
-    """Format the figures by scene, traversal, camera and condition; a level with one part repeats the groups."""
-    for level, title in _LEVELS:
+def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, str] = LEVELS) -> Iterator[str]:
+    """Format the figures of each level under its title; a level with one part repeats the groups."""
+    for level, title in levels.items():
         rows: dict[tuple[str, str], dict[str, Figure]] = {}
         for figure in result.figures:
             if figure.level == level:

@@ -16,7 +16,6 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.evaluation.report_tables import Footnotes, breakdown_tables, summary_table
-from mirror.evaluation.result import Result
 from mirror.evaluation.rollouts import RolloutEvaluation
 from mirror.evaluation.scorers.safety import ScoredRollout
 from mirror.html import html_table, style_sheet
@@ -60,7 +59,7 @@ def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> No
         "<h2>Rollouts</h2>",
         _format_rollouts(done.scored),
         # The protocol's traversals are the scenarios of the rollouts.
-        *(table.replace("By traversal", "By scenario") for table in breakdown_tables(_of_scenarios(result), notes)),
+        *breakdown_tables(result, notes, {"traversal": "By scenario"}),
         notes.format(),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
@@ -73,10 +72,6 @@ def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> No
         f"<style>{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
     )
     write_bytes(out, page.encode())
-
-
-def _of_scenarios(result: Result) -> Result:
-    return result.model_copy(update={"figures": tuple(one for one in result.figures if one.level == "traversal")})
 
 
 def _format_header(done: RolloutEvaluation) -> str:

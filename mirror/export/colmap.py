@@ -23,7 +23,7 @@ from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.lenses import LensMap, colmap_lens
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.installation import install_command
 from mirror.progress import ProgressReporter
 
@@ -190,7 +190,7 @@ def _segments(frames: Sequence[tuple[Frame, list[ExportImage]]]) -> list[_Segmen
 
 def _sensor(item: ExportImage, calibration: Calibration) -> Sensor:
     mounting = calibration.ego_SE3_camera
-    return item.image.camera, item.lens, (*mounting.rotation[0].tolist(), *mounting.translation[0].tolist())
+    return item.image.camera, item.lens, to_pose_numbers(mounting)
 
 
 def _mounting(sensor: Sensor) -> Poses:

@@ -328,7 +328,8 @@ def _write_meta(
     documents = {"info.json": info, "stats.json": statistics, "cameras.json": about}
     for name, document in documents.items():
         write_bytes(out / "meta" / name, (json.dumps(document, indent=1) + "\n").encode())
-    pd.DataFrame({"task_index": range(len(tasks))}, index=list(tasks)).to_parquet(out / "meta" / "tasks.parquet")
+    table = pd.DataFrame({"task_index": range(len(tasks))}, index=list(tasks))
+    write_bytes(out / "meta" / "tasks.parquet", table.to_parquet())
     return [out / "meta" / name for name in (*documents, "tasks.parquet")]
 
 

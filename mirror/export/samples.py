@@ -12,7 +12,7 @@ from mirror.dataset.traversal import FrameBoxes
 from mirror.export.lenses import ForeignLens
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import to_pose_numbers
 
 
 def own_lens(camera: Camera) -> ForeignLens:
@@ -36,7 +36,7 @@ def describe_frame(scene: ExportScene, frame: Frame, images: Sequence[ExportImag
         "role": images[0].role,
         "light": traversal["light"],
         "weather": traversal["weather"],
-        "world_SE3_ego": seven_numbers(frame.world_SE3_ego),
+        "world_SE3_ego": to_pose_numbers(frame.world_SE3_ego),
         "cameras": {item.image.camera: describe_camera(item) for item in images},
         "boxes": describe_boxes(frame.boxes("world")),
     }
@@ -59,8 +59,8 @@ def describe_camera(item: ExportImage) -> dict[str, Any]:
         "cx_px": lens.cx_px,
         "cy_px": lens.cy_px,
         "distortion": list(lens.distortion),
-        "ego_SE3_camera": seven_numbers(calibration.ego_SE3_camera),
-        "world_SE3_camera": seven_numbers(item.world_SE3_camera),
+        "ego_SE3_camera": to_pose_numbers(calibration.ego_SE3_camera),
+        "world_SE3_camera": to_pose_numbers(item.world_SE3_camera),
         "privacy": image.privacy,
     }
 
@@ -73,7 +73,7 @@ def describe_boxes(boxes: FrameBoxes) -> list[dict[str, Any]]:
             "track_id": boxes.track_id[row],
             "category": boxes.category[row],
             "attributes": list(boxes.attributes[row]),
-            "world_SE3_box": seven_numbers(boxes.pose[row]),
+            "world_SE3_box": to_pose_numbers(boxes.pose[row]),
             "size_m": boxes.size_m[row].tolist(),
             "velocity_mps": None if np.isnan(boxes.velocity_mps[row]).any() else boxes.velocity_mps[row].tolist(),
             "score": None if np.isnan(boxes.score[row]) else float(boxes.score[row]),
@@ -81,8 +81,3 @@ def describe_boxes(boxes: FrameBoxes) -> list[dict[str, Any]]:
         }
         for row in range(len(boxes))
     ]
-
-
-def seven_numbers(pose: Poses) -> list[float]:
-    """``qw qx qy qz tx ty tz`` of one pose."""
-    return [*pose.rotation[0].tolist(), *pose.translation[0].tolist()]

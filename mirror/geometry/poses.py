@@ -217,6 +217,11 @@ class Poses:
             raise UsageError(f"{len(self)} poses with {count} {what}", expected="the same number of both, or one")
 
 
+def to_pose_numbers(pose: Poses) -> tuple[float, ...]:
+    """Return the seven numbers ``qw qx qy qz tx_m ty_m tz_m`` of one pose."""
+    return (*pose.rotation[0].tolist(), *pose.translation[0].tolist())
+
+
 def _transform_kernel(out: AnyArray, motion: AnyArray, points: AnyArray) -> None:
     m = split(motion)
     x, y, z = split(points)

@@ -25,7 +25,7 @@ import pyarrow as pa
 
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import is_invalid_rotation
@@ -287,7 +287,7 @@ class DgpRecording:
             cx_px=intrinsics["cx"] + 0.5,
             cy_px=intrinsics["cy"] + 0.5,
             distortion=distortion,
-            ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+            ego_SE3_camera=to_pose_numbers(mounting),
             valid_from_ns=span[0],
             valid_to_ns=span[1],
             method=f"DGP calibration {key}",

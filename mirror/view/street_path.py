@@ -13,9 +13,9 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.errors import UsageError
 from mirror.geometry.cameras import undistorted
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.methods.interactive import TrainedAppearance
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 
 _WIDEST_RAD: Final = 0.96
 _LIGHTS: Final = ("day", "dusk", "night")

@@ -28,7 +28,7 @@ from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy, target_h
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.geometry.box_projection import project_boxes
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.methods import registry
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
@@ -36,7 +36,6 @@ from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, make_hidden_document
 from mirror.protocols.views import RenderView, plan_views
-from mirror.protocols.views.view import to_pose_numbers
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth

@@ -53,7 +53,7 @@ def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Set
             if not 0.0 <= number < math.inf:
                 raise UsageError(f"{number:g}", place=f"--set {name}", expected="a finite number, 0 or more")
     try:
-        return _adapter(type(settings)).validate_python(values)
+        return settings_adapter(type(settings)).validate_python(values)
     except ValidationError as error:
         first = error.errors()[0]
         # "Input should be a valid number, unable to parse ..."
@@ -69,11 +69,11 @@ def settings_document(settings: Any) -> dict[str, Any]:
     Args:
         settings: a dataclass, which may hold dataclasses.
     """
-    document: dict[str, Any] = _adapter(type(settings)).dump_python(settings, mode="json", by_alias=True)
+    document: dict[str, Any] = settings_adapter(type(settings)).dump_python(settings, mode="json", by_alias=True)
     return document
 
 
-def _adapter(settings: type[_Settings]) -> TypeAdapter[_Settings]:
+def settings_adapter(settings: type[_Settings]) -> TypeAdapter[_Settings]:
     """The adapter of a class of settings: making one takes 3 ms, and a study reads the settings of hundreds of jobs."""
     if settings not in _ADAPTERS:
         _ADAPTERS[settings] = TypeAdapter(settings)

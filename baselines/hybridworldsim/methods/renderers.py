@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from pydantic import TypeAdapter
 
+from hybridworldsim.methods.overrides import settings_adapter
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, AppearanceSelector
 from hybridworldsim.training.driven_lines import DrivenLines
@@ -56,7 +56,7 @@ def open_block(folder: Path, make: Callable[[InitialGeometry, Any], TrainableMet
         DatasetError: the model is missing or belongs to another method.
     """
     run = read_run(folder)
-    trainer = make(_placeholder(run), TypeAdapter(settings).validate_python(run.settings))
+    trainer = make(_placeholder(run), settings_adapter(settings).validate_python(run.settings))
     set_parameters(trainer.model, read_parameters(folder / MODEL))
     return OpenBlock(run, trainer)
 

@@ -6,6 +6,7 @@ import csv
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -81,10 +82,11 @@ class ReleasedFiles:
         """
         groups = list(dict.fromkeys(view.group for view in plan.views))
         found: dict[str, Source] = {}
+        every_clip = self._read_clips()
         for group in groups:
             folder = self._group_folder(group, alone=len(groups) == 1)
             images = self._index_images(folder)
-            clips = [clip for clip in self._read_clips() if clip.file.is_relative_to(folder)]
+            clips = [clip for clip in every_clip if clip.file.is_relative_to(folder)]
             for view in plan.views:
                 if view.group == group:
                     source = _find_image(view, images) or _find_frame(view, clips)
@@ -164,22 +166,21 @@ def _find_frame(view: RenderView, clips: Sequence[_Clip]) -> Source | None:
         if (clip.traversal_id, clip.camera) == (view.traversal_id, view.camera):
             place = (view.timestamp_ns - clip.timestamp_ns) * 1e-9 * clip.hz
             frame = round(place)
-            if frame >= 0 and abs(place - frame) <= _NEAR and frame < _count_frames(clip.file):
+            if (
+                frame >= 0
+                and abs(place - frame) <= _NEAR
+                and frame < _count_frames(clip.file, clip.file.stat().st_mtime_ns)
+            ):
                 return Source(clip.file, frame)
     return None
 
 
-_counts: dict[tuple[Path, int], int] = {}
-
-
-def _count_frames(file: Path) -> int:
+@lru_cache(maxsize=1024)
+def _count_frames(file: Path, changed_ns: int) -> int:
     """The number of frames of a video; its packets are counted, not decoded."""
     from mirror.recordings.video import read_video_stamps
 
-    key = (file, file.stat().st_mtime_ns)
-    if key not in _counts:
-        _counts[key] = len(read_video_stamps(file)[0])
-    return _counts[key]
+    return len(read_video_stamps(file)[0])
 
 
 def _walk(folder: Path) -> Iterator[Path]:

@@ -19,6 +19,7 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
+from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.tables import BOXES
 
@@ -88,11 +89,12 @@ def track_layer(
                     own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
                     if not set(own) & set(written):
                         continue
-                    tracked = _track_scene(dataset, {name: frames[name] for name in own}, options, progress)
+                    poses = {name: ego_poses_at(dataset, name, frames[name]) for name in own}
+                    tracked = _track_scene({name: frames[name] for name in own}, poses, options, progress)
                     for name in own:
                         if name in written:
                             writer = LayerWriter(layout, name, BOXES.name, new_source, version)
-                            boxes = to_frames(tracked[name], frames[name], ego_poses_at(dataset, name, frames[name]))
+                            boxes = to_frames(tracked[name], frames[name], poses[name])
                             table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
                             folder = layout.layer(name, BOXES.name, source, own_version)
                             writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
@@ -107,12 +109,15 @@ def track_layer(
 
 
 def _track_scene(
-    dataset: Dataset, frames: Mapping[str, list[Detections]], options: TrackingOptions, progress: ProgressReporter
+    frames: Mapping[str, list[Detections]],
+    poses: Mapping[str, Poses],
+    options: TrackingOptions,
+    progress: ProgressReporter,
 ) -> dict[str, list[Track]]:
     """Tracks by traversal of one scene."""
     tracks = {}
     for name, detections in frames.items():
-        tracks[name] = find_tracks(detections, ego_poses_at(dataset, name, detections), options)
+        tracks[name] = find_tracks(detections, poses[name], options)
         progress.advance(1)
     return merge_stationary(tracks)
 

@@ -9,9 +9,9 @@ from mirror.dataset.frames import Frame
 from mirror.dataset.traversal import FrameBoxes
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.protocols.document import Group, Protocol, Vehicles
-from mirror.protocols.views.view import Edit, to_pose_numbers
+from mirror.protocols.views.view import Edit
 
 
 class EditPlanner:

@@ -16,11 +16,11 @@ from mirror.dataset.image import Image
 from mirror.dataset.redaction import REDACTION
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.protocols.document import Frames, Group, Protocol
 from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import SplitDocument
 
 _MASKS = "masks"

@@ -13,11 +13,11 @@ from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import COLUMNS, Poses
+from mirror.geometry.poses import COLUMNS, Poses, to_pose_numbers
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 
 GROUP: Final = "trajectory"
 _SECOND_NS: Final = 1_000_000_000

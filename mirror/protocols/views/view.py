@@ -101,8 +101,3 @@ class RenderView(Document):
 def to_pose(numbers: tuple[float, ...]) -> Poses:
     """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``."""
     return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))
-
-
-def to_pose_numbers(pose: Poses) -> tuple[float, ...]:
-    """Return the seven numbers ``qw qx qy qz tx_m ty_m tz_m`` of one pose."""
-    return (*pose.rotation[0].tolist(), *pose.translation[0].tolist())

@@ -26,7 +26,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import geodetic_to_utm
-from mirror.geometry.poses import COLUMNS
+from mirror.geometry.poses import COLUMNS, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_utm
 from mirror.recordings.opening import find_file, require_file
@@ -232,7 +232,7 @@ class Argoverse2Recording:
                     # The devkit follows OpenCV: the centre of the first pixel is at 0.
                     cx_px=lens["cx_px"] + 0.5,
                     cy_px=lens["cy_px"] + 0.5,
-                    ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+                    ego_SE3_camera=to_pose_numbers(mounting),
                     method="Argoverse 2 calibration, images undistorted",
                 )
                 calibrations.append(("factory", calibration))

@@ -29,7 +29,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_tangent
@@ -351,7 +351,7 @@ class ColmapRecording:
                 sensor.name,
                 width_px=camera.width_px,
                 height_px=camera.height_px,
-                ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+                ego_SE3_camera=to_pose_numbers(mounting),
                 valid_from_ns=span[0],
                 valid_to_ns=span[1],
                 method=f"COLMAP {camera.model}; mounting: {sensor.method}",

@@ -19,7 +19,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import RecordingError
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration
 from mirror.recordings.coordinates import FLU_FROM_FRD
 from mirror.recordings.opening import read_file, require_file
@@ -140,7 +140,7 @@ def _in_ego(imu_SE3_camera: Float64, camera_SE3_rectified: Float64) -> tuple[flo
     matrix = np.concatenate([imu_SE3_camera, [[0.0, 0.0, 0.0, 1.0]]])
     flu = Poses(FLU_FROM_FRD[None], np.zeros((1, 3)))
     pose = flu @ Poses.from_matrix(matrix) @ Poses.from_matrix(camera_SE3_rectified)
-    return (*pose.rotation[0].tolist(), *pose.translation[0].tolist())
+    return to_pose_numbers(pose)
 
 
 def _read_values(file: Path) -> dict[str, list[str]]:

@@ -26,7 +26,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_ecef
@@ -246,7 +246,7 @@ class NcoreRecording:
                 cx_px=camera.cx_px,
                 cy_px=camera.cy_px,
                 distortion=camera.distortion,
-                ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+                ego_SE3_camera=to_pose_numbers(mounting),
                 shutter_direction=direction,
                 readout_ns=round(readout_us * 1_000),
                 method=f"NCore {method}",

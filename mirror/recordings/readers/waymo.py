@@ -25,7 +25,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Float64
 from mirror.errors import RecordingError
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA
@@ -313,7 +313,7 @@ class WaymoRecording:
             cx_px=lens[2],
             cy_px=lens[3],
             distortion=tuple(lens[4:]),
-            ego_SE3_camera=(*mounting.rotation[0].tolist(), *mounting.translation[0].tolist()),
+            ego_SE3_camera=to_pose_numbers(mounting),
             shutter_direction=direction,
             readout_ns=readout_ns,
             method="Waymo camera_calibration",

@@ -13,10 +13,10 @@ from mirror.dataset.frames import Frame, FrameSequence
 from mirror.dataset.raster import ImageRaster
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import full_camera
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 
 GROUP: Final = "generated"
 

@@ -21,9 +21,10 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
+from mirror.geometry.poses import to_pose_numbers
 from mirror.methods.model_document import Reconstruction, read_reconstruction
 from mirror.methods.registry import installed_method
-from mirror.protocols.views.view import RenderView, to_pose_numbers
+from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of

@@ -14,7 +14,7 @@ import pyarrow as pa
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_multiply, quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import is_invalid_rotation, to_ego_track
@@ -262,7 +262,7 @@ class LogRecording:
                     remedy="correct frame or ego_frame in the topics file, or leave the camera's info out: it is then"
                     " uncalibrated",
                 )
-            pose = (*mounting.rotation[0].tolist(), *mounting.translation[0].tolist())
+            pose = to_pose_numbers(mounting)
             starts = [stamp for stamp, _ in contents.intrinsics]
             for number, (start, lens) in enumerate(contents.intrinsics):
                 validity = {

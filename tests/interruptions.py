@@ -109,8 +109,12 @@ def interrupt(
     return Ended(running.returncode, taken_s, stdout.decode(), stderr.decode(), hit)
 
 
-def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> None:
-    """Interrupt a command at three random instants; each run continues the one before."""
+def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> int:
+    """Interrupt a command at three random instants; each run continues the one before.
+
+    Returns:
+        How many of the runs the signals ended; the others were complete before.
+    """
     instants, hits = random.Random(seed), 0
     for number, group in SIGNALS:
         ended = interrupt(words, instants.uniform(0.0, longest_s), number, group=group)
@@ -118,6 +122,7 @@ def stop_thrice(words: Sequence[str | Path], longest_s: float, seed: int) -> Non
         if ended.hit:
             ended.require_stopped()
     assert hits
+    return hits
 
 
 def finish(words: Sequence[str | Path]) -> float:

@@ -9,7 +9,7 @@ from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.protocols.document import load_protocol
 from tests.evaluation.submissions import SPLIT, write_renders
 from tests.ingest.recordings import tree
-from tests.interruptions import MIRROR, finish, stop_thrice
+from tests.interruptions import MIRROR, SIGNALS, finish, stop_thrice
 
 
 def test_add_stops_and_continues(dataset: Dataset, root: Path, tmp_path: Path) -> None:
@@ -19,8 +19,9 @@ def test_add_stops_and_continues(dataset: Dataset, root: Path, tmp_path: Path) -
     words = [*MIRROR, "leaderboard", "add", tmp_path / "out" / "result.json", root, "--submission", submission]
     words += ["--dataset-name", "street", "--board"]
     whole_s = finish([*words, tmp_path / "whole"])
-    stop_thrice([*words, tmp_path / "stopped"], 0.8 * whole_s, seed=8)
-    assert not list((tmp_path / "stopped").rglob("*.json"))
+    hits = stop_thrice([*words, tmp_path / "stopped"], 0.5 * whole_s, seed=8)
+    # A run that was complete before its signal, because the first one was slow, has written its entry.
+    assert hits < len(SIGNALS) or not list((tmp_path / "stopped").rglob("*.json"))
     finish([*words, tmp_path / "stopped"])
     assert tree(tmp_path / "stopped") == tree(tmp_path / "whole")
     assert len(list((tmp_path / "whole" / "entries").iterdir())) == 1

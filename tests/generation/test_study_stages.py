@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from benchmarks.studies.generation.comparison import compare
 from benchmarks.studies.generation.declaration import FILE, load_declaration
@@ -24,6 +28,7 @@ from benchmarks.studies.generation.make_clips import (
     TEST_SEEDS,
     TRAINING_SEEDS,
 )
+from benchmarks.studies.generation.published import FVD_FRAMES, STAGE, load_networks, measure_published
 from benchmarks.studies.generation.report import BEGIN, END, PAGE, format_report, update_page, write_sheets
 from benchmarks.studies.generation.scoring import background_db, identity, score_clip
 from benchmarks.studies.generation.stages import list_stages
@@ -38,6 +43,7 @@ from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.st_lpips import st_lpips_trunk
 from mirror.metrics.features.statistics import FeatureStatistics
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.weights.errors import WeightsUnavailableError
 from tests.generation.trained import CODEC, NETWORK, T
 
 WIDTH, HEIGHT, FOCAL = 48, 32, 40.0
@@ -217,6 +223,42 @@ def test_page_has_markers_and_gets_the_section(study: Study, tmp_path: Path) -> 
     page.write_text("nothing")
     with pytest.raises(UsageError, match="no place"):
         update_page(study, page)
+
+
+def test_fid_and_fvd_are_shown_where_their_weights_are(
+    study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Mean:
+        """Mean colours instead of a network's features."""
+
+        name, mode, crop, identity, batch, computed, frames = "smoke", "clean", "direct224", "smoke", 8, 0, None
+        weights: Mapping[str, str] = MappingProxyType({})
+
+        def prepare(self, pixels: Any) -> torch.Tensor:
+            return torch.from_numpy(pixels.reshape(-1, pixels.shape[-1]).mean(0) / 255.0)
+
+        def run(self, prepared: torch.Tensor) -> Any:
+            return prepared.float().numpy()
+
+        def check(self, clip: Any) -> None:
+            assert len(clip) == FVD_FRAMES
+
+    network: Any = Mean()
+    other = replace(study, folder=tmp_path / "study")
+    shutil.copytree(study.folder, other.folder)
+    figures = measure_published(other, network, None)
+    assert {"background", "on-0", "off-1", "distilled"} <= set(figures)
+    truth = np.concatenate([clip.images[T:, 0].reshape(len(clip) - T, -1, 3).mean(1) for clip in other.test]) / 255.0
+    empty = np.concatenate([clip.background[T:, 0].reshape(len(clip) - T, -1, 3).mean(1) for clip in other.test])
+    expected = frechet_distance(empty / 255.0, truth).value
+    assert figures["background"]["fid"] == pytest.approx(expected, rel=1e-4)
+    other.finish(STAGE, 1.0, figures)
+    assert "| background: FID and FVD | - | FID " in format_report(other)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.delenv("MIRROR_WEIGHTS", raising=False)
+    with pytest.raises(WeightsUnavailableError):
+        load_networks()
 
 
 def test_sheets_show_truth_background_and_models(study: Study, tmp_path: Path) -> None:

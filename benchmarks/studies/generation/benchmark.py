@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +20,11 @@ class Arguments:
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
     docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
-    report shows them without the folder. clips, judges: these stages alone.
+    report shows them without the folder. fid: FID and FVD of finished rollouts, where their weights are there. clips,
+    judges: these stages alone.
     """
 
-    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "clips", "judges"]]
+    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "fid", "clips", "judges"]]
     """What to do."""
     out: Path = Path("benchmarks/out/generation")
     """Folder of the study."""
@@ -39,6 +42,7 @@ def main(argv: Sequence[str]) -> int:
 
     from benchmarks.studies.generation.declaration import load_declaration
     from benchmarks.studies.generation.make_clips import make_clips
+    from benchmarks.studies.generation.published import STAGE, load_networks, measure_published
     from benchmarks.studies.generation.report import PAGE, describe_stages, format_report, update_page, write_sheets
     from benchmarks.studies.generation.stages import list_stages
     from benchmarks.studies.generation.study import Study, run_stages
@@ -57,6 +61,12 @@ def main(argv: Sequence[str]) -> int:
         print(text)
         if study.figures("clips") is not None:
             print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
+        return ExitCode.DONE
+    if arguments.what == "fid":
+        begin = time.process_time()
+        figures = measure_published(study, *load_networks())
+        study.finish(STAGE, time.process_time() - begin, figures)
+        print(json.dumps(figures, indent=1))
         return ExitCode.DONE
     if arguments.what == "publish":
         print(study.publish())

@@ -10,6 +10,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
+from benchmarks.studies.generation.published import STAGE
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study
 from mirror.errors import UsageError
@@ -143,6 +144,9 @@ def _list_rows(study: Study) -> Iterator[_Row]:
     for kind in ("image", "crop"):
         one = None if steps is None else steps.get(kind)
         yield _ratio(f"{kind} distance, distilled / best teacher", bars["distilled"], one, most=bars["distilled_upper"])
+    for model, distances in (study.shown(STAGE) or {}).items():
+        shown = ", ".join(f"{name.upper()} {value:.3g}" for name, value in distances.items())
+        yield (f"{model}: FID and FVD", "-", shown, "-")
 
 
 def _at_least(name: str, bar: float, figures: dict[str, Any] | None, key: str, note: str = "") -> _Row:

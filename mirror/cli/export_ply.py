@@ -75,7 +75,7 @@ def main(argv: Sequence[str]) -> int:
     document = read_reconstruction(arguments.model)
     whole = mirror.open(arguments.dataset)
     require_matching_split(whole, document.split, document)
-    dataset = whole.where(scene=document.scene)
+    dataset = whole.where(scene=document.scene).with_layers(calibrations=document.calibrations)
     traversal = arguments.traversal or dataset.where(split=document.split, role="train").traversals()[0]
     cameras = None if arguments.camera is None else [arguments.camera]
     pixels = load_protocol("static-reconstruction").pixels

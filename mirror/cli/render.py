@@ -6,8 +6,8 @@ import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.submission.manifest import Appearance, Runtime
     from mirror.evaluation.submission.writing import Render
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.model_document import Reconstruction
     from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import RenderView
 
@@ -61,6 +62,8 @@ class Arguments:
     """Traversal that gives a trajectory its rig, its line and its appearance."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
     """Cameras to render."""
+    calibrations: Annotated[str | None, help_text(default="that of the training", metavar="SOURCE@VERSION")] = None
+    """Layer of calibrations that places the cameras; recorded: none. A traversal without it has the recorded ones."""
     appearance: str = "nearest"
     """nearest, mean, fit, a traversal, a word for light or weather such as night, or sweep:A:B.
     For a trajectory also by camera: rear=night,front_wide=sweep:day:night. A submission keeps that of trained views."""
@@ -115,6 +118,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
+    from mirror.protocols.views.recalibration import recalibrate_views
 
     for option in ("traversal", "cameras", "width", "hz"):
         if getattr(arguments, option) is not None:
@@ -129,8 +133,8 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             )
     name, models = _models(arguments.model)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol)
-    for model in models.values():
-        document = read_reconstruction(model)
+    documents = {scene: read_reconstruction(model) for scene, model in models.items()}
+    for document in documents.values():
         require_matching_split(dataset, split, document)
         require_held_out_images(protocol, document)
     plan = plan_views(dataset, protocol, split)
@@ -145,16 +149,23 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             f"protocol {protocol.name} lets no appearance be fitted", place="--appearance fit",
             expected="another policy, or a protocol with a fitted part, such as static-reconstruction",
         )  # fmt: skip
-    appearance = AppearancePolicy(arguments.appearance, plan.views, truth=(dataset, plan))
+    layers = {scene: arguments.calibrations or document.calibrations for scene, document in documents.items()}
+    placed = {
+        view.path: view
+        for scene, layer in layers.items()
+        for view in recalibrate_views(dataset, [view for view in plan.views if view.scene_id == scene], layer)
+    }
+    views = tuple(placed[view.path] for view in plan.views)
+    appearance = AppearancePolicy(arguments.appearance, views, truth=(dataset, replace(plan, views=views)))
 
     def renderer(_: Dataset, requested: Plan) -> Iterator[Render]:
         for scene, model in models.items():
-            views = [view for view in requested.views if view.scene_id == scene]
-            if views:
+            missing = [view for view in requested.views if view.scene_id == scene]
+            if missing:
                 render = installed_method(name).open(model, appearance)
-                yield from (([view], render(view)) for view in views)
+                yield from (([view], render(placed[view.path])) for view in missing)
 
-    about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(models.values()))
+    about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(documents.values(), layers))
     with progress_bar(quiet=arguments.json) as bar:
         count = write_submission(
             dataset, plan, renderer, about, appearance_of(appearance), arguments.out, bar, _costs(models.values()),
@@ -191,14 +202,25 @@ def _hash(models: Iterable[Path]) -> str:
     return hashlib.sha256(b"".join((model / DOCUMENT).read_bytes() for model in models)).hexdigest()
 
 
-def _trained_on(models: Iterable[Path]) -> str:
-    from mirror.methods.model_document import read_reconstruction
+def _trained_on(documents: Iterable[Reconstruction], rendered: Mapping[str, str]) -> str:
+    """The manifest entry for the training data and the calibrations.
 
-    documents = [read_reconstruction(model) for model in models]
+    Args:
+        documents: documents of the models.
+        rendered: layer of calibrations of the renders, by scene.
+    """
+    documents = list(documents)
     withheld = sum(document.withheld for document in documents)
     splits = ", ".join(sorted({document.split for document in documents}))
-    trained_on = f"training traversals of split {splits}, of the scene alone"
-    return f"{trained_on}, without {withheld} of their pictures" if withheld else trained_on
+    text = f"training traversals of split {splits}, of the scene alone"
+    if withheld:
+        text += f", without {withheld} of their pictures"
+    trained = {document.scene: document.calibrations for document in documents}
+    if {*trained.values(), *rendered.values()} != {"recorded"}:
+        text += f"; calibrations {', '.join(sorted(set(trained.values())))}"
+        if rendered != trained:
+            text += f", rendered with {', '.join(sorted(set(rendered.values())))}"
+    return text
 
 
 def _costs(models: Iterable[Path]) -> Runtime:
@@ -250,7 +272,8 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     ((scene, model),) = models.items()
     document = read_reconstruction(model)
     require_matching_split(dataset, document.split, document)
-    scene_dataset = dataset.where(scene=scene)
+    layer = arguments.calibrations or document.calibrations
+    scene_dataset = dataset.where(scene=scene).with_layers(calibrations=layer)
     base = arguments.traversal or _base_traversal(scene_dataset, str(arguments.trajectory), document.split)
     cameras = None if arguments.cameras is None else arguments.cameras.split(",")
     hz = _HZ if arguments.hz is None else arguments.hz

@@ -123,6 +123,7 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     if arguments.scene not in (None, document.scene):
         raise UsageError(f"the model is of {document.scene}", place="--scene", expected=document.scene)
     view = dataset.where(scene=document.scene, traversal=arguments.traversal or sorted(document.trained))
+    view = view.with_layers(calibrations=document.calibrations)
     path = read_path(view, view.traversals()[0], arguments.camera[0] if arguments.camera else None)
     renderer = find_interactive(document.method).open_interactive(model)
     if arguments.measure is not None:

@@ -42,6 +42,7 @@ class Reconstruction(Document):
         trained: ids of these traversals, each with the hash of its recorded data.
         withheld: number of images of training traversals that were not trained on.
         poses: pose layer used for training.
+        calibrations: layer of calibrations used for training; renders use it too.
         done: costs; None: training is not finished.
     """
 
@@ -53,6 +54,7 @@ class Reconstruction(Document):
     trained: dict[str, str]
     withheld: int = 0
     poses: str = "recorded"
+    calibrations: str = "recorded"
     done: Costs | None = None
 
 

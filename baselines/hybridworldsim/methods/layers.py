@@ -67,7 +67,7 @@ def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressRep
         task.split,
         method=method,
         width_px=task.protocol.pixels.max_width_px,
-        version=_version(task),
+        version=_version(dataset, task),
         withheld=task.withheld,
         progress=progress,
     )
@@ -89,7 +89,7 @@ def has_estimated_points(dataset: Dataset, task: ReconstructionTask) -> bool:
     """Whether all training traversals of a task's scene have the points that `layers_for` would estimate."""
     training = _training_view(dataset, task)
     return set(training.traversals()) <= _traversals_with(
-        training, "points", f"{task.initialise or PLANE_SWEEP}@{_version(task)}"
+        training, "points", f"{task.initialise or PLANE_SWEEP}@{_version(dataset, task)}"
     )
 
 
@@ -102,9 +102,11 @@ def _training_view(dataset: Dataset, task: ReconstructionTask) -> Dataset:
     return dataset.where(scene=task.scene, split=task.split, role="train")
 
 
-def _version(task: ReconstructionTask) -> str:
-    """Version of the estimated layers; it differs for other training images and for another width."""
-    return f"{task.split}-{task.protocol.pixels.max_width_px}{_withheld_suffix(task.withheld)}"
+def _version(dataset: Dataset, task: ReconstructionTask) -> str:
+    """Version of the estimated layers; it differs for other training images, calibrations and another width."""
+    calibrations = dataset.layers.calibrations
+    placed = "" if calibrations == "recorded" else f"-{calibrations.replace('@', '-')}"
+    return f"{task.split}-{task.protocol.pixels.max_width_px}{placed}{_withheld_suffix(task.withheld)}"
 
 
 def _withheld_suffix(withheld: Set[ImageKey]) -> str:

@@ -73,6 +73,7 @@ class StaticMethod:
             trained=list_trained_traversals(dataset, task.split, task.scene),
             withheld=len(task.withheld),
             poses=dataset.layers.poses,
+            calibrations=dataset.layers.calibrations,
         )
         _require_own(out, document)
         if task.threads is not None:
@@ -247,7 +248,8 @@ def _require_own(out: Path, document: Reconstruction) -> None:
     before = read_reconstruction(out)
     if before.model_copy(update={"done": None}) != document:
         raise UsageError(
-            f"the folder holds a model of scene {before.scene}, split {before.split}, by {before.method}", file=out,
+            f"the folder holds a model of scene {before.scene}, split {before.split}, calibrations "
+            f"{before.calibrations}, by {before.method}", file=out,
             remedy="name another folder with --out",
         )  # fmt: skip
 

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Final
 
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.methods import SPARSE, make_estimator
@@ -22,9 +21,6 @@ from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
-
-_INPUT_KINDS: Final = ("poses", "calibrations", "boxes")
-"""Kinds of layers that the result depends on, besides masks."""
 
 
 @dataclass(frozen=True)
@@ -124,12 +120,13 @@ def _hash_inputs(
     table = view.table("traversals", ["traversal_id", "layers"])
     rows = zip(*(column.to_pylist() for column in table.columns))
     names = {(traversal_id, name) for traversal_id, layers in rows for name in layers}
+    chosen = {f"poses/{view.layers.poses}", f"calibrations/{view.layers.calibrations}"}
     mask_layers = {f"masks/{name}" for name in _find_mask_layers(view)}
     for traversal_id in view.traversals():
         hashes[f"traversal:{traversal_id}"] = _read_content_hash(view.layout.recorded(traversal_id))
     for traversal_id, name in sorted(names):
         kind, _, layer = name.partition("/")
-        if kind in _INPUT_KINDS or name in mask_layers:
+        if kind == "boxes" or name in chosen | mask_layers:
             source, _, version = layer.partition("@")
             hashes[f"{name}:{traversal_id}"] = _read_content_hash(
                 view.layout.layer(traversal_id, kind, source, version)

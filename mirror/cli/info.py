@@ -124,6 +124,7 @@ def _dataset_lines(summary: DatasetSummary) -> list[tuple[str, str]]:
         ("images", f"{summary.images:,} ({summary.image_bytes / 1e6:,.1f} MB)"),
         ("time", _dates(summary.first_ns, summary.last_ns, summary.hours)),
         ("layers (traversals)", _numbered(summary.layers)),
+        ("road maps (lanes)", _numbered(summary.road_maps)),
         *((f"split {name}", _counts(roles)) for name, roles in summary.splits.items()),
         ("index", summary.index if summary.index == "current" else f"{summary.index}: run `mirror index`"),
     ]

@@ -82,6 +82,8 @@ class Arguments:
     """GeoJSON or CSV file of regions of interest."""
     roi: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="LON,LAT[,RADIUS_M[,ID]]")] = ()
     """A region of interest."""
+    map: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="FILE|FOLDER")] = ()
+    """Recorded road map of a scene as GeoParquet, or a folder of maps. A dataset takes it without recordings too."""
     reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
     """Reader of the recordings."""
     tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
@@ -109,7 +111,7 @@ class Arguments:
     verify: bool = False
     """Also hash the images of recordings with unchanged sizes and times."""
     replace: bool = False
-    """Ingest a drive again if its recording has changed."""
+    """Ingest a drive again if its recording has changed, and replace another map of a scene."""
     fail_fast: bool = False
     """Stop at the first recording that cannot be ingested."""
     wait: bool = False
@@ -123,7 +125,8 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror ingest", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
-    if not arguments.recordings:
+    is_dataset = arguments.out is not None and (arguments.out / "dataset.json").is_file()
+    if not arguments.recordings and not (arguments.map and is_dataset):
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
     if arguments.out is None and not arguments.dry_run:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
@@ -157,6 +160,7 @@ def main(argv: Sequence[str]) -> int:
         fail_fast=arguments.fail_fast,
         wait=arguments.wait,
         licence=arguments.licence,
+        maps=arguments.map,
     )
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
@@ -218,6 +222,7 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "linked": report.linked,
         "images_without_pose": report.without_pose,
         "images_missing": report.missing,
+        "maps": report.maps,
         "failures": [{"recording": str(path), **error.to_dict()} for path, error in report.failures],
     }
 
@@ -265,8 +270,10 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
     if dry_run:
         console.print("dry run: nothing was written")
         return
+    if report.maps:
+        console.print(f"road maps: {', '.join(f'{scene} {outcome}' for scene, outcome in report.maps.items())}")
     if not report.drives and not report.unchanged:
-        console.print("nothing was ingested")
+        console.print(f"dataset: {out}" if report.maps else "nothing was ingested")
         return
     if report.drives and not any(drive.passes for drive in report.drives.values()):
         frames = sorted({drive.info.frame or "WGS 84" for drive in report.drives.values()})

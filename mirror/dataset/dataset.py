@@ -23,7 +23,15 @@ from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count_rows, read_rows
 from mirror.dataset.store import Store, store_at
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
-from mirror.schema.documents import CANONICAL_CAMERAS, DatasetDocument, Manifest, Role, SplitDocument, is_identifier
+from mirror.schema.documents import (
+    CANONICAL_CAMERAS,
+    DatasetDocument,
+    Manifest,
+    Roi,
+    Role,
+    SplitDocument,
+    is_identifier,
+)
 from mirror.schema.files import parse_json, sha256_bytes
 
 if TYPE_CHECKING:
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
 
     from mirror.dataset.frames import FrameSequence
     from mirror.dataset.points import Points
+    from mirror.schema.road_map import RoadMap
 
 Choice: TypeAlias = str | Iterable[str] | None
 Within: TypeAlias = tuple[float, float, float] | tuple[float, float, float, str]
@@ -318,6 +327,33 @@ class Dataset:
         from mirror.dataset.frames import FrameSequence
 
         return FrameSequence.from_view(self._catalog, self.filters, self.layers)
+
+    def road_map(self, scene: str | None = None) -> RoadMap | None:
+        """Read the recorded road map of a scene, which `mirror ingest --map` added; None: the dataset has none.
+
+        Args:
+            scene: id of a scene in the view; None: the view has only one.
+
+        Raises:
+            UsageError: the view has no such scene, or several and none is named, or the map is of another scene.
+            DatasetError: the map's file is missing or was changed.
+            SchemaError: the file is not a road map, or a feature is invalid.
+
+        Example:
+            >>> mirror.open("dataset").road_map("a") is None
+            True
+        """
+        from mirror.dataset.recorded_map import read_recorded_map
+
+        scenes = self.scenes()
+        if scene is None and len(scenes) != 1:
+            raise UsageError(
+                f"the view has {len(scenes)} scenes", place="scene", expected=f"one of {', '.join(scenes)}"
+            )
+        chosen = scenes[0] if scene is None else scene
+        _check("scene", chosen, scenes)
+        (row,) = self.where(scene=chosen).table("scenes", [*Roi.model_fields]).to_pylist()
+        return read_recorded_map(self.store, Roi.model_validate(row))
 
     def _column(self, table: str, column: str) -> list[Any]:
         return self.table(table, [column]).column(0).to_pylist()

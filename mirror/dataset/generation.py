@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
+from mirror.dataset.layout import MANIFEST, MAPS, Layout, complete_manifest
 from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable_error
 
 FOLDER: Final = ".superseded"
@@ -27,6 +27,7 @@ UNLOCKABLE_AGE_S: Final = 24 * 3600
 """Without locks in the file system, readers are unknown: superseded files are then removed after one day."""
 
 _INDEX: Final = f"index/{MANIFEST}"
+_MOVED_WHOLE: Final = (("traversals",), ("drives",), (MAPS,))
 _NONE: Final = "none"
 _PATIENCE_S: Final = 10.0
 _PAUSE_S: Final = 0.005
@@ -119,9 +120,10 @@ class Generation:
 
 
 def supersede(layout: Layout, path: Path) -> None:
-    """Move a file, or the folder of a drive or traversal, out of the way; the caller holds the dataset's writer lock.
+    """Move a file, or the folder of a drive, traversal or map, out of the way.
 
-    A file or folder that was written after the current generation has no reader and is removed.
+    The caller holds the dataset's writer lock. A file or folder that was written after the current generation has no
+    reader and is removed.
 
     Args:
         layout: the dataset.
@@ -145,7 +147,7 @@ def supersede(layout: Layout, path: Path) -> None:
 
 
 def recover(layout: Layout) -> None:
-    """Repair the dataset after an interrupted run: restore the drives that the run replaced only in part.
+    """Repair the dataset after an interrupted run: restore the drives and maps that the run replaced only in part.
 
     Temporary files of a killed run are removed. The caller holds the dataset's writer lock.
 
@@ -166,9 +168,9 @@ def recover(layout: Layout) -> None:
                 _restore(layout, traversal, layout.traversal(traversal.name))
             # The drive comes last: after an interruption, the next run still finds it here and restores the rest.
             _restore(layout, drive, layout.drive(drive.name))
-        for traversal in sorted((layer / "traversals").glob("*")):
-            if not layout.traversal(traversal.name).exists():
-                _restore(layout, traversal, layout.traversal(traversal.name))
+        for folder in sorted((*(layer / "traversals").glob("*"), *(layer / MAPS).glob("*"))):
+            if not (layout.root / folder.relative_to(layer)).exists():
+                _restore(layout, folder, layout.root / folder.relative_to(layer))
         if {path.relative_to(layer).as_posix() for path in layer.rglob("*") if not path.is_dir()} <= {_INDEX}:
             _remove(layout, layer)
             with suppress(OSError):
@@ -198,9 +200,9 @@ def release(layout: Layout) -> None:
 
 
 def _unit(path: str) -> PurePosixPath:
-    """The path that is moved as a whole: the folder of a traversal or drive, else the file."""
+    """The path that is moved as a whole: the folder of a traversal, a drive or a map, else the file."""
     parts = PurePosixPath(path).parts
-    return PurePosixPath(*parts[:2]) if parts[:1] in (("traversals",), ("drives",)) else PurePosixPath(path)
+    return PurePosixPath(*parts[:2]) if parts[:1] in _MOVED_WHOLE else PurePosixPath(path)
 
 
 def _layers(root: Path) -> list[Path]:

@@ -12,6 +12,8 @@ from mirror.schema.documents import FileEntry, ImageTotals, Manifest
 from mirror.schema.files import read_json, write_json
 
 MANIFEST = "manifest.json"
+MAPS = "maps"
+"""Folder of the recorded road maps, one folder a scene."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,10 @@ class Layout:
     def drive_ids(self) -> list[str]:
         """Ids of the complete drives, sorted."""
         return sorted(folder.name for folder in _complete(self.root / "drives"))
+
+    def road_map(self, scene_id: str) -> Path:
+        """The folder of the recorded road map of a scene."""
+        return self.root / MAPS / scene_id
 
     def layers(self, traversal_id: str) -> list[tuple[str, str, str]]:
         """Complete layers of a traversal as ``(kind, source, version)``, sorted."""

@@ -31,7 +31,7 @@ from mirror.schema.folders import FolderKind, require_output_folder
 _LAYERS: Final = frozenset({"poses", "calibrations", "boxes", "masks", "redaction"})
 """Kinds of layers that are published; depth and points may contain what held-out images show."""
 
-_FOLDERS: Final = ("drives", "index", "rigs", "splits", "traversals")
+_FOLDERS: Final = ("drives", "index", "maps", "rigs", "splits", "traversals")
 """Folders of a dataset, in which a repeated call removes files."""
 
 _MAX_FILES_PER_FOLDER: Final = 10_000

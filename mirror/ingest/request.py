@@ -11,6 +11,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from mirror.errors import MirrorError, UsageError
+from mirror.ingest.maps import MapOutcome
 from mirror.ingest.traversal import WriteOptions, WriteReport
 from mirror.ingest.trigger import Pass
 from mirror.recordings.protocol import DriveInfo
@@ -51,10 +52,11 @@ class IngestOptions:
         workers: threads.
         dry_run: judge only, write nothing.
         verify: hash the source images of drives that look unchanged.
-        replace: drop a drive of the same id whose recording has changed.
+        replace: drop a drive of the same id whose recording has changed, and another map of the same scene.
         fail_fast: stop at the first drive that cannot be ingested.
         wait: wait for another writer of the dataset.
         licence: licence of the data, for ``dataset.json`` of a new dataset.
+        maps: recorded road maps of scenes: GeoParquet files, and folders of them.
     """
 
     reader: str | None = None
@@ -70,6 +72,7 @@ class IngestOptions:
     fail_fast: bool = False
     wait: bool = False
     licence: str | None = None
+    maps: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,12 +104,14 @@ class IngestReport:
         images: images written.
         bytes: of those images.
         linked: those of them that are hard links.
+        maps: what became of each given road map, by scene.
     """
 
     drives: dict[str, DriveReport] = field(default_factory=dict)
     unchanged: list[str] = field(default_factory=list)
     traversals: list[WriteReport] = field(default_factory=list)
     failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
+    maps: dict[str, MapOutcome] = field(default_factory=dict)
 
     @property
     def images(self) -> int:

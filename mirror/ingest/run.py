@@ -25,6 +25,7 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
 from mirror.ingest.drive import refuse_conflicting_rig, seal_drive
+from mirror.ingest.maps import add_maps, judge_maps, read_given_maps
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.prepare import PreparedDrive, prepare
 from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
@@ -77,8 +78,10 @@ def ingest_recordings(
         with its error and adds nothing to the dataset.
 
     Raises:
-        UsageError: there is no ROI, a ROI or an option is invalid, or the folder holds something other than a dataset.
+        UsageError: there is no ROI, a ROI or an option is invalid, a road map is of another scene, or the folder holds
+            something other than a dataset.
         DatasetError: another process writes the dataset, its thresholds differ, or it cannot be written.
+        SchemaError: a road map is broken.
         MirrorError: the error of the first bad recording, with ``fail_fast``; the dataset is unchanged then.
 
     Example::
@@ -100,6 +103,7 @@ def ingest_recordings(
         )
     if options.dry_run:
         run = _Run(layout, options, progress, merge_settings(layout, options, rois))
+        judge_maps(layout, read_given_maps(options.maps, run.settings.rois), replace=options.replace)
         run.work(recordings)
         return run.report
     _refuse_recording_as_dataset(recordings, out)
@@ -134,6 +138,8 @@ def _refuse_recording_as_dataset(recordings: Sequence[Path], out: Path) -> None:
 
 
 def _write(run: _Run, recordings: Sequence[Path]) -> None:
+    maps = read_given_maps(run.options.maps, run.settings.rois)
+    outcomes = judge_maps(run.layout, maps, replace=run.options.replace)
     staging = Staging(run.layout)
     done = False
     try:
@@ -145,6 +151,11 @@ def _write(run: _Run, recordings: Sequence[Path]) -> None:
         done = True
     finally:
         staging.close(done=done)
+    if maps and run.layout.document.exists():
+        # A scene that only a map was given for is a scene of the dataset too.
+        write_rois(run.layout.rois, run.settings.rois)
+        add_maps(run.layout, maps, outcomes)
+        run.report.maps.update(outcomes)
 
 
 @dataclass

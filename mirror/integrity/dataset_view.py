@@ -11,17 +11,19 @@ import pyarrow as pa
 
 from mirror.dataset.images.decoding import usable_cores
 from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
-from mirror.dataset.layout import MANIFEST, Layout
+from mirror.dataset.layout import MANIFEST, MAPS, Layout
+from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits.candidates import Candidate, Candidates
 from mirror.dataset.splits.leaks import Tie, find_ties
 from mirror.dataset.store import Store
-from mirror.errors import DatasetError, MirrorError, SchemaError
+from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.integrity.rows import TablePart, TableRows
 from mirror.pools import thread_pool
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
+from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
 from mirror.schema.tables import PASSES, ROW_GROUPS, Table
 
 TRAVERSAL_KEY = "traversal:"
@@ -119,8 +121,26 @@ class DatasetView:
         return {
             folder.parent.name: manifest
             for folder, manifest in self.folder_manifests.items()
-            if folder.name == "recorded"
+            if folder.name == "recorded" and folder.parent.parent.name == "traversals"
         }
+
+    @cached_property
+    def road_maps(self) -> Mapping[str, RoadMap]:
+        """Recorded road maps by the name of their folder; each is of a scene of the dataset, and in its frame."""
+        found = {}
+        for folder in self.folder_manifests:
+            path = folder / MAP_FILE
+            if folder.parent.name != MAPS or not path.is_file():
+                continue
+            try:
+                road_map, roi = read_road_map(path), self.scenes.get(folder.name)
+                if roi is None:
+                    raise UsageError("the map of a scene that the dataset does not have", file=path)
+                require_map_of(road_map, roi, path)
+                found[folder.name] = road_map
+            except MirrorError as error:
+                self.problems[self.name(path)] = error
+        return found
 
     @cached_property
     def withheld(self) -> frozenset[str]:
@@ -229,6 +249,7 @@ class DatasetView:
     def folders_with_manifest(self) -> Iterator[Path]:
         """Folders that have a manifest when they are complete, except the index."""
         yield from self.folders("drives")
+        yield from self.folders(MAPS)
         for folder in self.folders("traversals"):
             yield folder / "recorded"
             yield from self.layer_folders(folder.name)

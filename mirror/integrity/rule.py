@@ -23,6 +23,7 @@ GROUPS: Final = {
     "IDX": "the index, which is derived from all other files",
     "IMG": "images, their rows, files and pixels",
     "LED": "the ledgers of passes, accepted and refused",
+    "MAP": "recorded road maps",
     "MSK": "masks",
     "POS": "the ego poses of a traversal, recorded and in layers",
     "PRV": "redacted images, and what was derived from images before they were redacted",

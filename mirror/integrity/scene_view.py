@@ -16,6 +16,7 @@ from mirror.integrity.images import ImageContents, ImageFileReader, ImageFiles
 from mirror.integrity.motion import Motion
 from mirror.integrity.rows import TablePart, TableRows
 from mirror.schema.documents import Roi
+from mirror.schema.road_map import RoadMap
 from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, POINTS, Table
 
 _LAYER_TABLES = {
@@ -46,6 +47,11 @@ class SceneView:
         self.traversals: Sequence[TraversalView] = [
             item for item in dataset.traversals.values() if item.scene.scene_id == scene.scene_id
         ]
+
+    @property
+    def road_map(self) -> RoadMap | None:
+        """The recorded road map; None: there is none, or it is broken."""
+        return self.dataset.road_maps.get(self.scene.scene_id)
 
     @cached_property
     def poses(self) -> TableRows:

@@ -36,6 +36,7 @@ class DatasetSummary:
         hours: sum of the traversals' durations.
         passes: passes by decision: ``accepted``, or the rule that refused them.
         layers: traversals by layer, ``kind/source@version``.
+        road_maps: number of lanes of the recorded road maps, by scene.
         splits: traversals by role, by split.
         index: ``current``, ``stale`` or ``missing``.
         problems: errors of files that cannot be read.
@@ -55,6 +56,7 @@ class DatasetSummary:
     hours: float
     passes: Mapping[str, int]
     layers: Mapping[str, int]
+    road_maps: Mapping[str, int]
     splits: Mapping[str, Mapping[str, int]]
     index: str
     problems: tuple[MirrorError, ...]
@@ -101,6 +103,7 @@ def summarise(root: str | Path) -> DatasetSummary:
         hours=sum(int(str(row["exit_ns"])) - int(str(row["entry_ns"])) for row in passed) / 3.6e12,
         passes=dict(Counter(rules)),
         layers=dict(sorted(Counter(f"{k}/{s}@{v}" for item in traversals for k, s, v in item.layers).items())),
+        road_maps={name: len(road_map.lanes) for name, road_map in view.road_maps.items()},
         splits={name: dict(Counter(split.assignments.values())) for name, split in view.splits.items()},
         index=_index_state(view),
         problems=tuple(view.problems.values()),

@@ -223,13 +223,16 @@ def write_table(path: Path, data: pa.Table, table: Table, *, row_groups: Sequenc
     write_bytes(path, encode_table(data, table, row_groups=row_groups))
 
 
-def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table:
+def read_table(
+    path: Path, table: Table, columns: Sequence[str] | None = None, *, data: bytes | None = None
+) -> pa.Table:
     """Read one table and check it against its specification.
 
     Args:
         path: a Parquet file.
         table: the specification.
         columns: read only these columns; None: read all.
+        data: bytes of the file; None: it is opened.
 
     Raises:
         DatasetError: the file is missing.
@@ -237,7 +240,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
             named.
     """
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path if data is None else pa.BufferReader(data)) as file:
             schema = file.schema_arrow
             metadata = schema.metadata or {}
             if _VERSION_KEY in metadata:
@@ -252,7 +255,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
                     expected=f"the columns of {table.name} in docs/schema.md",
                     remedy="run `mirror index` if the file lies in index/, else restore it",
                 )
-            data = file.read(columns=[name for name in names if name in schema.names], use_threads=False)
+            rows = file.read(columns=[name for name in names if name in schema.names], use_threads=False)
     except FileNotFoundError as error:
         raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error
     except (pa.ArrowInvalid, OSError) as error:
@@ -262,7 +265,7 @@ def read_table(path: Path, table: Table, columns: Sequence[str] | None = None) -
             expected="a complete Parquet file",
             remedy="run `mirror index` if the file lies in index/, else restore it or ingest the recording again",
         ) from error
-    return conform(data, table, file=path, columns=names)
+    return conform(rows, table, file=path, columns=names)
 
 
 def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence[str] | None = None) -> pa.Table:

@@ -26,7 +26,7 @@ from mirror.schema.strict_json import JsonError, decode_json
 
 _MAX_BYTES: Final = 64 * 1024 * 1024
 _DATASET_NAMES: Final = frozenset(
-    {"traversals", "drives", "rigs", "splits", "index", "rois.geojson", ".lock", ".staging", ".superseded"}
+    {"traversals", "drives", "rigs", "splits", "maps", "index", "rois.geojson", ".lock", ".staging", ".superseded"}
 )
 
 

@@ -17,7 +17,7 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.errors import SchemaError, UsageError
-from mirror.schema.documents import Document
+from mirror.schema.documents import Document, Roi
 from mirror.schema.files import encode_table, read_table, write_bytes
 from mirror.schema.road_features import DRIVING as DRIVING
 from mirror.schema.road_features import LaneKind as LaneKind
@@ -124,16 +124,20 @@ def encode_road_map(road_map: RoadMap) -> bytes:
     return encode_table(data.replace_schema_metadata(metadata), ROAD_MAP)
 
 
-def read_road_map(path: str | Path) -> RoadMap:
+def read_road_map(path: str | Path, *, data: bytes | None = None) -> RoadMap:
     """Read a road map.
+
+    Args:
+        path: its file.
+        data: bytes of the file; None: it is opened.
 
     Raises:
         DatasetError: the file is missing.
         SchemaError: the file is not a road map, or a feature is invalid; the feature is named.
     """
     path = Path(path)
-    rows: Sequence[Mapping[str, Any]] = read_table(path, ROAD_MAP).to_pylist()
-    header = read_header(path, _METADATA, RoadMapHeader)
+    rows: Sequence[Mapping[str, Any]] = read_table(path, ROAD_MAP, data=data).to_pylist()
+    header = read_header(path, _METADATA, RoadMapHeader, data=data)
     of = {kind: [row for row in rows if row["feature"] == kind] for kind in ("lane", "drivable", "crossing", "signal")}
     try:
         return RoadMap(
@@ -148,6 +152,38 @@ def read_road_map(path: str | Path) -> RoadMap:
         )
     except UsageError as error:
         raise SchemaError(error.problem, file=path, place=error.place, expected=error.expected) from error
+
+
+def require_map_of(road_map: RoadMap, roi: Roi, file: str | Path) -> None:
+    """Refuse a map that is not of a scene.
+
+    Args:
+        road_map: the map.
+        roi: region of interest of the scene.
+        file: file of the map, for messages.
+
+    Raises:
+        UsageError: the map is of another scene or in another frame, or no lane and no part of the drivable area lies
+            in the region of interest.
+    """
+    if road_map.scene_id != roi.scene_id:
+        raise UsageError(f"a map of scene {road_map.scene_id}", file=file, expected=f"a map of {roi.scene_id}")
+    frames = [frame or "east-north-up at the centre of the ROI" for frame in (road_map.frame, roi.frame)]
+    if frames[0] != frames[1]:
+        raise UsageError(f"a map in the frame {frames[0]}", file=file, expected=f"the scene's frame: {frames[1]}")
+    center = shapely.Point(roi.x_m or 0.0, roi.y_m or 0.0)
+    lines = [shapely.LineString(lane.center_m[:, :2]) for lane in road_map.lanes.values()]
+    areas = [shapely.Polygon(area.rings[0], area.rings[1:]) for area in road_map.drivable]
+    nearest_m = min((float(shape.distance(center)) for shape in (*lines, *areas)), default=np.inf)
+    if nearest_m > roi.radius_m:
+        raise UsageError(
+            f"the nearest lane or drivable area is {nearest_m:.0f} m from the centre of scene {roi.scene_id}"
+            if np.isfinite(nearest_m)
+            else "there is no lane and no drivable area",
+            file=file,
+            expected=f"a map that reaches into the region of interest, which has a radius of {roi.radius_m:g} m",
+            remedy="give the coordinates in the frame of the scene, in metres",
+        )
 
 
 def _geo(boxes: Sequence[Mapping[str, float]]) -> dict[str, object]:

@@ -19,13 +19,19 @@ from mirror.schema.tables import BBOX, KEY, Table
 Header = TypeVar("Header", bound=Document)
 
 
-def read_header(path: Path, key: bytes, model: type[Header]) -> Header:
+def read_header(path: Path, key: bytes, model: type[Header], *, data: bytes | None = None) -> Header:
     """Read the document in a Parquet file's metadata that describes the table as a whole.
+
+    Args:
+        path: the file.
+        key: key of the metadata.
+        model: model of the document.
+        data: bytes of the file; None: it is opened.
 
     Raises:
         SchemaError: the file has no such document, or it does not follow the model.
     """
-    stored = (pq.read_schema(path).metadata or {}).get(key)
+    stored = (pq.read_schema(path if data is None else pa.BufferReader(data)).metadata or {}).get(key)
     if stored is None:
         raise SchemaError(
             f"no metadata {key.decode()!r}", file=path, expected=f"a {model.__name__} document, as MIRROR writes it"
@@ -79,7 +85,8 @@ STATES: Final = Table(
 ROAD_MAP: Final = Table(
     name="road_map",
     row="one feature of a scene's map: a lane, a part of the drivable area, a crossing or a signal (GeoParquet)",
-    place="<run>/map.parquet` or, beside the recordings of `mirror synth`, `maps/<scene_id>.parquet",
+    place="<run>/map.parquet`, in a dataset `maps/<scene_id>/map.parquet`, or beside the recordings of `mirror synth`"
+    " `maps/<scene_id>.parquet",
     schema=pa.schema(
         [
             _field("feature", KEY, "`lane`, `drivable`, `crossing` or `signal`."),

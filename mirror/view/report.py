@@ -169,7 +169,7 @@ def map_legend(lights: Iterable[str]) -> str:
 
 
 def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
-    """Draw the map of a scene with the lines of its traversals."""
+    """Draw the map of a scene with the lines of its traversals, over its recorded road map if there is one."""
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
     for row in traversals:
@@ -181,8 +181,14 @@ def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Seque
         inside = inside[:: max(1, len(inside) // _MAP_POINTS)]
         about = f"{row['traversal_id']}: {row['light']}, {row['weather']}, {row['duration_s']:.0f} s"
         lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], row["light"], about))
+    road_map = dataset.road_map(scene["scene_id"])
     return scene_map(
-        f"{scene_name(scene)}: {len(lines)} traversals", scene["radius_m"], lines, north=scene["frame"] is None
+        f"{scene_name(scene)}: {len(lines)} traversals{'' if road_map is None else ', on its road map'}",
+        scene["radius_m"],
+        lines,
+        north=scene["frame"] is None,
+        roads=[] if road_map is None else [[ring - centre for ring in area.rings] for area in road_map.drivable],
+        lanes=[] if road_map is None else [lane.center_m[:, :2] - centre for lane in road_map.lanes_of()],
     )
 
 

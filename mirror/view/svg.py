@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
+import numpy as np
+
 from mirror.arrays import Float64
 
 _BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 20, 7, 104, 190, 56
@@ -83,19 +85,36 @@ class Line:
     title: str
 
 
-def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool) -> str:
+def scene_map(
+    title: str,
+    radius_m: float,
+    lines: Sequence[Line],
+    *,
+    north: bool,
+    roads: Sequence[Sequence[Float64]] = (),
+    lanes: Sequence[Float64] = (),
+) -> str:
     """Draw a scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
 
-    With ``north``, an arrow states that up is north; a local frame has no north. Later lines are thinner, so that lines
-    in the same lane stay visible.
+    Later lines are thinner, so that lines in the same lane stay visible.
+
+    Args:
+        title: title of the map.
+        radius_m: radius of the circle.
+        lines: the traversals.
+        north: whether an arrow states that up is north; a local frame has no north.
+        roads: parts of the drivable area as rings (K, 2), the outline first, relative to the scene's centre.
+        lanes: middle lines (P, 2) of lanes.
     """
     reach = radius_m * 1.12
     parts = [f'<circle cx="0" cy="0" r="{radius_m:.1f}" class="roi"/>']
+    parts += [f'<path class="road" d="{"".join(f"M {_points(ring)} Z" for ring in rings)}"/>' for rings in roads]
+    parts += [f'<path class="lane" d="M {_points(lane)}"/>' for lane in lanes]
     for number, line in enumerate(lines):
         if len(line.x_m) < 2:
             continue
         width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
-        points = " ".join(f"{x:.1f},{-y:.1f}" for x, y in zip(line.x_m, line.y_m))
+        points = _points(np.column_stack([line.x_m, line.y_m]))
         tip = _arrow(line, radius_m * 0.04)
         polyline = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
         parts.append(
@@ -119,6 +138,10 @@ def scene_map(title: str, radius_m: float, lines: Sequence[Line], *, north: bool
         f' aria-label="{escape(title)}">{"".join(parts)}</svg>'
     )
     return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+
+
+def _points(line: Float64) -> str:
+    return " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
 
 
 def _cross(size: float) -> str:

@@ -196,6 +196,8 @@ class Broken:
         for traversal_id in self.traversals:
             for folder in (self.layout.recorded(traversal_id), *self.layout.traversal(traversal_id).glob("layers/*/*")):
                 self._reseal(folder)
+        for folder in self.root.glob("maps/*"):
+            self._reseal(folder)
         for drive in self.layout.drive_ids():
             folder = self.layout.drive(drive)
             self._reseal(folder)

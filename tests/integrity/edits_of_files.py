@@ -8,12 +8,15 @@ import math
 import shutil
 from collections.abc import Iterator
 
+import numpy as np
 import pyarrow.parquet as pq
 
-from mirror.dataset.layout import MANIFEST
+from mirror.dataset.layout import MANIFEST, seal
+from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits import make_split
 from mirror.schema.documents import ByScene
 from mirror.schema.files import write_bytes
+from mirror.schema.road_map import MapArea, RoadMap, encode_road_map
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 from tests.integrity.clean import FRAME_NS, FRAMES, Broken
 from tests.integrity.edit import (
@@ -42,6 +45,7 @@ def edits() -> Iterator[Edit]:
     yield from _tables()
     yield from _ledger()
     yield from _splits()
+    yield from _road_maps()
 
 
 def _documents() -> Iterator[Edit]:
@@ -229,3 +233,24 @@ def _forgotten(broken: Broken) -> None:
         del raw["assignments"][A1], raw["manifests"][A1]
 
     broken.document("splits/s.json", change)
+
+
+def _road_maps() -> Iterator[Edit]:
+    file = "maps/b/map.parquet"
+    yield of("MAP001", lambda broken: _add_map(broken, _road("a", "yard")), file)
+    yield of("MAP001", lambda broken: _add_map(broken, _road("b", None)), file)
+    yield of("MAP001", lambda broken: (_add_map(broken, _road("b", "yard")), cut(file, 500)(broken)), file)
+    yield of("MAP002", lambda broken: _add_map(broken, _road("b", "yard", aside_m=50.0)), file)
+
+
+def _road(scene_id: str, frame: str | None, *, aside_m: float = 0.0) -> RoadMap:
+    """A road along x, from kerb to kerb 20 m wide."""
+    ring = np.array([[-900.0, -10.0], [900.0, -10.0], [900.0, 10.0], [-900.0, 10.0]]) + np.array([0.0, aside_m])
+    return RoadMap(scene_id, frame, False, {}, (MapArea("road", (ring,)),))
+
+
+def _add_map(broken: Broken, road_map: RoadMap) -> None:
+    data = encode_road_map(road_map)
+    folder = broken.layout.road_map("b")
+    write_bytes(folder / MAP_FILE, data)
+    seal(folder, {MAP_FILE: data}, derived_from={})

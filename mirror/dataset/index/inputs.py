@@ -10,7 +10,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from mirror.dataset.layout import MANIFEST
+from mirror.dataset.layout import MANIFEST, MAPS
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
@@ -54,7 +54,8 @@ class Inputs:
         scenes: the regions of interest by scene id, sorted.
         drives: ids of the traversals of each complete drive, by drive id, sorted.
         traversals: inputs of each traversal by id, sorted.
-        fingerprints: a hash for each scene (key ``scene:<id>``) and one of all inputs (key ``dataset``).
+        fingerprints: a hash for each scene (key ``scene:<id>``), one for each recorded road map (``map:<id>``), and one
+            of all inputs (key ``dataset``).
     """
 
     scenes: Mapping[str, Roi]
@@ -131,7 +132,9 @@ def read_inputs(store: Store) -> Inputs:
             hashes.update({f"layer:{kind}/{source}@{version}": value for (kind, source, version), value in own.items()})
             traversals[traversal_id] = TraversalInput(traversal_id, scene_id, drive, rig, tuple(own), found[0], hashes)
     ordered = dict(sorted(traversals.items()))
-    return Inputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes))
+    maps = _manifests(store, [f"{MAPS}/{name}" for name in store.list_folders(MAPS) if not name.startswith(".")])
+    map_hashes = {f"map:{folder.removeprefix(f'{MAPS}/')}": value for folder, (_, value) in sorted(maps.items())}
+    return Inputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes, map_hashes))
 
 
 def read_rois(store: Store) -> dict[str, Roi]:
@@ -200,7 +203,10 @@ def _read_rig(store: Store, rig_id: str) -> tuple[Rig, str]:
 
 
 def _fingerprints(
-    scenes: Mapping[str, Roi], traversals: Mapping[str, TraversalInput], drives: list[list[str]]
+    scenes: Mapping[str, Roi],
+    traversals: Mapping[str, TraversalInput],
+    drives: list[list[str]],
+    maps: Mapping[str, str],
 ) -> dict[str, str]:
     by_scene: dict[str, list[object]] = {scene_id: [] for scene_id in scenes}
     for traversal in traversals.values():
@@ -209,6 +215,7 @@ def _fingerprints(
         f"scene:{scene_id}": _hash([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
         for scene_id, rows in by_scene.items()
     }
+    prints.update(maps)
     prints[DATASET_KEY] = _hash([DERIVATION, prints, sorted(drives)])
     return prints
 

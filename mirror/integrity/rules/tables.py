@@ -40,7 +40,7 @@ def _unreadable_table(view: SceneView) -> Iterator[Finding]:
 def _unreadable_ledger(view: DatasetView) -> Iterator[Finding]:
     _ = view.passes, view.index_row_groups
     yield from report_unreadable(
-        view.problems, lambda file: file.endswith(".parquet") and not file.startswith("traversals/")
+        view.problems, lambda file: file.endswith(".parquet") and file.startswith(("drives/", "index/"))
     )
 
 

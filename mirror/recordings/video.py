@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -21,13 +21,12 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.time import SECOND_NS
+from mirror.recordings.video_frames import FrameConverter
 
 if TYPE_CHECKING:
     import av
     from av.container import InputContainer
     from av.video.stream import VideoStream as Stream
-
-JPEG_QUALITY: Final = 95
 
 Item = TypeVar("Item")
 
@@ -118,12 +117,11 @@ class VideoStream:
         Raises:
             RecordingError: the video is broken or ends too early, or has no frame with a pts; file and pts are named.
         """
-        import cv2
-
         requested = {int(self.pts[index]): index for index in indices}
         if not requested:
             return
         with open_video(self.file) as (container, stream):
+            converter = FrameConverter()
             frames = (
                 _decode_by_time(container, stream, requested)
                 if has_time_stamps(stream)
@@ -134,12 +132,10 @@ class VideoStream:
                     self.decoded += 1
                     if pts not in requested:
                         continue
-                    done, data = cv2.imencode(
-                        ".jpg", frame.to_ndarray(format="bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-                    )
-                    if not done:
+                    data = converter.to_jpeg(frame)
+                    if data is None:
                         raise RecordingError("the frame cannot be encoded", file=self.file, place=f"pts {pts}")
-                    yield requested.pop(pts), data.tobytes()
+                    yield requested.pop(pts), data
                     if not requested:
                         return
             except av_error_type() as error:

@@ -24,7 +24,7 @@ from tests.ingest.recordings import SCENE, START_NS, write_recording
 KEEP = IngestOptions(write=WriteOptions(videos="video"))
 
 
-def film(drive: Path, camera: str, *, b_frames: int = 2) -> tuple[Int64, dict[int, UInt8]]:
+def film(drive: Path, camera: str, *, b_frames: int = 2, codec: str = "libx264") -> tuple[Int64, dict[int, UInt8]]:
     """Replace a camera's images by a video with irregular stamps; return exposures and decoded frames by exposure."""
     folder = drive / "images" / camera
     stamps = sorted(int(path.stem) for path in folder.iterdir())
@@ -35,7 +35,8 @@ def film(drive: Path, camera: str, *, b_frames: int = 2) -> tuple[Int64, dict[in
     file = drive / "videos" / f"{camera}.mp4"
     rng = np.random.default_rng(0)
     with av.open(str(file), "w") as container:
-        stream = container.add_stream("libx264", rate=10, options={"g": "10", "bf": str(b_frames)})
+        quiet = {"x265-params": "log-level=none"} if codec == "libx265" else {}
+        stream = container.add_stream(codec, rate=10, options={"g": "10", "bf": str(b_frames), **quiet})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for number in range(len(stamps)):
             image = np.full((48, 64, 3), 20 + number % 200, np.uint8)
@@ -86,6 +87,19 @@ def test_frames_are_those_of_the_recording_and_nothing_is_encoded(tmp_path: Path
         writing.write(b"\0" * 64)
     found = {rule.rule_id for rule, _ in check(tmp_path / "d", cost=Cost.IMAGES).findings}
     assert "IMG004" in found
+
+
+@pytest.mark.parametrize("codec", ["libx264", "libx265"])
+def test_frames_in_any_order(codec: str, tmp_path: Path) -> None:
+    """Alone, in pairs, and one after the other: decoders end after a frame, or expect the next one."""
+    drive = write_recording(tmp_path / "fleet", "there")
+    _, frames = film(drive, "rear", codec=codec)
+    ingest_recordings([drive], [SCENE], tmp_path / "d", KEEP)
+    images = [frame.images["rear"] for frame in mirror.open(tmp_path / "d").frames() if "rear" in frame.images]
+    alone = np.random.default_rng(0).permutation(len(images))
+    pairs = [number + step for number in alone[alone < len(images) - 1] for step in (0, 1)]
+    for number in [*alone, *pairs, *range(len(images)), *alone]:
+        np.testing.assert_array_equal(images[number].decode(), frames[images[number].exposure_start_ns])
 
 
 def test_the_same_bytes_again_and_without_hashes(tmp_path: Path) -> None:

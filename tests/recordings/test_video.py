@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream
-from mirror.recordings.video import JPEG_QUALITY, VideoStream, read_video_stamps, to_unix_stamps
+from mirror.recordings.video import VideoStream, read_video_stamps, to_unix_stamps
+from mirror.recordings.video_frames import JPEG_QUALITY
 from tests.recordings.videos import FRAMES, GROUP, decode_all, write_video
 
 

@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 
-from mirror.recordings.video import JPEG_QUALITY
+from mirror.recordings.video_frames import JPEG_QUALITY
 
 GROUP, FRAMES = 10, 60
 

@@ -99,12 +99,14 @@ def _read_video(
     file: Path, views: Sequence[RenderView], sources: Mapping[str, Source]
 ) -> Iterator[tuple[RenderView, UInt8]]:
     from mirror.recordings.video import open_video
+    from mirror.recordings.video_frames import FrameConverter
 
     waiting = list(views)
     with open_video(file) as (container, stream):
+        converter = FrameConverter()
         for number, frame in enumerate(container.decode(stream)):
             while waiting and sources[waiting[0].path].frame == number:
-                yield waiting.pop(0), np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+                yield waiting.pop(0), converter.to_rgb(frame)
             if not waiting:
                 return
     raise DatasetError(

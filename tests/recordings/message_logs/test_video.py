@@ -12,7 +12,7 @@ import pytest
 
 from mirror.errors import RecordingError
 from mirror.recordings.readers.message_logs.images import MessageVideo
-from mirror.recordings.video import JPEG_QUALITY
+from mirror.recordings.video_frames import JPEG_QUALITY
 from tests.recordings.message_logs.drives import ONE, opened
 from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
 from tests.recordings.videos import GROUP, write_video

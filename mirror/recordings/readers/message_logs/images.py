@@ -15,7 +15,8 @@ from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.readers.message_logs.container import Message, MessageLog, Place, Topic
 from mirror.recordings.readers.message_logs.decoding import Decoder, ImageMessage
-from mirror.recordings.video import JPEG_QUALITY, CopiedVideo, av_error_type
+from mirror.recordings.video import CopiedVideo, av_error_type
+from mirror.recordings.video_frames import FrameConverter
 
 _MAGIC: Final = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
 VIDEO_SUFFIXES: Final = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
@@ -124,20 +125,18 @@ class MessageVideo:
         Raises:
             RecordingError: PyAV is not installed, or a frame cannot be decoded; its stamp is named.
         """
-        import cv2
-
+        converter: FrameConverter | None = None
         for group in self._groups(indices):
             requested = {index for index in indices if group.start <= index < group.stop}
             for index, frame in self._decode(group):
                 if index not in requested:
                     continue
-                done, data = cv2.imencode(
-                    ".jpg", frame.to_ndarray(format="bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-                )
-                if not done:
+                converter = converter or FrameConverter()
+                data = converter.to_jpeg(frame)
+                if data is None:
                     raise self._error(index, "it cannot be encoded")
                 requested.discard(index)
-                yield index, data.tobytes()
+                yield index, data
             if requested:
                 raise self._error(min(requested), "the decoder gives no frame for its packet")
 

@@ -95,7 +95,7 @@ def evaluate_rollouts(
         unavailable={},
         weights={},
         versions=list_versions(),
-        options={"world": policy.world},
+        options={"world": policy.world, "road_map": ", ".join(sorted({_map_source(one) for one in scored}))},
         warnings=tuple(_list_warnings(scored)),
     )
     write_bytes(out / IMAGES, _encode_table(scored, protocol))
@@ -164,8 +164,18 @@ def _hash(content: object) -> str:
     return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
 
 
+def _map_source(scored: ScoredRollout) -> str:
+    return scored.rollout.map_source or ("fitted" if scored.has_fitted_map else "not stated")
+
+
 def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
     warnings = []
+    fitted = sum(one.has_fitted_map for one in scored)
+    if fitted:
+        warnings.append(
+            f"the road map of {fitted} of {len(scored)} rollouts was fitted to driven lines: nothing is known of where"
+            " nobody drove, so that drivable margins are lower bounds"
+        )
     failed = [one for one in scored if one.rollout.ending == "policy"]
     if failed:
         warnings.append(

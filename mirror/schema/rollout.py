@@ -25,6 +25,9 @@ World = Literal["exact", "reconstructed", "generated", "boxes"]
 Ending = Literal["duration", "collision", "route_end", "left_street", "policy", "interrupted"]
 """Why a rollout ended: its time was over; the ego touched an agent; it came to the end of its route; it left the part
 of the street that can be rendered; the policy failed or was too slow; the user interrupted it."""
+MapSource = Literal["synthetic", "file", "dataset", "fitted"]
+"""Where the road map is from: the synthetic street; a file that the user named; the recorded map of the dataset; fitted
+to the driven lines of the recordings."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -42,6 +45,7 @@ class Rollout(Document):
         world: what rendered the images.
         model_hash: hash of the model that rendered, if there is one.
         dataset_hash: hash of the dataset that was driven in, if there is one.
+        map_source: where the road map is from; None: not stated.
         seed: seed of the rollout.
         rate_hz: steps in a second.
         steps: number of steps driven; the log has one instant more.
@@ -63,6 +67,7 @@ class Rollout(Document):
     world: World
     model_hash: str | None = None
     dataset_hash: str | None = None
+    map_source: MapSource | None = None
     seed: int
     rate_hz: Number
     steps: int = Field(ge=0)
@@ -76,7 +81,9 @@ class Rollout(Document):
     @property
     def hash(self) -> str:
         """SHA-256 of the canonical content, apart from the versions; it covers the files by their hashes."""
-        plain = self.model_dump(mode="json", exclude={"versions"})
+        # Rollouts that do not state the source of their map keep the hash that they had before it could be stated.
+        unstated = {"map_source"} if self.map_source is None else set()
+        plain = self.model_dump(mode="json", exclude={"versions", *unstated})
         return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 

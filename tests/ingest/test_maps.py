@@ -6,7 +6,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import mirror
@@ -17,16 +16,9 @@ from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
-from mirror.schema.road_map import MapArea, MapLane, RoadMap, encode_road_map, write_road_map
+from mirror.schema.road_map import RoadMap, encode_road_map, write_road_map
+from tests.ingest.maps import east_map
 from tests.ingest.recordings import SCENE, write_recording
-
-
-def street_map(scene_id: str = "street", *, aside_m: float = 0.0, frame: str | None = None) -> RoadMap:
-    x = np.linspace(-150.0, 150.0, 31)
-    center = np.column_stack([x, np.full_like(x, aside_m), np.zeros_like(x)])
-    ring = np.array([[-150.0, -4.0], [150.0, -4.0], [150.0, 4.0], [-150.0, 4.0]]) + np.array([0.0, aside_m])
-    lane = MapLane("only", "drive", center, np.full_like(x, 3.5))
-    return RoadMap(scene_id, frame, False, {"only": lane}, (MapArea("road", (ring,)),))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +41,7 @@ def plain(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_map_is_the_only_change_and_is_read_back(recording: Path, plain: Path, tmp_path: Path) -> None:
     out, file = tmp_path / "dataset", tmp_path / "maps" / "street.parquet"
-    write_road_map(file, street_map())
+    write_road_map(file, east_map())
     assert ingest([recording], out, file.parent) == {"street": "added"}
     dataset = mirror.open(out)
     read = dataset.road_map()
@@ -74,8 +66,8 @@ def test_a_map_comes_later_without_a_recording_and_views_keep_theirs(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, first, second = tmp_path / "dataset", tmp_path / "first.parquet", tmp_path / "second.parquet"
-    write_road_map(first, street_map())
-    write_road_map(second, street_map(aside_m=1.0))
+    write_road_map(first, east_map())
+    write_road_map(second, east_map(aside_m=1.0))
     ingest([recording], out)
     assert main(["ingest", "--map", str(first), "--out", str(out)]) == 0
     assert "road maps: street added" in capsys.readouterr().out
@@ -98,9 +90,9 @@ def test_a_map_comes_later_without_a_recording_and_views_keep_theirs(
 @pytest.mark.parametrize(
     ("road_map", "error", "message"),
     [
-        (street_map("elsewhere"), UsageError, "a map of scene elsewhere"),
-        (street_map(frame="site"), UsageError, "a map in the frame site"),
-        (street_map(aside_m=500.0), UsageError, "the nearest lane or drivable area is 496 m from the centre"),
+        (east_map("elsewhere"), UsageError, "a map of scene elsewhere"),
+        (east_map(frame="site"), UsageError, "a map in the frame site"),
+        (east_map(aside_m=500.0), UsageError, "the nearest lane or drivable area is 496 m from the centre"),
     ],
 )
 def test_a_map_that_does_not_fit_is_refused_before_anything_is_written(
@@ -116,7 +108,7 @@ def test_a_map_that_does_not_fit_is_refused_before_anything_is_written(
 
 def test_files_that_are_no_maps_are_refused(recording: Path, tmp_path: Path) -> None:
     file, out = tmp_path / "map.parquet", tmp_path / "dataset"
-    data = encode_road_map(street_map())
+    data = encode_road_map(east_map())
     for broken in (b"", b"PAR1", data[:-20], data[:200] + bytes(50) + data[250:]):
         file.write_bytes(broken)
         with pytest.raises(SchemaError) as caught:
@@ -134,10 +126,10 @@ def test_files_that_are_no_maps_are_refused(recording: Path, tmp_path: Path) -> 
 
 def test_a_map_that_was_changed_in_the_dataset_is_not_read_and_is_repaired(recording: Path, tmp_path: Path) -> None:
     out, file = tmp_path / "dataset", tmp_path / "map.parquet"
-    write_road_map(file, street_map())
+    write_road_map(file, east_map())
     ingest([recording], out, file)
     stored = out / "maps" / "street" / "map.parquet"
-    write_road_map(stored, replace(street_map(), fitted=True))
+    write_road_map(stored, replace(east_map(), fitted=True))
     with pytest.raises(DatasetError, match="not the file that was written"):
         mirror.open(out).road_map()
     assert ingest([], out, file) == {"street": "replaced"}

@@ -55,8 +55,9 @@ class Arguments:
     """Scene of the dataset."""
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
     """The layer of boxes that are the recorded road users: labels of people, or of a version of an annotator."""
-    map: Annotated[Path | None, help_text(default="exact, or fitted to the recordings", metavar="FILE")] = None
-    """Road map of the scene, as GeoParquet."""
+    map: Annotated[Path | None, help_text(default="exact, or recorded, or fitted", metavar="FILE")] = None
+    """Road map of the scene, as GeoParquet. By default that of the synthetic street; for a dataset its recorded map,
+    which `mirror ingest --map` added, or else one that is fitted to the driven lines."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
     """Cameras of the video. The policy gets the cameras that it asks for."""
     width: int = 240
@@ -208,6 +209,7 @@ def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
         "reason": rollout.reason,
         "steps": rollout.steps,
         "rendered": result.rendered,
+        "road_map": rollout.map_source,
         "same_states": same,
         "safety": {
             name: figure.value if math.isfinite(figure.value) else None
@@ -217,7 +219,7 @@ def _plain(result: RolloutResult, same: bool | None) -> dict[str, Any]:
 
 
 def _print(result: RolloutResult, same: bool | None) -> None:
-    from hybridworldsim.simulator.rollout.run import describe_safety
+    from hybridworldsim.simulator.rollout.run import describe_map, describe_safety
 
     rollout = result.rollout
     print(f"{result.folder}: {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
@@ -225,6 +227,7 @@ def _print(result: RolloutResult, same: bool | None) -> None:
         print(f"  {rollout.reason}")
     for line in describe_safety(result.safety):
         print(f"  {line}")
+    print(f"  {describe_map(rollout.map_source)}")
     if same is not None:
         print("  the states are those of the earlier rollout, bit for bit" if same else "  the states differ")
     print(f"next: mirror evaluate {result.folder} --protocol safety")

@@ -30,6 +30,7 @@ class ScoredRollout:
         path: its folder, relative to the evaluated one.
         rollout: its document.
         scenario: its scenario.
+        has_fitted_map: whether its road map was fitted to driven lines.
         values: values of the protocol's metrics; None: there is none.
         reasons: why values are missing, by metric.
         causes: who caused the events, by metric.
@@ -38,6 +39,7 @@ class ScoredRollout:
     path: str
     rollout: Rollout
     scenario: Scenario
+    has_fitted_map: bool
     values: Values
     reasons: dict[str, str]
     causes: dict[str, str]
@@ -55,12 +57,13 @@ def score_folder(folder: Path, path: str, rollout: Rollout, protocol: Protocol) 
         SchemaError: a file does not follow its schema.
     """
     log, scenario = read_state_log(folder / STATES_FILE), read_scenario(folder / SCENARIO_FILE)
+    road_map = read_road_map(folder / MAP_FILE)
     speed_mps = scenario.ego.speed_mps or math.hypot(log.vx_mps[0, 0], log.vy_mps[0, 0])
     horizon_s = next((metric.horizon_s for metric in protocol.metrics if isinstance(metric, LeastTtc)), 3.0)
     tolerance_m = next((metric.tolerance_m for metric in protocol.metrics if isinstance(metric, DrivableArea)), 0.0)
     report = score_rollout(
         log,
-        read_road_map(folder / MAP_FILE),
+        road_map,
         rollout.route_m,
         reference_m=speed_mps * scenario.duration_s,
         horizon_s=horizon_s,
@@ -73,7 +76,7 @@ def score_folder(folder: Path, path: str, rollout: Rollout, protocol: Protocol) 
         values["least_ttc"] = min(least, horizon_s)
     reasons = {name: figure.reason for name, figure in figures.items() if figure.reason is not None}
     causes = {name: figure.cause for name, figure in figures.items() if figure.cause is not None}
-    return ScoredRollout(path, rollout, scenario, values, reasons, causes)
+    return ScoredRollout(path, rollout, scenario, road_map.fitted, values, reasons, causes)
 
 
 def rollout_view(scored: ScoredRollout, group: str) -> RenderView:

@@ -52,7 +52,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         height_px: height of the images; None: in proportion.
         model: folder of the trained model, for ``reconstructed``.
         scene: scene of the dataset; None: it has only one.
-        road_map: file of the map; None: exact for a synthetic street, fitted for a dataset.
+        road_map: file of the map; None: exact for a synthetic street; for a dataset its recorded map, or a fitted one.
         render_mode: ``rgb_array``: `render` returns the cameras of the observation with a bird's-eye view beside them.
 
     Raises:

@@ -31,7 +31,16 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.road_map import write_road_map
-from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Ending, Rollout, list_files
+from mirror.schema.rollout import (
+    MAP_FILE,
+    ROLLOUT,
+    SCENARIO_FILE,
+    STATES_FILE,
+    Ending,
+    MapSource,
+    Rollout,
+    list_files,
+)
 from mirror.schema.scenario import Scenario, write_scenario
 from mirror.version import __version__
 from mirror.view.video import write_video
@@ -146,7 +155,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
     if request.page:
         video = out / VIDEO_FILE if request.video else None
         start_ns = simulation.recorder.snapshots[0].stamp_ns
-        lines = describe_safety(safety)
+        lines = [*describe_safety(safety), describe_map(request.street.map_source)]
         names = request.policy_name, request.factory.name
         write_page(out / PAGE_FILE, request.scenario, *names, lines, safety, start_ns, video)
     rollout = _document(request, simulation, drive, out)
@@ -266,6 +275,7 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         world=request.factory.name,  # type: ignore[arg-type]
         model_hash=request.model_hash,
         dataset_hash=request.dataset_hash,
+        map_source=request.street.map_source,
         seed=simulation.seed,
         rate_hz=request.scenario.rate_hz,
         steps=simulation.now.step,
@@ -276,6 +286,18 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
         versions=versions,
         files=list_files(out),
     )
+
+
+def describe_map(source: MapSource | None) -> str:
+    """Return where the road map of a rollout is from, in words."""
+    words: dict[MapSource | None, str] = {
+        None: "of a source that is not stated",
+        "synthetic": "the exact one of the synthetic street",
+        "file": "the file that was named",
+        "dataset": "the recorded one of the dataset",
+        "fitted": "fitted to the driven lines: the drivable area is a lower bound",
+    }
+    return f"road map: {words[source]}"
 
 
 def describe_safety(safety: SafetyReport) -> list[str]:

@@ -1,4 +1,4 @@
-"""The street of a scene of a dataset: its rig, its recorded traversals, and a map that is fitted to them."""
+"""The street of a scene of a dataset: its rig, its recorded traversals, and its recorded map or one that is fitted."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.schema.documents import Roi
-from mirror.schema.road_map import RoadMap, read_road_map
+from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
+from mirror.schema.rollout import MapSource
 
 _EDGE_M = 5.0
 
@@ -39,12 +40,14 @@ def street_of_dataset(
         dataset: the dataset.
         scene: the scene; None: the dataset has only one.
         traversals: traversals to read; empty: all of the scene.
-        road_map: file of the scene's map; None: a map is fitted to the driven lines.
+        road_map: file of the scene's map; None: the recorded map of the dataset, or, if there is none, one that is
+            fitted to the driven lines.
         boxes: layer of boxes ``source@version``; None: the scene has one at most.
 
     Raises:
         UsageError: the scene or the layer is unknown or has to be named, or the map is of another scene.
-        DatasetError: the scene has no images.
+        DatasetError: the scene has no images, or its recorded map was changed.
+        SchemaError: the map is broken.
     """
     scenes = dataset.scenes()
     if scene is None and len(scenes) != 1:
@@ -66,7 +69,7 @@ def street_of_dataset(
         for name, frames in sorted(by_traversal.items())
     }
     tracks = [frames[0].track[1] for frames in by_traversal.values()]
-    fitted = _map_of(road_map, scene or scenes[0], [track.translation for track in tracks])
+    chosen_map, source = _map_of(chosen, road_map, [track.translation for track in tracks])
     driven = np.concatenate([track.translation for track in tracks])
     places = np.concatenate([_centers(frames) for frames in by_traversal.values()])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
@@ -76,7 +79,8 @@ def street_of_dataset(
     }
     return Street(
         scene_id=scene or scenes[0],
-        road_map=fitted,
+        road_map=chosen_map,
+        map_source=source,
         ground=ground_of_points(driven),
         vehicle=VehicleParameters(),
         rig=rig,
@@ -93,13 +97,17 @@ def _roi(dataset: Dataset) -> Roi:
     return Roi.model_validate({name: row[name] for name in names})
 
 
-def _map_of(path: Path | None, scene: str, lines: list[Float64]) -> RoadMap:
-    if path is None:
-        return fit_road_map(scene, None, lines)
-    road_map = read_road_map(path)
-    if road_map.scene_id != scene:
-        raise UsageError(f"a map of scene {road_map.scene_id}", file=path, expected=f"a map of {scene}")
-    return road_map
+def _map_of(dataset: Dataset, path: Path | None, lines: list[Float64]) -> tuple[RoadMap, MapSource]:
+    """The map of a view of one scene, and where it is from."""
+    roi = _roi(dataset)
+    if path is not None:
+        road_map = read_road_map(path)
+        require_map_of(road_map, roi, path)
+        return road_map, "file"
+    recorded = dataset.road_map(roi.scene_id)
+    if recorded is not None:
+        return recorded, "dataset"
+    return fit_road_map(roi.scene_id, roi.frame, lines), "fitted"
 
 
 def _centers(frames: list[Frame]) -> Float64:

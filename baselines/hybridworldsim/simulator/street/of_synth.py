@@ -63,6 +63,7 @@ def street_of_drive(drive: SynthDrive) -> Street:
     return Street(
         scene_id=drive.roi.scene_id,
         road_map=street_map(drive.world.plan),
+        map_source="synthetic",
         ground=Ground(drive.world.height_m),
         vehicle=vehicle,
         rig=rig,

@@ -25,7 +25,7 @@ def open_street(
         source: ``synth:PRESET[:SEED[:DRIVE]]``, or the folder or URL of a dataset.
         scene: scene of the dataset; None: it has only one.
         traversals: traversals of the dataset; empty: all of the scene.
-        road_map: file of the map; None: exact for a synthetic street, fitted for a dataset.
+        road_map: file of the map; None: exact for a synthetic street; for a dataset its recorded map, or a fitted one.
         boxes: layer of boxes ``source@version`` of the dataset; None: it has one at most.
 
     Raises:

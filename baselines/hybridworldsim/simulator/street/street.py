@@ -17,6 +17,7 @@ from mirror.geometry.cameras import Camera
 from mirror.schema.documents import Roi
 from mirror.schema.road_features import SignalState
 from mirror.schema.road_map import RoadMap
+from mirror.schema.rollout import MapSource
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -74,6 +75,7 @@ class Street:
         clock_s: time of the signals' clock at the start of a rollout.
         roi: the region of interest, whose position on the earth sets the sun; None: not known.
         drive: the drive of the synthetic street that gives the exact world; None: the exact world is not known.
+        map_source: where the map is from; None: not stated.
     """
 
     scene_id: str
@@ -87,6 +89,7 @@ class Street:
     clock_s: float = 0.0
     roi: Roi | None = None
     drive: SynthDrive | None = field(default=None, repr=False)
+    map_source: MapSource | None = None
 
     def signals(self, time_s: float) -> dict[str, SignalState]:
         """Return the states of the signals whose phases are known, by id, at a time since the start."""

@@ -1,0 +1,82 @@
+"""Rollouts in a dataset drive on its recorded map, or on a fitted one, and say which."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hybridworldsim.simulator.ego.vehicle import VehicleParameters
+from hybridworldsim.simulator.street.opening import open_street
+from mirror.cli.main import main
+from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.result import RESULT, Result
+from mirror.ingest.request import IngestOptions
+from mirror.ingest.run import ingest_recordings
+from mirror.schema.files import read_json
+from mirror.schema.road_map import read_road_map, write_road_map
+from mirror.schema.rollout import MAP_FILE, read_rollout
+from mirror.schema.scenario import Scenario, write_scenario
+from tests.ingest.maps import east_map
+from tests.ingest.recordings import SCENE, write_recording
+
+HALF_M = 0.5 * VehicleParameters().width_m
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two datasets of one recording, ``fitted`` without a map and ``recorded`` with one, a map and a scenario."""
+    root = tmp_path_factory.mktemp("maps")
+    recording = write_recording(root, "east")
+    write_road_map(root / "map.parquet", east_map())
+    for name, maps in (("fitted", ()), ("recorded", (root / "map.parquet",))):
+        ingest_recordings([recording], [SCENE], root / name, IngestOptions(workers=1, maps=maps))
+    start = {"start": {"kind": "recorded"}}
+    write_scenario(root / "short.toml", Scenario.model_validate({"name": "short", "duration_s": 1.0, "ego": start}))
+    return root
+
+
+@pytest.mark.parametrize(
+    ("dataset", "options", "source", "margin_m"),
+    [
+        # The ego drives in the middle: of a road of 8 m, and of an area 2.125 m to either side of the driven line.
+        ("recorded", [], "dataset", 4.0 - HALF_M),
+        ("fitted", [], "fitted", 2.125 - HALF_M),
+        ("fitted", ["--map", "map.parquet"], "file", 4.0 - HALF_M),
+    ],
+)
+def test_a_rollout_says_which_map_it_drove_on(
+    dataset: str, options: list[str], source: str, margin_m: float, folder: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    out = tmp_path / "run"
+    drive = ["simulate", dataset, "--scenario", "short.toml", "--policy", "constant-velocity", "--no-video", "--json"]
+    assert main([*drive, *options, "--out", str(out)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["road_map"] == source == read_rollout(out).map_source
+    assert printed["safety"]["drivable_margin"] == pytest.approx(margin_m, abs=0.005)
+    assert read_road_map(out / MAP_FILE).fitted == (source == "fitted")
+    if source != "fitted":
+        assert (out / MAP_FILE).read_bytes() == (folder / "map.parquet").read_bytes()
+    assert main(["evaluate", str(out), "--protocol", "safety", "--out", str(tmp_path / "scores")]) == 0
+    result = read_json(tmp_path / "scores" / RESULT, Result)
+    assert result.options["road_map"] == source
+    assert ("lower bounds" in " ".join(result.warnings)) == (source == "fitted")
+
+
+def test_a_map_that_was_changed_or_is_of_another_scene_ends_the_drive(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.parquet"
+    write_road_map(other, east_map("elsewhere"))
+    with pytest.raises(UsageError, match="a map of scene elsewhere"):
+        open_street(str(folder / "fitted"), road_map=other)
+    stored = folder / "recorded" / "maps" / "street" / MAP_FILE
+    data = stored.read_bytes()
+    try:
+        stored.write_bytes(data[:-1])
+        open_street.cache_clear()
+        with pytest.raises(DatasetError, match="not the file that was written"):
+            open_street(str(folder / "recorded"))
+    finally:
+        stored.write_bytes(data)

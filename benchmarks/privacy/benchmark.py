@@ -13,16 +13,17 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from benchmarks.privacy.attack import CHANCE, mosaic, read_plates, redacting
+from benchmarks.privacy.outcomes import Outcome, append_outcome, read_outcomes, search_image, settings_digest
 from benchmarks.privacy.recall import Tally
-from benchmarks.report import Row, report
+from benchmarks.report import OUT, Row, report
 from benchmarks.synth_detectors.benchmark import face_weights
 from benchmarks.synth_detectors.crowd import build_street, make_condition, render_crowds
 from mirror.errors import ExitCode
@@ -30,37 +31,54 @@ from mirror.privacy.detectors.faces import YuNet
 from mirror.privacy.detectors.plates import ChinesePlates
 from mirror.privacy.detectors.protocol import Detector, DetectorOptions
 from mirror.privacy.operators import Redaction
+from mirror.synth.light.condition import Condition
 from mirror.synth.street.world import World
 
 CONDITIONS: Final = (("day", "clear"), ("night", "clear"), ("dusk", "clear"), ("day", "rain"))
 SECTIONS: Final = ("recall", "attack", "control", "time")
 _WIDTH_PX: Final = 960
 _SEED: Final = 31
-_NEAR_M: Final = (4.5, 11.0)
+_NEAR: Final[Mapping[str, Any]] = {"people": (0, 0), "cars": (4, 4), "cars_m": (4.5, 11.0)}
+SERIES: Final[Mapping[str, tuple[int, Mapping[str, Any]]]] = {"street": (_SEED, {}), "near": (_SEED + 1, _NEAR)}
+"""Seed of each series of images, and what is placed in them."""
 _ATTACK_PX: Final = 64
 _ATTACK_MARGIN: Final = 0.05
 _CONTROL: Final = 0.5
 _YUNET_MS: Final = 50.0
 
 
-def recall_rows(
-    world: World, light: str, weather: str, counts: tuple[int, int], detectors: Sequence[Detector], how: Redaction
-) -> Iterator[Row]:
-    """Yield recall and over-coverage of one light, from numbers of images of the street and of near cars."""
-    start = time.monotonic()
-    condition = make_condition(light, weather)
-    tally, near = Tally(), Tally()
-    for image in render_crowds(world, condition, counts[0], _WIDTH_PX, _SEED):
-        tally.add(image, detectors, how)
-    close = {"people": (0, 0), "cars": (4, 4), "cars_m": _NEAR_M}
-    for image in render_crowds(world, condition, counts[1], _WIDTH_PX, _SEED + 1, **close):  # type: ignore[arg-type]
-        near.add(image, detectors, how)
-    # Cars that stand so close are there for their plates: what is covered is measured in the street's own images.
-    tally.sizes_px["plate"] += near.sizes_px["plate"]
-    for fallback in (False, True):
-        tally.found["plate", fallback] += near.found["plate", fallback]
-    print(f"{light} {weather}: {sum(counts)} images in {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-    yield from tally.rows(f"{light} {weather}")
+def search_images(
+    file: Path, world: World, condition: Condition, series: str, count: int, detectors: Sequence[Detector]
+) -> list[Outcome]:
+    """Search the images of a series that a file lacks, append what is found, and return all of the series.
+
+    Args:
+        file: the outcomes of a light.
+        world: the street.
+        condition: light and weather.
+        series: `street`: people and cars; `near`: cars at 4.5 to 11 m.
+        count: number of images.
+        detectors: the detectors.
+    """
+    seed, placed = SERIES[series]
+    known = [one for one in read_outcomes(file, settings_digest(detectors)) if (one.series, one.seed) == (series, seed)]
+    done = {one.number for one in known}
+    images = render_crowds(world, condition, count, _WIDTH_PX, seed, **placed, left_out=done)
+    for number, image in zip((number for number in range(count) if number not in done), images):
+        outcome = search_image(image, detectors, series, seed, number)
+        append_outcome(file, outcome)
+        known.append(outcome)
+    return sorted((one for one in known if one.number < count), key=lambda one: one.number)
+
+
+def recall_rows(name: str, street: Sequence[Outcome], near: Sequence[Outcome], how: Redaction) -> Iterator[Row]:
+    """Yield recall and over-coverage of one light, from images of the street and of near cars."""
+    tally = Tally()
+    for outcome in street:
+        tally.add(outcome, how)
+    for outcome in near:
+        tally.add(outcome, how, plates_only=True)
+    yield from tally.rows(name)
 
 
 def attack_rows(plates: int) -> Iterator[Row]:
@@ -120,14 +138,27 @@ def main(argv: Sequence[str]) -> int:
     if "time" in options.sections:
         code = max(code, report("privacy_time", {"time": time_rows(options.faces)}))
     if "recall" in options.sections:
-        detectors: list[Detector] = [YuNet(DetectorOptions(options.faces)), ChinesePlates(DetectorOptions())]
-        world, how = build_street(), Redaction()
+        plates = ChinesePlates(DetectorOptions())
+        detectors: dict[str, list[Detector]] = {
+            "street": [YuNet(DetectorOptions(options.faces)), plates],
+            # Cars that stand so close are there for their plates.
+            "near": [plates],
+        }
+        world, how, counts = build_street(), Redaction(), {"street": options.images, "near": options.near}
         for light, weather in CONDITIONS:
-            if not options.lights or light + "-" + weather in options.lights:
-                counts = options.images, options.near
-                rows = recall_rows(world, light, weather, counts, detectors, how)
-                name = f"privacy_recall_{light}_{weather}"
-                code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
+            if options.lights and light + "-" + weather not in options.lights:
+                continue
+            name, start = f"privacy_recall_{light}_{weather}", time.monotonic()
+            found = {
+                series: search_images(
+                    OUT / f"{name}.jsonl", world, make_condition(light, weather), series, count, detectors[series]
+                )
+                for series, count in counts.items()
+            }
+            took = time.monotonic() - start
+            print(f"{light} {weather}: {sum(counts.values())} images, {took:.0f} s", file=sys.stderr, flush=True)
+            rows = recall_rows(f"{light} {weather}", found["street"], found["near"], how)
+            code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
     if "attack" in options.sections:
         code = max(code, report("privacy_attack", {"attack": attack_rows(options.plates)}))
     if "control" in options.sections:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
+from benchmarks.privacy.outcomes import Outcome, Thing
 from benchmarks.report import Row
-from benchmarks.synth_detectors.crowd import CrowdImage, Target
-from mirror.privacy.detectors.protocol import Detector
 from mirror.privacy.operators import Redaction
 from mirror.privacy.propagation.vehicles import plate_strips
-from mirror.privacy.regions import Kind, Region, covered_share, grown_box, merged, region_mask
-from mirror.synth.writing.boxes import world_SE3_boxes
+from mirror.privacy.regions import KINDS, Kind, covered_share, grown_box, region_mask
 
 FACE_EDGES_PX: Final = (8.0, 16.0, 24.0, 48.0, np.inf)
 PLATE_EDGES_PX: Final = (16.0, 32.0, 48.0, np.inf)
@@ -26,7 +24,6 @@ LEAST_SEEN: Final[dict[Kind, float]] = {"face": 0.6, "plate": 0.85}
 MISSED_BARS: Final = {("face", False, 16.0): 5.0, ("plate", False, 48.0): 10.0, ("plate", True, 32.0): 2.0}
 """Largest share of missed regions from a size on, in percent, by kind and whether the fallback is on."""
 _OUTSIDE_BAR: Final = 3.0
-_PEOPLE: Final = ("pedestrian", "person", "cyclist", "child")
 
 
 @dataclass
@@ -43,30 +40,35 @@ class Tally:
     found: dict[tuple[Kind, bool], list[bool]] = field(default_factory=lambda: defaultdict(list))
     outside: dict[bool, list[float]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, image: CrowdImage, detectors: Iterable[Detector], how: Redaction) -> None:
-        """Detect in an image, and count."""
-        rgb = np.ascontiguousarray(image.bgr[..., ::-1])
-        height, width = rgb.shape[:2]
-        detected = merged([region for detector in detectors for region in detector(rgb)])
-        truth: dict[Kind, Sequence[Target]] = {"face": image.faces, "plate": image.plates}
-        for kind, targets in truth.items():
-            self.sizes_px[kind] += [
-                float(one.size_px[1 if kind == "face" else 0]) for one in targets if one.seen >= LEAST_SEEN[kind]
-            ]
+    def add(self, outcome: Outcome, how: Redaction, *, plates_only: bool = False) -> None:
+        """Count an image.
+
+        Args:
+            outcome: what was found in it.
+            how: margins of the redaction.
+            plates_only: the image is there for the recall of its plates: neither faces nor what is covered counts.
+        """
+        height, width = outcome.height_px, outcome.width_px
+        kinds: tuple[Kind, ...] = ("plate",) if plates_only else KINDS
+        for kind in kinds:
+            self.sizes_px[kind] += [_size_px(kind, one) for one in outcome.things(kind) if one.seen >= LEAST_SEEN[kind]]
+        detected = list(outcome.regions)
         for fallback in (False, True):
-            regions = detected + (_strips(image, detected) if fallback else [])
-            covered = region_mask(regions, how.grow, width, height)
-            for kind, targets in truth.items():
+            regions = detected + (plate_strips(outcome.camera, *outcome.boxes, detected) if fallback else [])
+            for kind in kinds:
                 own = [one for one in regions if one.kind == kind]
                 boxes = [box for one in own if (box := grown_box(one, how.grow, width, height)) is not None]
-                for target in targets:
-                    if target.seen >= LEAST_SEEN[kind]:
-                        true = np.clip(target.box_px, 0.0, [width, height, width, height])
+                for thing in outcome.things(kind):
+                    if thing.seen >= LEAST_SEEN[kind]:
+                        true = np.clip(thing.box_px, 0.0, [width, height, width, height])
                         self.found[kind, fallback].append(covered_share(true.tolist(), boxes) >= COVERED)
+            if plates_only:
+                continue
             inside = np.zeros((height, width), np.bool_)
-            for target in (*image.faces, *image.plates):
-                left, top, right, bottom = np.clip(target.box_px, 0.0, [width, height, width, height])
+            for thing in (*outcome.faces, *outcome.plates):
+                left, top, right, bottom = np.clip(thing.box_px, 0.0, [width, height, width, height])
                 inside[math.floor(top) : math.ceil(bottom), math.floor(left) : math.ceil(right)] = True
+            covered = region_mask(regions, how.grow, width, height)
             self.outside[fallback].append(float((covered & ~inside).sum() / (~inside).sum()))
 
     def rows(self, light: str) -> Iterator[Row]:
@@ -94,15 +96,10 @@ class Tally:
             yield Row(name, f"{count} regions", 100.0 * missed / count, bound, unit="% (95 % bound)", bar=bar)
 
 
-def _strips(image: CrowdImage, detected: Sequence[Region]) -> list[Region]:
-    """The fallback with the exact boxes of the vehicles in the image."""
-    vehicles = [user for user in image.road_users if user.body.category not in _PEOPLE]
-    if not vehicles:
-        return []
-    boxes = world_SE3_boxes(vehicles, [user.motion.at(0.0) for user in vehicles])
-    sizes = np.array([user.body.size_m for user in vehicles])
-    categories = [user.body.category for user in vehicles]
-    return plate_strips(image.camera, image.world_SE3_camera.inverse() @ boxes, sizes, categories, detected)
+def _size_px(kind: Kind, thing: Thing) -> float:
+    """Height of a face, width of a plate."""
+    left, top, right, bottom = thing.box_px
+    return bottom - top if kind == "face" else right - left
 
 
 def upper_bound(missed: int, count: int) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -96,6 +96,7 @@ def render_crowds(
     people: tuple[int, int] = PEOPLE,
     cars: tuple[int, int] = CARS,
     cars_m: tuple[float, float] = CARS_M,
+    left_out: Container[int] = (),
 ) -> Iterator[CrowdImage]:
     """Yield images along the street, alternately of people and of cars, facing the camera; some cars face away.
 
@@ -108,12 +109,13 @@ def render_crowds(
         people: numbers of people in images with even and odd index.
         cars: numbers of cars likewise.
         cars_m: distances of the nearest and the farthest car.
+        left_out: indices of images that are not made; the others stay the same.
     """
     height = width_px * 9 // 16
     focal = 0.5 * width_px / math.tan(math.radians(0.5 * _VIEW_DEG))
     camera = Camera("pinhole", width_px, height, focal, focal, 0.5 * width_px, 0.5 * height)
     lanes = [lane for lane in world.network.lanes.values() if lane.use == "drive" and lane.length_m > 60.0]
-    for number in range(count):
+    for number in (number for number in range(count) if number not in left_out):
         rng = np.random.default_rng([seed, number])
         lane = lanes[int(rng.integers(len(lanes)))]
         at = int(rng.uniform(0.1, 0.6) * len(lane.line))

@@ -68,6 +68,10 @@ class Arguments:
     """Redact in the other cameras of an instant too."""
     vehicles: bool = True
     """Redact the front and rear of vehicles' 3D boxes where no plate was detected."""
+    least_plate_px: float = 20.0
+    """Width, in pixels of the image, from which a plate that was not detected is redacted at a vehicle's box."""
+    box_error_m: float = 0.0
+    """Error of the 3D boxes, in metres: what is redacted at a box becomes larger by it on each side."""
     withhold_failed: bool = False
     """Complete traversals without the images that failed. A release leaves these out."""
     workers: Annotated[int | None, help_text(default="one a core")] = None
@@ -107,6 +111,7 @@ def _options(arguments: Arguments) -> DeidentifyOptions:
     from mirror.privacy.detectors.registry import DEFAULT, parse_choice
     from mirror.privacy.operators import Redaction
     from mirror.privacy.options import DeidentifyOptions, Propagation, SkipRules
+    from mirror.privacy.propagation.vehicles import StripOptions
 
     return DeidentifyOptions(
         detectors=[parse_choice(text) for text in arguments.detector or DEFAULT],
@@ -114,7 +119,12 @@ def _options(arguments: Arguments) -> DeidentifyOptions:
         version=arguments.version,
         redaction=Redaction(face=arguments.faces, grow=arguments.grow),
         skip=SkipRules(arguments.skip_ego, arguments.skip_sky, arguments.skip_without_boxes),
-        propagation=Propagation(arguments.tracks, arguments.cameras, arguments.vehicles),
+        propagation=Propagation(
+            arguments.tracks,
+            arguments.cameras,
+            arguments.vehicles,
+            strips=StripOptions(arguments.least_plate_px, arguments.box_error_m),
+        ),
         workers=arguments.workers or usable_cores(),
         timeout_s=arguments.timeout_s,
         withhold_failed=arguments.withhold_failed,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mirror.privacy.options import DeidentifyOptions as DeidentifyOptions
     from mirror.privacy.options import Propagation as Propagation
     from mirror.privacy.options import SkipRules as SkipRules
+    from mirror.privacy.propagation.vehicles import StripOptions as StripOptions
     from mirror.privacy.regions import Region as Region
     from mirror.privacy.run import DeidentifyReport as DeidentifyReport
     from mirror.privacy.run import deidentify as deidentify
@@ -29,6 +30,7 @@ _NAMES = {
     "DeidentifyOptions": "mirror.privacy.options",
     "Propagation": "mirror.privacy.options",
     "SkipRules": "mirror.privacy.options",
+    "StripOptions": "mirror.privacy.propagation.vehicles",
     "Region": "mirror.privacy.regions",
     "DeidentifyReport": "mirror.privacy.run",
     "deidentify": "mirror.privacy.run",

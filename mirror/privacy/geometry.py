@@ -13,7 +13,7 @@ from mirror.privacy.detection import ImageKey
 from mirror.privacy.options import Propagation
 from mirror.privacy.propagation.cameras import CameraView, project_to_cameras
 from mirror.privacy.propagation.tracks import follow_tracks
-from mirror.privacy.propagation.vehicles import plate_strips
+from mirror.privacy.propagation.vehicles import StripOptions, plate_strips
 from mirror.privacy.regions import Region, merged
 
 Regions = Mapping[ImageKey, Sequence[Region]]
@@ -47,7 +47,7 @@ def propagate(
             if steps.cameras:
                 _add_cameras(images, regions, added)
             if steps.vehicles:
-                _add_vehicles(frame, images, regions, added)
+                _add_vehicles(frame, images, regions, added, steps.strips)
     return {key: merged([*regions[key], *added[key]]) for key in regions}
 
 
@@ -96,6 +96,7 @@ def _add_vehicles(
     images: Mapping[str, Image],
     regions: Mapping[ImageKey, Sequence[Region]],
     added: Mapping[ImageKey, list[Region]],
+    options: StripOptions,
 ) -> None:
     for name, image in images.items():
         try:
@@ -104,4 +105,4 @@ def _add_vehicles(
         except (DatasetError, UsageError):
             continue
         key = (name, image.timestamp_ns)
-        added[key] += plate_strips(camera, boxes.pose, boxes.size_m, boxes.category, regions[key])
+        added[key] += plate_strips(camera, boxes.pose, boxes.size_m, boxes.category, regions[key], options)

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from mirror.privacy.detectors.registry import DEFAULT, DetectorChoice
 from mirror.privacy.log import DetectorRecord
 from mirror.privacy.operators import Redaction
+from mirror.privacy.propagation.vehicles import StripOptions
 from mirror.version import __version__
 
 
@@ -37,12 +38,14 @@ class Propagation:
         cameras: to the other cameras of an instant.
         vehicles: to the front and rear of vehicles' 3D boxes.
         repeats: how often redacted images are searched again, until nothing more is found.
+        strips: where plates are expected at vehicles.
     """
 
     tracks: bool = True
     cameras: bool = True
     vehicles: bool = True
     repeats: int = 4
+    strips: StripOptions = field(default_factory=StripOptions)
 
 
 @dataclass(frozen=True)

@@ -185,6 +185,11 @@ def test_boxes_without_the_shape_of_a_plate_are_left_out() -> None:
     # Width and height of a Chinese plate, one with two rows, an upright box, a shop sign and a house front.
     sizes = np.array([[140.0, 45.0], [140.0, 70.0], [60.0, 55.0], [200.0, 50.0], [140.0, 90.0]])
     boxes = np.concatenate([np.full((5, 2), 7.0), 7.0 + sizes], axis=1)
-    assert find_shaped(boxes, 960).tolist() == [True, True, False, False, False]
-    assert find_shaped(2.0 * boxes, 1920).tolist() == find_shaped(boxes, 960).tolist()
-    assert find_shaped(np.zeros((0, 4)), 960).tolist() == []
+    sure = np.full(5, 0.9)
+    assert find_shaped(boxes, sure, 960).tolist() == [True, True, False, False, False]
+    assert find_shaped(2.0 * boxes, sure, 1920).tolist() == find_shaped(boxes, sure, 960).tolist()
+    assert find_shaped(np.zeros((0, 4)), sure[:0], 960).tolist() == []
+    # Of boxes with a small score, only low ones are plates.
+    likely = np.full(2, 0.2)
+    low = boxes[:2] * np.array([1.0, 0.5, 1.0, 0.5])
+    assert find_shaped(np.concatenate([boxes[:1], low[:1]]), likely, 960).tolist() == [False, True]

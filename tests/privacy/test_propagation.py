@@ -1,15 +1,14 @@
-"""Propagation: tracks, other cameras, and the plates of vehicles, against exact geometry."""
+"""Propagation along tracks and to other cameras, against exact geometry."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from mirror.geometry import Poses, quaternion_from_matrix
+from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.privacy.propagation.cameras import CameraView, project_to_cameras
 from mirror.privacy.propagation.tracks import follow_tracks
-from mirror.privacy.propagation.vehicles import is_vehicle, plate_strips
 from mirror.privacy.regions import Region, covered_share, region_at
 
 SIZE = (960, 540)
@@ -81,38 +80,3 @@ def test_cameras_without_overlap_or_pose_add_nothing() -> None:
     views = {"one": CameraView(CAMERA, at(0.0)), "back": CameraView(CAMERA, at(0.0, 180.0))}
     assert project_to_cameras({"one": [region], "back": [], "lost": [region]}, views) == {"one": [], "back": []}
     assert project_to_cameras({"one": [region]}, {}) == {}
-
-
-def vehicle(distance_m: float, yaw_deg: float) -> Poses:
-    """A box ahead of the camera, whose x axis is turned by an angle from towards the camera; z of the box is up."""
-    yaw = np.radians(yaw_deg)
-    forward = np.array([np.sin(yaw), 0.0, -np.cos(yaw)])
-    up = np.array([0.0, -1.0, 0.0])
-    turn = np.stack([forward, np.cross(up, forward), up], axis=1)
-    return Poses(quaternion_from_matrix(turn[None]), np.array([[0.0, 0.8, distance_m]]))
-
-
-@pytest.mark.parametrize("yaw_deg", [0.0, 35.0, 180.0, 215.0])
-def test_the_plate_of_a_vehicle_lies_in_the_strip(yaw_deg: float) -> None:
-    box, size = vehicle(9.0, yaw_deg), np.array([[4.4, 1.8, 1.5]])
-    end = 1.0 if np.cos(np.radians(yaw_deg)) > 0 else -1.0
-    plate = np.array([[end * 2.15, side, up - 0.75] for side in (-0.26, 0.26) for up in (0.55, 0.66)])
-    pixels = CAMERA.project(box.transform(plate)[0]).uv_px
-    true = [*pixels.min(axis=0), *pixels.max(axis=0)]
-    (region,) = plate_strips(CAMERA, box, size, ["car"], [])
-    assert (region.kind, region.origin) == ("plate", "vehicle")
-    assert covered_share(true, [region.box_px]) == 1.0
-    assert region.size_px[0] * region.size_px[1] < 0.02 * SIZE[0] * SIZE[1]
-    sure = region_at(true, "plate", score=0.9)
-    assert plate_strips(CAMERA, box, size, ["car"], [sure]) == []
-    assert len(plate_strips(CAMERA, box, size, ["car"], [region_at(true, "plate", score=0.1)])) == 1
-
-
-def test_who_has_no_plate_or_shows_none() -> None:
-    size = np.array([[4.4, 1.8, 1.5]])
-    assert plate_strips(CAMERA, vehicle(9.0, 90.0), size, ["car"], []) == []
-    assert plate_strips(CAMERA, vehicle(9.0, 0.0), size, ["pedestrian"], []) == []
-    assert plate_strips(CAMERA, vehicle(60.0, 0.0), size, ["car"], []) == []
-    assert plate_strips(CAMERA, vehicle(-9.0, 0.0), size, ["car"], []) == []
-    assert plate_strips(CAMERA, vehicle(9.0, 0.0)[:0], size[:0], [], []) == []
-    assert is_vehicle("Vehicle.Car") and is_vehicle("large truck") and not is_vehicle("cyclist")

@@ -27,6 +27,9 @@ _WIDEST: Final = 0.15
 """Share of the image's width: wider boxes were windscreens and shop signs."""
 _TALLEST: Final = 0.5 * _WIDEST
 """Share of the image's width: plates of two rows are half as high as wide. Taller boxes were on house fronts."""
+_TALLEST_LIKELY_PX: Final = 40.0
+"""Boxes with a score below `_SURE` are lower: a plate of one row that is so high is more than 100 px wide, also when it
+is turned, and found with a higher score. Likely boxes as high were on house fronts, trees and bumpers."""
 _STRIDES: Final = (8, 16, 32)
 _ANCHORS_PX: Final = ((24, 48), (96, 192), (384, 768))
 _MEAN_BGR: Final = (104.0, 117.0, 123.0)
@@ -46,7 +49,7 @@ class ChinesePlates:
 
     kind: Kind = "plate"
     name = "clp_det"
-    version = "1"
+    version = "2"
 
     def __init__(self, options: DetectorOptions) -> None:
         weights = resolve_weights(self.name, options.weights)
@@ -68,7 +71,7 @@ class ChinesePlates:
             boxes, scores = np.concatenate([boxes, more]), np.concatenate([scores, more_scores])
         agreed = find_agreed(boxes, scores)
         boxes, scores = boxes[agreed], scores[agreed]
-        shaped = find_shaped(boxes, image.shape[1])
+        shaped = find_shaped(boxes, scores, image.shape[1])
         boxes, scores = boxes[shaped], scores[shaped]
         kept = suppress(boxes, scores, 0.5)
         return to_regions(boxes[kept], scores[kept], self.kind, self.name, (image.shape[1], image.shape[0]))
@@ -98,11 +101,11 @@ def find_agreed(boxes: Float64, scores: Float64) -> Bool:
     return kept
 
 
-def find_shaped(boxes: Float64, width_px: int) -> Bool:
+def find_shaped(boxes: Float64, scores: Float64, width_px: int) -> Bool:
     """Which of N boxes have the shape and the size of a plate in an image of this width."""
     width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
     shaped: Bool = (width >= _LEAST_ASPECT * height) & (width <= _WIDEST * width_px) & (height <= _TALLEST * width_px)
-    return shaped
+    return shaped & ((scores > _SURE) | (height < _TALLEST_LIKELY_PX))
 
 
 def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:

@@ -3,31 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Float64
+from mirror.arrays import Bool, Float64, Int64
+from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
+from mirror.privacy.propagation.bodies import find_hidden
+from mirror.privacy.propagation.mounts import Mount, find_mount
 from mirror.privacy.regions import Region, region_at
 
-VEHICLES: Final = frozenset(
-    ("car", "van", "truck", "bus", "trailer", "vehicle", "motorcycle", "construction_vehicle", "pickup", "taxi")
-)
-"""Categories of boxes that carry number plates; other categories are recognised by their words."""
 SOURCE: Final = "vehicle_boxes"
-_HALF_WIDTH_M: Final = 0.28
-_LOW_M, _HIGH_M = 0.42, 0.95
-"""A strip is enlarged like every region, by 30 %: to 0.73 m times 0.69 m."""
-_DEPTHS_M: Final = (0.0, 0.30)
-"""Distance of the plate from the end of the box: bumpers are curved, tailgates are inclined."""
+_DEPTH_M: Final = 0.15
+"""Largest distance of a plate from the end of its box: bumpers are curved, tailgates are inclined."""
 _LEAST_COSINE: Final = 0.17
 """Plates that are seen at more than 80 degrees are not readable."""
-_PLATE_M: Final = 0.52
-_LEAST_PX: Final = 20.0
-"""Width of a plate as it appears: below it, a character has less than three pixels."""
-_SURE: Final = 0.5
+_PLATE_M: Final = (0.52, 0.11)
+"""Width and height of the largest plate of one row."""
+_ENLARGED: Final = 1.3
+"""Regions are enlarged by 30 % when they are removed: a strip is as much smaller than the place of the plate."""
+_LEAST_SEEN: Final = 0.25
+"""Share of a plate's width that must be in the image and not be hidden: one or two characters."""
+_LARGEST_ERROR_M: Final = 2.0
+_COLUMNS, _ROWS = 9, 5
+"""Places at which a plate is looked for, across and up."""
+_LEAST_HELD: Final = 0.75
+"""Share of the expected plate's width that a detected one holds, before it is enlarged."""
+_WIDEST, _TALLEST = 1.8, 3.0
+"""Size of a detected plate in that of the expected one: plates of two rows are higher."""
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """Where the fallback expects plates.
+
+    Attributes:
+        least_px: width of a plate, as it appears, from which it is removed; at 20, a character has three pixels.
+        box_error_m: error of the boxes: strips are larger by it at each side, and what hides them is smaller.
+
+    Raises:
+        UsageError: a value is out of its range.
+    """
+
+    least_px: float = 20.0
+    box_error_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.least_px > 0.0:
+            raise UsageError(f"plates from {self.least_px} px", expected="a width above 0")
+        if not 0.0 <= self.box_error_m <= _LARGEST_ERROR_M:
+            raise UsageError(
+                f"boxes with an error of {self.box_error_m} m", expected=f"a value from 0 to {_LARGEST_ERROR_M} m"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """One end of a vehicle in the image.
+
+    Attributes:
+        strip_px: (4,) bounds of the strip; they may reach beyond the image.
+        plate_px: (4,) bounds of a plate in the middle of it.
+        points: (R, C, 3) places of plates in the camera frame, a row for each height.
+        in_image: (R, C) which of them the image shows.
+    """
+
+    strip_px: Float64
+    plate_px: Float64
+    points: Float64
+    in_image: Bool
 
 
 def plate_strips(
@@ -36,72 +83,102 @@ def plate_strips(
     size_m: Float64,
     category: Sequence[str],
     detected: Sequence[Region],
+    options: StripOptions | None = None,
 ) -> list[Region]:
     """Find where vehicles carry plates that no detector found.
+
+    An end of a vehicle has no strip if it carries no plate, faces away or is too far to be read; if the bodies of
+    other vehicles hide each place of a plate; and if a detector found a plate of the size and at the place that the
+    box lets expect.
 
     Args:
         camera: the camera.
         camera_SE3_box: N poses of boxes in the camera frame; their x axis points ahead, their z axis up.
         size_m: (N, 3) length, width and height.
-        category: N categories; only `VEHICLES` have plates.
-        detected: regions of the image. A strip with a detected plate of a score of at least 0.5 in it is left out.
+        category: N categories; which of them carry plates, and where, says `mirror.privacy.propagation.mounts`.
+        detected: regions of the image.
+        options: where plates are expected; None: as by default.
 
     Returns:
-        Regions of kind `plate` and origin `vehicle`.
+        Regions of kind `plate` and origin `vehicle`; they may reach beyond the image.
     """
-    if not len(category):
-        return []
+    chosen, plates = options or StripOptions(), [one for one in detected if one.kind == "plate"]
     strips = []
-    boxes = camera_SE3_box
-    for row in np.flatnonzero([is_vehicle(name) for name in category]):
-        for end in (1.0, -1.0):
-            box_px = _strip_px(camera, boxes[row : row + 1], size_m[row], end)
-            if box_px is None:
+    for row, name in enumerate(category):
+        others: Int64 = np.delete(np.arange(len(category), dtype=np.int64), row)
+        for direction in (1.0, -1.0):
+            mount = find_mount(name, is_front=direction > 0.0)
+            box = camera_SE3_box[row : row + 1]
+            end = None if mount is None else _project_end(camera, box, size_m[row], direction, mount, chosen)
+            if end is None or any(_is_expected(one, end) for one in plates):
                 continue
-            if any(one.kind == "plate" and one.score >= _SURE and _holds(box_px, one.centre_px) for one in detected):
-                continue
-            region = region_at(box_px.tolist(), "plate", score=0.0, source=SOURCE)
-            strips.append(region.moved_to(region.box_px, "vehicle"))
+            hidden = find_hidden(
+                end.points.reshape(-1, 3), camera_SE3_box[others], size_m[others],
+                [category[other] for other in others], margin_m=chosen.box_error_m,
+            )  # fmt: skip
+            if _is_seen(end.in_image & ~hidden.reshape(end.in_image.shape)):
+                region = region_at(end.strip_px.tolist(), "plate", score=0.0, source=SOURCE)
+                strips.append(region.moved_to(region.box_px, "vehicle"))
     return strips
 
 
-def is_vehicle(category: str) -> bool:
-    """Whether objects of a category carry number plates."""
-    words = set(category.lower().replace(".", "_").replace(" ", "_").replace("-", "_").split("_"))
-    return category.lower() in VEHICLES or bool(words & VEHICLES)
-
-
-def _strip_px(camera: Camera, camera_SE3_box: Poses, size_m: Float64, end: float) -> Float64 | None:
-    """Bounds (4,) of the strip at one end of a vehicle; None: it faces away, is not seen, or is too small to read."""
+def _project_end(
+    camera: Camera, camera_SE3_box: Poses, size_m: Float64, direction: float, mount: Mount, options: StripOptions
+) -> _End | None:
+    """One end of a vehicle; None: it faces away, is not in the image, or is too far to be read."""
     length, width, height = (float(value) for value in size_m)
-    half = min(_HALF_WIDTH_M, 0.5 * width)
-    low, high = (min(level, height) - 0.5 * height for level in (_LOW_M, _HIGH_M))
-    corners = np.array(
-        [
-            (end * (0.5 * length - depth), side * half, level)
-            for depth in _DEPTHS_M
-            for side in (-1.0, 1.0)
-            for level in (low, high)
-        ]
-    )
-    points = camera_SE3_box.transform(corners)[0]
-    middle = points.mean(axis=0)
-    outward = camera_SE3_box.transform(np.array([[end, 0.0, 0.0], [0.0, 0.0, 0.0]]))[0]
-    cosine = float((outward[0] - outward[1]) @ -middle / max(np.linalg.norm(middle), 1e-9))
+    error = options.box_error_m
+    half = min(mount.half_width_m, 0.5 * width)
+    low, high = (min(level, height) - 0.5 * height for level in (mount.low_m, mount.high_m))
+    middle, face = 0.5 * (low + high), 0.5 * direction * length
+    outward = camera_SE3_box.transform(np.array([[face, 0.0, middle], [face + direction, 0.0, middle]]))[0]
+    line = outward[0] / max(float(np.linalg.norm(outward[0])), 1e-9)
+    cosine = float((outward[1] - outward[0]) @ -line)
     if cosine < _LEAST_COSINE:
         return None
-    projected = camera.project(points)
-    if not projected.defined.all() or not projected.valid.any():
+    depths = (face + direction * error, face - direction * (_DEPTH_M + error))
+    wide, tall = (half + error) / _ENLARGED, (0.5 * (high - low) + error) / _ENLARGED
+    plate, rise = 0.5 * _PLATE_M[0], 0.5 * _PLATE_M[1]
+    columns = np.linspace(-plate, plate, _COLUMNS)
+    rows = np.linspace(min(low + rise, middle), max(high - rise, middle), _ROWS)
+    parts = (
+        [(x, y, middle + z) for x in depths for y in (-wide, wide) for z in (-tall, tall)],
+        [(face, y, middle + z) for y in (-plate, plate) for z in (-rise, rise)],
+        [(face - 0.5 * direction * _DEPTH_M, y, z) for z in rows for y in columns],
+    )
+    strip, expected, places = (camera_SE3_box.transform(np.array(part))[0] for part in parts)
+    strip_px, plate_px = _bounds(camera, strip), _bounds(camera, expected)
+    if strip_px is None or plate_px is None or plate_px[2] - plate_px[0] < options.least_px:
         return None
     size = np.array([camera.width_px, camera.height_px], np.float64)
-    bounds = np.concatenate([projected.uv_px.min(axis=0), projected.uv_px.max(axis=0)])
-    clipped = np.clip(bounds, 0.0, np.tile(size, 2))
-    if (clipped[2:] - clipped[:2] < 1.0).any():
+    inside = np.minimum(strip_px[2:], size) - np.maximum(strip_px[:2], 0.0)
+    if (inside < 1.0).any():
         return None
-    width_px = cosine * _PLATE_M * camera.fx_px / max(float(np.linalg.norm(middle)), 1e-9)
-    # An f-theta lens has no focal length in pixels.
-    return clipped if camera.fx_px <= 1.0 or width_px >= _LEAST_PX else None
+    in_image = camera.project(places).valid.reshape(_ROWS, _COLUMNS)
+    return _End(strip_px, plate_px, places.reshape(_ROWS, _COLUMNS, 3), in_image) if _is_seen(in_image) else None
 
 
-def _holds(box_px: Float64, point: tuple[float, float]) -> bool:
-    return bool(box_px[0] <= point[0] <= box_px[2] and box_px[1] <= point[1] <= box_px[3])
+def _bounds(camera: Camera, points: Float64) -> Float64 | None:
+    """Bounds (4,) of points (P, 3); None: the camera's model does not define all of them."""
+    projected = camera.project(points)
+    if not projected.defined.all():
+        return None
+    return np.concatenate([projected.uv_px.min(axis=0), projected.uv_px.max(axis=0)])
+
+
+def _is_seen(seen: Bool) -> bool:
+    """Whether enough of a plate is seen at some height, from the places (R, C) that are."""
+    return bool((seen.mean(axis=1) >= _LEAST_SEEN).any())
+
+
+def _is_expected(region: Region, end: _End) -> bool:
+    """Whether a detected plate has the size, and the place across the vehicle, that its box lets expect."""
+    left, top, right, bottom = end.plate_px
+    held = min(region.right_px, right) - max(region.left_px, left)
+    width, height = region.size_px
+    return bool(
+        held >= _LEAST_HELD * (right - left)
+        and end.strip_px[1] <= region.centre_px[1] <= end.strip_px[3]
+        and width <= _WIDEST * (right - left)
+        and height <= _TALLEST * (bottom - top)
+    )

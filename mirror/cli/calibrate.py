@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from mirror.calibration.check import CalibrationCheck
     from mirror.calibration.refinement.report import RefinementReport
     from mirror.calibration.refinement.summary import CameraRefinement
+    from mirror.calibration.rig import PosePrior
+    from mirror.dataset.dataset import Dataset
 
 _CHECK_EXAMPLES = (
     "mirror calibrate check demo/dataset --out calibration",
@@ -25,6 +27,45 @@ _REFINE_EXAMPLES = (
     "mirror calibrate refine demo/dataset",
     "mirror calibrate refine demo/dataset --frames 20 --version 20-frames --json",
 )
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What is read from the dataset, and the errors that the recorded poses may have."""
+
+    stage: Annotated[
+        Literal["factory", "online", "refined"] | None, help_text(default="the best of each camera", metavar="STAGE")
+    ] = None
+    """Stage of the calibrations: factory, online or refined."""
+    calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of calibrations."""
+    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of poses."""
+    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
+    """Layer of boxes, which mask moving road users."""
+    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
+    """Scene to read."""
+    pose_sigma_m: float = 0.005
+    """White noise of the recorded positions, 1-sigma along each axis, metres."""
+    pose_drift_m: float = 0.03
+    """Smooth drift of the recorded positions over some seconds, 1-sigma along each axis, metres."""
+    pose_sigma_deg: float = 0.03
+    """Noise of the recorded rotations, 1-sigma about each axis, degrees."""
+
+    def open(self, dataset: str | Path) -> Dataset:
+        """Open the part of a dataset that is read."""
+        import mirror
+
+        view = mirror.open(dataset).with_layers(
+            poses=self.poses, calibrations=self.calibrations, stage=self.stage, boxes=self.boxes
+        )
+        return view if self.scene is None else view.where(scene=self.scene)
+
+    def pose_prior(self) -> PosePrior:
+        """The errors that the recorded poses may have."""
+        from mirror.calibration.rig import PosePrior
+
+        return PosePrior(attitude_deg=self.pose_sigma_deg, position_m=self.pose_sigma_m, drift_m=self.pose_drift_m)
 
 
 @dataclass(frozen=True)
@@ -39,30 +80,13 @@ class Check:
     """Folder or URL of the dataset."""
     out: Annotated[Path, help_text(metavar="FOLDER")] = Path("calibration")
     """Folder of the report."""
-    stage: Annotated[
-        Literal["factory", "online", "refined"] | None, help_text(default="the best of each camera", metavar="STAGE")
-    ] = None
-    """Stage to check: factory, online or refined."""
-    calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
-    """Layer of calibrations to check."""
-    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
-    """Layer of poses."""
-    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
-    """Layer of boxes, which mask moving road users."""
+    input: tyro.conf.OmitArgPrefixes[InputOptions] = field(default_factory=InputOptions)
     reference_poses: Annotated[str | None, help_text(default="none", metavar="SOURCE@VERSION")] = None
     """Layer of better poses, to measure the localisation drift."""
-    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
-    """Scene to check."""
     frames: int = 20
     """Number of frames per traversal."""
     step_m: float = 3.5
     """Distance between neighbouring frames on a straight road, metres; on bends 12 degrees."""
-    pose_sigma_m: float = 0.005
-    """White noise of the recorded positions, 1-sigma along each axis, metres."""
-    pose_drift_m: float = 0.03
-    """Smooth drift of the recorded positions over some seconds, 1-sigma along each axis, metres."""
-    pose_sigma_deg: float = 0.03
-    """Noise of the recorded rotations, 1-sigma about each axis, degrees."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -80,28 +104,11 @@ class Refine:
     """Folder of the dataset."""
     version: Annotated[str, help_text(metavar="NAME")] = "1"
     """Version of the layer refined@VERSION; an existing layer is kept."""
-    stage: Annotated[
-        Literal["factory", "online", "refined"] | None, help_text(default="the best of each camera", metavar="STAGE")
-    ] = None
-    """Stage to begin with: factory, online or refined."""
-    calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
-    """Layer of calibrations to begin with."""
-    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
-    """Layer of poses."""
-    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
-    """Layer of boxes, which mask moving road users."""
-    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
-    """Scene to refine."""
+    input: tyro.conf.OmitArgPrefixes[InputOptions] = field(default_factory=InputOptions)
     frames: int = 12
     """Number of frames per traversal."""
     step_m: float = 2.0
     """Distance between neighbouring frames on a straight road, metres; on bends 8 degrees."""
-    pose_sigma_m: float = 0.005
-    """White noise of the recorded positions, 1-sigma along each axis, metres."""
-    pose_drift_m: float = 0.03
-    """Smooth drift of the recorded positions over some seconds, 1-sigma along each axis, metres."""
-    pose_sigma_deg: float = 0.03
-    """Noise of the recorded rotations, 1-sigma about each axis, degrees."""
     offset_m: float = 0.05
     """Offset between the recorded positions of two traversals, 1-sigma along each axis, metres."""
     json: bool = False
@@ -120,27 +127,19 @@ def main(argv: Sequence[str]) -> int:
 def _check(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Check, argv, "mirror calibrate check", examples=_CHECK_EXAMPLES)
 
-    import mirror
     from mirror.calibration.check import check_calibration
     from mirror.calibration.frame_choice import FrameChoice
-    from mirror.calibration.rig import PosePrior
     from mirror.progress import progress_bar
     from mirror.schema.files import write_bytes
     from mirror.view.calibration_page import write_calibration_page
 
-    dataset = mirror.open(arguments.dataset).with_layers(
-        poses=arguments.poses, calibrations=arguments.calibrations, stage=arguments.stage, boxes=arguments.boxes
-    )
-    if arguments.scene is not None:
-        dataset = dataset.where(scene=arguments.scene)
-    prior = PosePrior(
-        attitude_deg=arguments.pose_sigma_deg, position_m=arguments.pose_sigma_m, drift_m=arguments.pose_drift_m
-    )
+    dataset = arguments.input.open(arguments.dataset)
     arguments.out.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=arguments.json) as bar:
         check = check_calibration(
-            dataset, choice=FrameChoice(frames=arguments.frames, step_m=arguments.step_m), prior=prior,
-            reference_poses=arguments.reference_poses, work=arguments.out / "traversals", progress=bar,
+            dataset, choice=FrameChoice(frames=arguments.frames, step_m=arguments.step_m),
+            prior=arguments.input.pose_prior(), reference_poses=arguments.reference_poses,
+            work=arguments.out / "traversals", progress=bar,
         )  # fmt: skip
     plain = check.to_dict()
     write_bytes(arguments.out / "calibration.json", (json.dumps(plain, indent=1) + "\n").encode())
@@ -183,26 +182,17 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
 def _refine(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Refine, argv, "mirror calibrate refine", examples=_REFINE_EXAMPLES)
 
-    import mirror
     from mirror.calibration.frame_choice import FrameChoice
     from mirror.calibration.refinement.rigs import RefinementPrior
     from mirror.calibration.refinement.run import DEFAULT_CHOICE, refine_calibrations
-    from mirror.calibration.rig import PosePrior
     from mirror.progress import progress_bar
 
-    dataset = mirror.open(arguments.dataset).with_layers(
-        poses=arguments.poses, calibrations=arguments.calibrations, stage=arguments.stage, boxes=arguments.boxes
-    )
-    if arguments.scene is not None:
-        dataset = dataset.where(scene=arguments.scene)
-    poses = PosePrior(
-        attitude_deg=arguments.pose_sigma_deg, position_m=arguments.pose_sigma_m, drift_m=arguments.pose_drift_m
-    )
+    dataset = arguments.input.open(arguments.dataset)
     choice = FrameChoice(frames=arguments.frames, step_m=arguments.step_m, step_deg=DEFAULT_CHOICE.step_deg)
     with progress_bar(quiet=arguments.json) as bar:
         report = refine_calibrations(
             dataset, version=arguments.version, choice=choice,
-            prior=RefinementPrior(poses, offset_m=arguments.offset_m), progress=bar,
+            prior=RefinementPrior(arguments.input.pose_prior(), offset_m=arguments.offset_m), progress=bar,
         )  # fmt: skip
     if arguments.json:
         print(json.dumps(report.to_dict()))

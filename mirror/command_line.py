@@ -191,3 +191,18 @@ def refuse_urls(arguments: _Arguments) -> _Arguments:
             if isinstance(item, Path):
                 local_path(item)
     return arguments
+
+
+def parse_settings(words: Sequence[str]) -> dict[str, str]:
+    """Read the values of ``--set``: settings of a method, annotator or describer by name.
+
+    Args:
+        words: of the form NAME=VALUE.
+
+    Raises:
+        UsageError: a word has another form.
+    """
+    invalid = [word for word in words if not all(word.partition("="))]
+    if invalid:
+        raise UsageError(f"{invalid[0]!r}", place="--set", expected="NAME=VALUE")
+    return {name: value for name, _, value in (word.partition("=") for word in words)}

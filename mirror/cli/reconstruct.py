@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mirror.command_line import help_text, parse_arguments
+from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def main(argv: Sequence[str]) -> int:
         blocks=frozenset(filter(None, (arguments.blocks or "").split(","))),
         threads=arguments.threads,
         half=arguments.fp16,
-        settings=_settings(arguments.set),
+        settings=parse_settings(arguments.set),
         withheld=list_scored_training_images(dataset, scaled, arguments.split, scene)
         if arguments.hold_out
         else frozenset(),
@@ -142,13 +142,6 @@ def _scene(dataset: Dataset, split: str, requested: str | None) -> str:
     if requested is not None and requested not in scenes:
         raise UsageError(f"no training traversals in scene {requested!r}", place="--scene", expected=_listed(scenes))
     return requested or scenes[0]
-
-
-def _settings(words: Sequence[str]) -> dict[str, str]:
-    invalid = [word for word in words if not all(word.partition("="))]
-    if invalid:
-        raise UsageError(f"{invalid[0]!r}", place="--set", expected="NAME=VALUE")
-    return {name: value for name, _, value in (word.partition("=") for word in words)}
 
 
 def _listed(names: Sequence[str]) -> str:

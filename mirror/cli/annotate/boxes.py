@@ -1,0 +1,106 @@
+"""``mirror annotate DATASET --annotator NAME``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import tyro
+
+from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.errors import ExitCode
+
+if TYPE_CHECKING:
+    from mirror.annotation.run import AnnotationReport
+
+_MOST_SHOWN: Final = 5
+_EXAMPLES: Final = (
+    "mirror annotate demo/dataset --annotator file --set path=results.json",
+    "mirror annotate demo/dataset --annotator subprocess --set command='python detect.py' --set limit_s=20",
+)
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Find the road users in all frames of a dataset, and write a layer of boxes for each traversal.
+
+    `mirror annotate train` trains an annotator, `mirror annotate track` makes tracks of a layer of boxes, `mirror
+    annotate masks` writes masks of its road users, `mirror annotate export` writes it as a file, and `mirror annotate
+    describe` writes captions. Layers lie side by side and are never replaced. Finished frames are kept when the run is
+    interrupted or a frame fails: the same command continues there.
+    """
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder of the dataset."""
+    annotator: Annotated[str, help_text(metavar="NAME")]
+    """An installed annotator (entry points mirror.annotators): file reads results of the nuScenes format, subprocess
+    runs a program of yours."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=VALUE")] = ()
+    """A setting of the annotator, such as path=results.json."""
+    source: Annotated[str | None, help_text(default="the annotator's name", metavar="NAME")] = None
+    """Source name of the layers."""
+    version: Annotated[str | None, help_text(default="the annotator's version", metavar="NAME")] = None
+    """Version of the layers."""
+    scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
+    """Annotate this scene only."""
+    skip_failed: bool = False
+    """Write the layer of a traversal although frames failed; they have no boxes then."""
+    device: str = "cpu"
+    """Device of networks: cpu or cuda."""
+    json: bool = False
+    """Print JSON."""
+
+
+def run(argv: Sequence[str]) -> int:
+    """Find the road users in all frames of a dataset."""
+    arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
+
+    from mirror.annotation.registry import installed_annotator
+
+    installed = installed_annotator(arguments.annotator)
+
+    import mirror
+    from mirror.annotation.run import annotate
+    from mirror.progress import progress_bar
+
+    dataset = mirror.open(arguments.dataset)
+    if arguments.scene is not None:
+        dataset = dataset.where(scene=arguments.scene)
+    annotator = installed.open(dataset, parse_settings(arguments.set), arguments.device)
+    try:
+        with progress_bar(quiet=arguments.json) as bar:
+            report = annotate(
+                dataset,
+                annotator,
+                source=arguments.source,
+                version=arguments.version,
+                skip_failed=arguments.skip_failed,
+                progress=bar,
+            )
+    finally:
+        annotator.close()
+    if arguments.json:
+        print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
+    else:
+        _print(report, arguments)
+    return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
+
+
+def _print(report: AnnotationReport, arguments: Arguments) -> None:
+    print(
+        f"layer boxes/{report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept; "
+        f"{report.boxes} boxes in {report.frames + report.resumed} frames ({report.resumed} from an earlier run)"
+    )
+    if report.failed:
+        print(
+            f"{len(report.failed)} frames failed; traversals without a layer: {', '.join(report.incomplete) or 'none'}"
+        )
+        for failed in report.failed[:_MOST_SHOWN]:
+            print(f"  {failed.traversal_id}, frame {failed.frame_index}: {failed.reason}")
+        if report.incomplete:
+            print("run the same command again for the failed frames, or write the layers without them: --skip-failed")
+    elif report.written:
+        print(f"next: mirror annotate track {arguments.dataset} --boxes {report.layer}")

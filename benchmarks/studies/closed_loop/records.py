@@ -1,0 +1,100 @@
+"""Records of the study: one JSON line for each finished stage and for each rollout.
+
+Lines are only ever appended, so that the file can be committed at any time and continued on another machine. The last
+line of a stage or of a rollout counts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mirror.errors import DatasetError, UsageError
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, order=True)
+class RolloutKey:
+    """What a rollout is of.
+
+    Attributes:
+        world: the world.
+        policy: the policy.
+        scenario: the scenario.
+        seed: its seed.
+    """
+
+    world: str
+    policy: str
+    scenario: str
+    seed: int
+
+
+class Records:
+    """The records of one declaration in a file.
+
+    Args:
+        file: the file; it need not exist.
+        declaration: hash of the declaration.
+
+    Raises:
+        UsageError: the file has records of another declaration.
+        DatasetError: a line is no record.
+    """
+
+    def __init__(self, file: Path, declaration: str) -> None:
+        self.file, self._declaration = file, declaration
+        self.stages: dict[str, Figures] = {}
+        self.core_s = 0.0
+        self.rollouts: dict[RolloutKey, Figures] = {}
+        for number, line in self._read():
+            if line.get("declaration") != declaration:
+                raise UsageError(
+                    f"made under the declaration {str(line.get('declaration'))[:12]}, not {declaration[:12]}",
+                    file=file, place=f"line {number}", remedy="choose another --outcomes",
+                )  # fmt: skip
+            self._take(line)
+
+    def add_stage(self, name: str, core_s: float, figures: Mapping[str, Any]) -> None:
+        """Append a finished stage."""
+        self._append({"stage": name, "core_s": round(core_s, 1), "figures": dict(figures)})
+
+    def add_rollout(self, key: RolloutKey, row: Mapping[str, Any]) -> None:
+        """Append a rollout."""
+        self._append({**vars(key), **row})
+
+    def _append(self, line: Mapping[str, Any]) -> None:
+        document = {"declaration": self._declaration, **line}
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        data = (json.dumps(document, allow_nan=False) + "\n").encode()
+        # One write of a whole line, so that an interruption leaves no part of one.
+        handle = os.open(self.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            os.write(handle, data)
+        finally:
+            os.close(handle)
+        self._take(document)
+
+    def _take(self, line: Figures) -> None:
+        self.core_s += float(line["core_s"])
+        if "stage" in line:
+            self.stages[line["stage"]] = line["figures"]
+        else:
+            names = RolloutKey.__dataclass_fields__
+            key = RolloutKey(**{name: line[name] for name in names})
+            self.rollouts[key] = {name: value for name, value in line.items() if name not in names}
+
+    def _read(self) -> Iterator[tuple[int, Figures]]:
+        if not self.file.is_file():
+            return
+        for number, text in enumerate(self.file.read_text().splitlines(), 1):
+            try:
+                line = json.loads(text)
+            except json.JSONDecodeError as error:
+                raise DatasetError("not JSON", file=self.file, place=f"line {number}") from error
+            yield number, line

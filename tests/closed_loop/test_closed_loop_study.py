@@ -1,0 +1,121 @@
+"""The study from recordings to the tables of the page, at a tiny size: every stage runs, resumes, and is hashed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks.studies.closed_loop.declaration import load_declaration
+from benchmarks.studies.closed_loop.records import Records, RolloutKey
+from benchmarks.studies.closed_loop.report import BEGIN, END, PAGE, format_report, update_page
+from benchmarks.studies.closed_loop.stages import is_finished, list_stages, planned_rollouts, run_count, run_stages
+from benchmarks.studies.closed_loop.study import Study
+from mirror.dataset.dataset import Dataset
+from mirror.errors import UsageError
+from mirror.progress import NullProgress
+from tests.closed_loop.tiny import tiny_document, tiny_study
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory, tiny_dataset: Dataset) -> Iterator[Study]:
+    made = tiny_study(tmp_path_factory.mktemp("closed_loop"), tiny_dataset)
+    assert run_stages(made, NullProgress()) == 0
+    yield made
+
+
+def test_the_declaration_is_of_3000_rollouts_within_the_budget() -> None:
+    declaration = load_declaration()
+    assert len(declaration.policies) == 12 and len(declaration.scenarios["names"]) == 10
+    worlds = [*declaration.worlds, *declaration.reconstruction["methods"]]
+    assert len(declaration.policies) * 10 * len(declaration.scenarios["seeds"]) * len(worlds) == 3000
+    fresh = Study(Path("absent"), declaration, Records(Path("absent.jsonl"), declaration.hash))
+    stages = list_stages(fresh)
+    assert sum(stage.core_minutes for stage in stages) <= 60.0 * declaration.budget["core_hours"]
+    # Triggers are tuned before anything is driven, with seeds that are not driven.
+    names = [stage.name for stage in stages]
+    assert names.index("pilot") < names.index("triggers") < names.index("drive-exact")
+    assert not set(declaration.triggers["seeds"]) & set(declaration.scenarios["seeds"])
+    assert set(declaration.triggers["policies"]) <= set(declaration.policies)
+    # Two of the 14 policies read no image, and drive two seeds.
+    assert run_count(fresh, fresh.plan()) == 12 * 10 * 5 + 2 * 10 * 2
+    # Both lights are driven in both streets, and no training street is one of them.
+    assert {(case.street, case.light) for case in fresh.cases(range(4))} == {
+        (street, light) for street in (0, 1) for light in ("day", "night")
+    }
+    assert not set(declaration.streets["seeds"]) & {*declaration.images["seeds"], declaration.images["validation_seed"]}
+
+
+def test_every_stage_is_recorded_and_policies_without_images_drive_the_same_everywhere(study: Study) -> None:
+    assert all(is_finished(study, stage) for stage in list_stages(study))
+    text = format_report(study)
+    assert "Not run" not in text
+    assert "4 of 4 logs are equal to the bit" in text
+    for key in planned_rollouts(study, "vanilla_3dgs"):
+        own, exact = study.records.rollouts[key], study.records.rollouts[replace(key, world="exact")]
+        # Networks see other images, so that they err otherwise.
+        assert (own["offset_error_m"] == exact["offset_error_m"]) == (key.policy in ("blind", "privileged"))
+
+
+def test_a_new_process_continues_with_the_records(study: Study) -> None:
+    lines = study.records.file.read_text()
+    again = Study(study.folder, study.declaration, Records(study.records.file, study.declaration.hash))
+    assert run_stages(again, NullProgress()) == 0
+    assert study.records.file.read_text() == lines
+    assert again.records.core_s == pytest.approx(study.records.core_s)
+
+
+def test_rollouts_of_another_network_do_not_count(study: Study, tmp_path: Path) -> None:
+    lines = [json.loads(line) for line in study.records.file.read_text().splitlines()]
+    for line in lines:
+        if line.get("stage") == "perception":
+            line["figures"]["networks"]["full"]["hash"] = "another"
+    file = tmp_path / "outcomes.jsonl"
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    other = Study(study.folder, study.declaration, Records(file, study.declaration.hash))
+    left = {stage.name for stage in list_stages(other) if not is_finished(other, stage)}
+    assert left == {"drive-exact", "drive-exact-again", "drive-vanilla_3dgs"}
+    assert other.is_current(RolloutKey("exact", "strong", "hard-brake", 0))
+    assert not other.is_current(RolloutKey("exact", "full", "hard-brake", 0))
+    assert "| 0 | - |" not in format_report(study)
+
+
+def test_another_declaration_is_refused(study: Study) -> None:
+    with pytest.raises(UsageError, match="made under the declaration"):
+        Records(study.records.file, "0" * 64)
+
+
+def test_one_stage_and_the_budget(study: Study, tiny_dataset: Dataset, tmp_path: Path) -> None:
+    fresh = tiny_study(tmp_path, tiny_dataset)
+    stages = len(list_stages(fresh))
+    assert run_stages(fresh, NullProgress(), hours=0.01) == stages
+    assert run_stages(fresh, NullProgress(), only="street-0") == stages - 1
+    with pytest.raises(UsageError, match="no stage"):
+        run_stages(fresh, NullProgress(), only="street")
+
+
+def test_an_estimate_over_the_budget_cuts_seeds_and_then_the_last_method(study: Study, tmp_path: Path) -> None:
+    pilot = study.records.stages["pilot"]
+    assert (pilot["seeds"], pilot["methods"]) == ([0, 1], ["vanilla_3dgs"])
+    from benchmarks.studies.closed_loop.stages import choose_plan
+
+    document = tiny_document()
+    document["budget"] |= {"core_hours": 0.8}
+    small = replace(study, declaration=replace(study.declaration, budget=document["budget"]))
+    figures = {"exact_s": 60.0, "reconstructed_s": 60.0}
+    assert choose_plan(small, figures)["seeds"] == [0]
+    assert choose_plan(small, {"exact_s": 600.0, "reconstructed_s": 600.0})["methods"] == []
+
+
+def test_page_has_markers_and_gets_the_section(study: Study, tmp_path: Path) -> None:
+    assert BEGIN in PAGE.read_text() and END in PAGE.read_text()
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    update_page(study, page)
+    assert page.read_text() == f"before\n{format_report(study)}\nafter\n"
+    page.write_text("nothing")
+    with pytest.raises(UsageError, match="no place"):
+        update_page(study, page)

@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
-from mirror.view.images import condition_order, frame_of, same_place, utc
+from mirror.view.images import choose_passages, condition_order, frame_of, same_place, utc
 from mirror.view.plots import (
     LIGHT_COLOURS,
     conditions_figure,
@@ -184,7 +184,7 @@ def place_figure(dataset: Dataset) -> Figure | None:
     """Show one place of the scene with the most traversals in every traversal that passes it."""
     for scene in _busiest_scenes(dataset):
         rows = dataset.where(scene=scene["scene_id"]).table("traversals").to_pylist()
-        passages = same_place(dataset, rows)[:_MOST_PASSAGES]
+        passages = choose_passages(same_place(dataset, rows), _MOST_PASSAGES)
         if len(passages) < 2:
             continue
         passages.sort(key=lambda item: condition_order(item.traversal["light"], item.traversal["weather"]))

@@ -127,6 +127,17 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
     )
 
 
+def choose_passages(passages: Sequence[Passage], most: int) -> list[Passage]:
+    """At most some of the passages, in their order; light and weather take turns, so that none is left out."""
+    earlier: Counter[tuple[str, str]] = Counter()
+    turns = []
+    for number, passage in enumerate(passages):
+        condition = (passage.traversal["light"], passage.traversal["weather"])
+        turns.append((earlier[condition], number))
+        earlier[condition] += 1
+    return [passages[number] for number in sorted(number for _, number in sorted(turns)[:most])]
+
+
 def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int) -> str:
     """Format the same view in every traversal: forward, or backward if the traversal drives the other way."""
     figures = []

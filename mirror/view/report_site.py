@@ -19,7 +19,7 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror.view.images import place_images, same_place, utc
+from mirror.view.images import choose_passages, place_images, same_place, utc
 from mirror.view.report import draw_charts, draw_scene_map, format_tiles, map_legend, scene_name
 
 MARK: Final = ".made-by-mirror-report"
@@ -89,7 +89,9 @@ def write_site(
 
 def _scene_page(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]], title: str) -> str:
     view = dataset.where(scene=scene["scene_id"])
-    passages = same_place(view, traversals)[:_MOST_PASSAGES]
+    passing = same_place(view, traversals)
+    passages = choose_passages(passing, _MOST_PASSAGES)
+    of_all = f"{len(passages)}{f' of {len(passing)}' if len(passages) < len(passing) else ''}"
     parts = [
         f'<p><a href="../index.html">{escape(title)}</a></p><h1>{escape(scene_name(scene))}</h1>',
         f'<p class="where">dataset.where(scene={json.dumps(scene["scene_id"])})</p>',
@@ -98,7 +100,7 @@ def _scene_page(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence
     ]
     if len(passages) > 1:
         parts += [
-            f"<h2>One place in {len(passages)} traversals</h2>",
+            f"<h2>One place in {of_all} traversals</h2>",
             place_images(view, passages, width_px=_IMAGE_PX),
         ]
     parts += [

@@ -63,7 +63,8 @@ class Browser:
             if answer.get("id") == number:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
-                return answer["result"]
+                result: dict[str, Any] = answer["result"]
+                return result
             self.events.append(answer)
 
     def open(self, page: Path, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
@@ -128,4 +129,5 @@ class Browser:
                 raise TimeoutError("the browser does not answer")
             self._buffer += data
         text, _, self._buffer = self._buffer.partition(b"\0")
-        return json.loads(text)
+        message: dict[str, Any] = json.loads(text)
+        return message

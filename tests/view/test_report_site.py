@@ -13,6 +13,7 @@ import pytest
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
+from mirror.view.images import Passage, choose_passages
 from mirror.view.report_site import write_site
 from tests.export.street import make_street
 from tests.leaderboard.browser import Browser, find_browser
@@ -81,6 +82,17 @@ def test_the_script_filters_sorts_and_enlarges(street: Dataset, site: Path, brow
         browser.script("document.querySelector('.shot img').click()")
         assert browser.script("document.querySelector('dialog').open") is True
     assert browser.warnings() == []
+
+
+def test_no_light_or_weather_is_left_out() -> None:
+    conditions = [("day", "clear")] * 30 + [("day", "rain")] * 2 + [("night", "clear")]
+    passages = [
+        Passage({"light": light, "weather": weather}, number, 0.0, is_same_direction=True)
+        for number, (light, weather) in enumerate(conditions)
+    ]
+    chosen = choose_passages(passages, 6)
+    assert [passage.frame_index for passage in chosen] == [0, 1, 2, 30, 31, 32]
+    assert choose_passages(passages, 40) == passages
 
 
 def test_a_thousand_traversals_open_in_two_seconds(site: Path, browser: Browser, tmp_path: Path) -> None:

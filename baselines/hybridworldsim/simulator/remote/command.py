@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -32,8 +32,13 @@ class Arguments:
 
     source: Annotated[tyro.conf.Positional[str], help_text(metavar="DATASET|synth:PRESET")]
     """Folder or URL of a dataset, or a synthetic street, synth:PRESET[:SEED[:DRIVE]]."""
-    model: Annotated[tyro.conf.Positional[Path | None], help_text(default="none: wireframes", metavar="MODEL")] = None
+    model: Annotated[tyro.conf.Positional[Path | None], help_text(default="none", metavar="MODEL")] = None
     """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
+    renderer: Annotated[
+        Literal["boxes", "exact", "reconstructed"] | None,
+        help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
+    ] = None
+    """What renders the images: wireframes, the synthetic street, a trained model."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     host: str = "127.0.0.1"
@@ -57,10 +62,13 @@ def main(argv: Sequence[str]) -> int:
     from hybridworldsim.simulator.remote.server import render_server
     from hybridworldsim.simulator.remote.service import Limits, SensorService
     from hybridworldsim.simulator.renderers.registry import RendererFactory
+    from hybridworldsim.simulator.street.of_synth import SCHEME
     from hybridworldsim.simulator.street.opening import open_street
 
     wire()
-    factory = RendererFactory("boxes" if arguments.model is None else "reconstructed", arguments.model)
+    is_synth = arguments.source.startswith(SCHEME)
+    name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
+    factory = RendererFactory(name, arguments.model)
     street = open_street(arguments.source, scene=arguments.scene)
     factory.require_model_of(street)
     scenes = open_scenes(street, factory)

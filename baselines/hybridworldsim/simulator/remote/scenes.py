@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final
 
 import cv2
 import numpy as np
 
+from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.agents.states import Agent, AgentStates
 from hybridworldsim.simulator.ego.vehicle import EgoState
+from hybridworldsim.simulator.remote.walking import RecordedLine
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.street.street import Street
@@ -32,21 +35,33 @@ class ServedScene:
     Attributes:
         scene_id: its id: that of the recorded traversal.
         street: the street.
-        agents: the recorded road users, which requests place by their ids.
+        tracks: the recorded road users, which requests place by their ids; in the order of their ids.
         renderer: draws the views.
+        start_ns: Unix time of the beginning of the recording.
     """
 
     scene_id: str
     street: Street
-    agents: tuple[Agent, ...]
+    tracks: tuple[RecordedTrack, ...]
     renderer: Renderer
+    start_ns: int = 0
+
+    @cached_property
+    def agents(self) -> tuple[Agent, ...]:
+        """The recorded road users."""
+        return tuple(track.agent for track in self.tracks)
+
+    @cached_property
+    def _lines(self) -> tuple[RecordedLine, ...]:
+        return tuple(RecordedLine(track) for track in self.tracks)
 
     def render(self, views: Sequence[CameraView], places: Mapping[str, Float64], stamp_ns: int) -> Mapping[str, UInt8]:
         """Render views of any lens, at one instant.
 
         Args:
             views: the views.
-            places: x, y and yaw (3,) of the middle of agents, by their ids; all other agents are absent.
+            places: x, y, yaw and speed (4,) of the middle of agents, by their ids; all other agents are absent. Where
+                the speed is NaN, it is the recorded one at the nearest point of the recorded line.
             stamp_ns: Unix time.
 
         Raises:
@@ -54,17 +69,22 @@ class ServedScene:
         """
         rows = {agent.agent_id: row for row, agent in enumerate(self.agents)}
         states = AgentStates.absent(len(self.agents))
-        for agent_id, (x, y, yaw) in places.items():
+        for agent_id, place in places.items():
             if agent_id not in rows:
                 raise UsageError(
                     f"no road user {agent_id!r}", place=f"scene {self.scene_id}",
                     expected=f"one of its {len(rows)} recorded road users, such as {', '.join(sorted(rows)[:3])}",
                 )  # fmt: skip
-            row = rows[agent_id]
+            row, (x, y, yaw, speed) = rows[agent_id], place.tolist()
+            along, recorded = self._lines[row].at(place[:3])
+            speed = recorded if math.isnan(speed) else speed
             states.x_m[row], states.y_m[row], states.yaw_rad[row], states.present[row] = x, y, yaw, True
+            states.vx_mps[row], states.vy_mps[row] = speed * math.cos(yaw), speed * math.sin(yaw)
+            states.along_m[row] = along
         x, y = views[0].world_SE3_camera.translation[0, :2].tolist()
         ego = EgoState(x, y, 0.0, 0.0)
-        snapshot = Snapshot(0, 0.0, stamp_ns, self.street.vehicle, ego, self.agents, states, {})
+        time_s = 1e-9 * (stamp_ns - self.start_ns)
+        snapshot = Snapshot(0, time_s, stamp_ns, self.street.vehicle, ego, self.agents, states, {})
         planes = [replace(view, camera=_plane(view.camera)) for view in views]
         images = self.renderer.render_views(snapshot, planes)
         return {view.name: _through_lens(images[view.name], view.camera) for view in views}
@@ -81,14 +101,19 @@ def open_scenes(street: Street, factory: RendererFactory) -> dict[str, ServedSce
             f"the street is {np.hypot(*street.middle_m):.0f} m from the origin of its frame",
             expected=f"at most {_FARTHEST_M:g} m: poses on the wire are in single precision",
         )
+    scenario = Scenario(name="serve")
+    if street.drive is not None:
+        condition = street.drive.condition
+        scenario = scenario.model_copy(update={"light": condition.light, "weather": condition.weather})
     scenes = {}
     for scene_id, recording in factory.recordings_of(street).items():
-        agents = tuple(sorted((track.agent for track in recording.tracks), key=lambda agent: agent.agent_id))
+        tracks = tuple(sorted(recording.tracks, key=lambda track: track.agent.agent_id))
+        agents = tuple(track.agent for track in tracks)
         states = AgentStates.absent(len(agents))
         ego = EgoState(*street.middle_m, 0.0, 0.0)
         start = Snapshot(0, 0.0, recording.start_ns, street.vehicle, ego, agents, states, {})
-        renderer = factory.make_at(street, Scenario(name="serve"), start, {}, scene_id)
-        scenes[scene_id] = ServedScene(scene_id, street, agents, renderer)
+        renderer = factory.make_at(street, scenario, start, {}, scene_id)
+        scenes[scene_id] = ServedScene(scene_id, street, tracks, renderer, recording.start_ns)
     return scenes
 
 

@@ -166,14 +166,20 @@ class SensorService:
             raise UsageError("the frame ends before it starts", place="frame_end_us")
         camera = from_spec(spec).resized(width, height)
         pose = _middle(request.sensor_pose, "sensor_pose")
+        exposure_s = 1e-6 * (request.frame_end_us - request.frame_start_us)
         places = {
-            user.track_id: _flat_middle(user.pose_pair, f"dynamic object {user.track_id!r}")
+            user.track_id: _flat_middle(user.pose_pair, f"dynamic object {user.track_id!r}", exposure_s)
             for user in request.dynamic_objects
         }
         stamp_ns = 500 * (request.frame_start_us + request.frame_end_us)
         if stamp_ns >= 1 << 63:
             raise UsageError("a stamp beyond the year 2262", place="frame_end_us", expected="Unix time in microseconds")
-        instant = request.scene_id, stamp_ns, *(user.SerializeToString() for user in request.dynamic_objects)
+        instant = (
+            request.scene_id,
+            stamp_ns,
+            exposure_s,
+            *(user.SerializeToString() for user in request.dynamic_objects),
+        )
         view, image_format = CameraView(name, camera, pose), self._formats[request.image_format]
         quality = round(request.image_quality) or _QUALITY
         return _Job(instant, scene, view, places, stamp_ns, image_format, quality)
@@ -220,7 +226,10 @@ def _middle(pair: Any, place: str) -> Poses:
     return interpolate([0, 2], both, [1])
 
 
-def _flat_middle(pair: Any, place: str) -> Float64:
+def _flat_middle(pair: Any, place: str, exposure_s: float) -> Float64:
+    """x, y, yaw and speed (4,) in the middle of the exposure; the speed is NaN if the poses do not tell it."""
     start, end = flat([pair.start_pose, pair.end_pose], [place, place])
     turn = np.remainder(end[2] - start[2] + np.pi, 2.0 * np.pi) - np.pi
-    return np.array([*(0.5 * (start[:2] + end[:2])), start[2] + 0.5 * turn])
+    moved_m = float(np.hypot(*(end[:2] - start[:2])))
+    speed_mps = moved_m / exposure_s if exposure_s > 0.0 and moved_m > 0.0 else np.nan
+    return np.array([*(0.5 * (start[:2] + end[:2])), start[2] + 0.5 * turn, speed_mps])

@@ -29,6 +29,7 @@ class ExactRenderer(Renderer):
         start: the state at the start.
         cameras: the cameras, by name.
         seed: seed of the images' noise.
+        shows_ego: whether the body of the ego vehicle is drawn, as the cameras of its rig see it.
 
     Raises:
         UsageError: the exact world of the street is not known.
@@ -37,8 +38,16 @@ class ExactRenderer(Renderer):
     name = "exact"
 
     def __init__(
-        self, street: Street, scenario: Scenario, start: Snapshot, cameras: Mapping[str, CameraSpec], seed: int
+        self,
+        street: Street,
+        scenario: Scenario,
+        start: Snapshot,
+        cameras: Mapping[str, CameraSpec],
+        seed: int,
+        *,
+        shows_ego: bool = True,
     ) -> None:
+        from mirror.synth.model import Model
         from mirror.synth.render.scene import Scene
 
         if street.drive is None:
@@ -52,7 +61,8 @@ class ExactRenderer(Renderer):
         self._live = LiveUsers(start.agents, street.ground)
         condition = condition_of(street, scenario)
         drive = street.drive
-        self._scene = Scene(drive.world, condition, self._live.users, drive.ego_model, clock_s=street.clock_s)
+        ego = drive.ego_model if shows_ego else Model.empty()
+        self._scene = Scene(drive.world, condition, self._live.users, ego, clock_s=street.clock_s)
         self._masks: dict[str, Int32] = {}
 
     def _draw_views(self, snapshot: Snapshot, views: Sequence[CameraView]) -> Mapping[str, UInt8]:

@@ -92,12 +92,16 @@ class RendererFactory:
         cameras: Mapping[str, CameraSpec],
         appearance: str | None = None,
     ) -> Renderer:
-        """Make a renderer of views from anywhere: ``boxes`` or ``reconstructed``.
+        """Make a renderer of views from anywhere, without the body of the ego vehicle.
 
         Raises:
             UsageError: the renderer does not fit the street.
             DatasetError: the folder holds no complete model.
         """
+        if self.name == "exact":
+            from hybridworldsim.simulator.renderers.exact import ExactRenderer
+
+            return ExactRenderer(street, scenario, start, cameras, 0, shows_ego=False)
         if self.name == "boxes":
             from hybridworldsim.simulator.renderers.boxes import BoxesRenderer
 

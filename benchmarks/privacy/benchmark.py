@@ -4,7 +4,9 @@
 N]`` on the synthetic street, by light. A region counts if 90 % of it are covered; faces need 60 % of their front
 visible, plates 85 %. The images of a light show people and cars as in ``synth_detectors``; further ones show cars at
 4.5 to 11 m, for the recall of plates only. Recall is by image: nothing is propagated, but for the rows with fallback,
-which use the vehicles' exact 3D boxes. YuNet is in the folder of real recordings (``MIRROR_REAL_DATA``); `mirror
+which use the vehicles' exact 3D boxes. What detectors found is appended to ``benchmarks/out/privacy_recall_*.jsonl``;
+an interrupted run goes on there, and larger numbers add images to it. After a change of the synthetic street, delete
+these files. YuNet is in the folder of real recordings (``MIRROR_REAL_DATA``); `mirror
 weights fetch clp_det` gets the other. Each section, and each light of the first, has a report of its own.
 """
 
@@ -37,6 +39,7 @@ from mirror.synth.street.world import World
 CONDITIONS: Final = (("day", "clear"), ("night", "clear"), ("dusk", "clear"), ("day", "rain"))
 SECTIONS: Final = ("recall", "attack", "control", "time")
 _WIDTH_PX: Final = 960
+_AT_ONCE: Final = 10
 _SEED: Final = 31
 _NEAR: Final[Mapping[str, Any]] = {"people": (0, 0), "cars": (4, 4), "cars_m": (4.5, 11.0)}
 SERIES: Final[Mapping[str, tuple[int, Mapping[str, Any]]]] = {"street": (_SEED, {}), "near": (_SEED + 1, _NEAR)}
@@ -45,6 +48,30 @@ _ATTACK_PX: Final = 64
 _ATTACK_MARGIN: Final = 0.05
 _CONTROL: Final = 0.5
 _YUNET_MS: Final = 50.0
+
+
+def search_lights(
+    conditions: Sequence[tuple[str, str]], counts: Mapping[str, int], detectors: Mapping[str, Sequence[Detector]]
+) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
+    """Search the images that the files of the lights lack, and return the outcomes by light and series.
+
+    The lights take turns: what an interruption leaves is about as much of each.
+
+    Args:
+        conditions: light and weather.
+        counts: number of images of each series.
+        detectors: the detectors of each series.
+    """
+    world = build_street()
+    found: dict[tuple[str, str], dict[str, list[Outcome]]] = {one: {} for one in conditions}
+    for series, count in counts.items():
+        for upto in [*range(_AT_ONCE, count, _AT_ONCE), count]:
+            for light, weather in conditions:
+                file = OUT / f"privacy_recall_{light}_{weather}.jsonl"
+                condition = make_condition(light, weather)
+                found[light, weather][series] = search_images(file, world, condition, series, upto, detectors[series])
+            print(f"{series}: {upto} images of each light", file=sys.stderr, flush=True)
+    return found
 
 
 def search_images(
@@ -144,20 +171,12 @@ def main(argv: Sequence[str]) -> int:
             # Cars that stand so close are there for their plates.
             "near": [plates],
         }
-        world, how, counts = build_street(), Redaction(), {"street": options.images, "near": options.near}
-        for light, weather in CONDITIONS:
-            if options.lights and light + "-" + weather not in options.lights:
-                continue
-            name, start = f"privacy_recall_{light}_{weather}", time.monotonic()
-            found = {
-                series: search_images(
-                    OUT / f"{name}.jsonl", world, make_condition(light, weather), series, count, detectors[series]
-                )
-                for series, count in counts.items()
-            }
-            took = time.monotonic() - start
-            print(f"{light} {weather}: {sum(counts.values())} images, {took:.0f} s", file=sys.stderr, flush=True)
-            rows = recall_rows(f"{light} {weather}", found["street"], found["near"], how)
+        chosen = [one for one in CONDITIONS if not options.lights or "-".join(one) in options.lights]
+        counts = {"street": options.images, "near": options.near}
+        found = search_lights(chosen, counts, detectors)
+        for (light, weather), outcomes in found.items():
+            rows = recall_rows(f"{light} {weather}", outcomes["street"], outcomes["near"], Redaction())
+            name = f"privacy_recall_{light}_{weather}"
             code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
     if "attack" in options.sections:
         code = max(code, report("privacy_attack", {"attack": attack_rows(options.plates)}))

@@ -27,33 +27,37 @@ class Mount:
     half_width_m: float = 0.31
 
 
-_REAR: Final = Mount(0.30, 1.20)
-"""Regulation (EU) No 1003/2010, annex II: from 0.30 to 1.20 m. For front plates no heights are laid down."""
-_FRONT: Final = Mount(0.30, 0.80)
-_HEAVY_FRONT: Final = Mount(0.30, 1.05)
+_TALL_M: Final = 1.6
+"""Height of a box from which a car is a sport utility vehicle, a pickup or a van: its plates are mounted higher."""
+_REAR, _FRONT = Mount(0.35, 1.05), Mount(0.30, 0.70)
+"""Cars: from the rear bumper to the handle of the tailgate; the front bumper."""
+_TALL_REAR, _TALL_FRONT = Mount(0.35, 1.20), Mount(0.30, 0.85)
+_HEAVY_REAR, _HEAVY_FRONT = Mount(0.30, 1.20), Mount(0.30, 1.05)
 _MOTORCYCLE: Final = Mount(0.30, 1.20, 0.20)
+"""Regulation (EU) No 1003/2010, annex II: rear plates are mounted from 0.30 to 1.20 m. Front plates have no rule."""
 
 
-def find_mount(category: str, *, is_front: bool) -> Mount | None:
+def find_mount(category: str, height_m: float, *, is_front: bool) -> Mount | None:
     """Where the front or the rear of a vehicle carries its plate.
 
     Args:
         category: category of the box.
+        height_m: height of the box.
         is_front: the front, and not the rear.
 
     Returns:
         The place; None: it carries none. Trailers and motorcycles have none at the front.
     """
-    if not is_vehicle(category):
-        return None
     words = category_words(category)
-    if "motorcycle" in words:
-        return None if is_front else _MOTORCYCLE
-    if not is_front:
-        return _REAR
-    if "trailer" in words:
+    if not is_vehicle(category) or (is_front and words & {"motorcycle", "trailer"}):
         return None
-    return _HEAVY_FRONT if words & _HEAVY else _FRONT
+    if "motorcycle" in words:
+        return _MOTORCYCLE
+    if words & _HEAVY:
+        return _HEAVY_FRONT if is_front else _HEAVY_REAR
+    if height_m > _TALL_M:
+        return _TALL_FRONT if is_front else _TALL_REAR
+    return _FRONT if is_front else _REAR
 
 
 def is_vehicle(category: str) -> bool:

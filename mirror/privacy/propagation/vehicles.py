@@ -25,15 +25,17 @@ _PLATE_M: Final = (0.52, 0.11)
 """Width and height of the largest plate of one row."""
 _ENLARGED: Final = 1.3
 """Regions are enlarged by 30 % when they are removed: a strip is as much smaller than the place of the plate."""
-_LEAST_SEEN: Final = 0.25
-"""Share of a plate's width that must be in the image and not be hidden: one or two characters."""
+_LEAST_SEEN: Final = 0.4
+"""Share of a plate's width that must be in the image and unhidden: with less, two of seven characters are whole."""
 _LARGEST_ERROR_M: Final = 2.0
 _COLUMNS, _ROWS = 9, 5
 """Places at which a plate is looked for, across and up."""
 _LEAST_HELD: Final = 0.75
 """Share of the expected plate's width that a detected one holds, before it is enlarged."""
-_WIDEST, _TALLEST = 1.8, 3.0
+_WIDEST, _LOWEST, _TALLEST = 1.8, 0.4, 3.0
 """Size of a detected plate in that of the expected one: plates of two rows are higher."""
+_SURE: Final = 0.5
+"""Score from which a detected part of a plate tells at what height the plate is."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def plate_strips(
     for row, name in enumerate(category):
         others: Int64 = np.delete(np.arange(len(category), dtype=np.int64), row)
         for direction in (1.0, -1.0):
-            mount = find_mount(name, is_front=direction > 0.0)
+            mount = find_mount(name, float(size_m[row, 2]), is_front=direction > 0.0)
             box = camera_SE3_box[row : row + 1]
             end = None if mount is None else _project_end(camera, box, size_m[row], direction, mount, chosen)
             if end is None or any(_is_expected(one, end) for one in plates):
@@ -117,7 +119,7 @@ def plate_strips(
                 [category[other] for other in others], margin_m=chosen.box_error_m,
             )  # fmt: skip
             if _is_seen(end.in_image & ~hidden.reshape(end.in_image.shape)):
-                region = region_at(end.strip_px.tolist(), "plate", score=0.0, source=SOURCE)
+                region = region_at(_at_height(end, plates).tolist(), "plate", score=0.0, source=SOURCE)
                 strips.append(region.moved_to(region.box_px, "vehicle"))
     return strips
 
@@ -173,12 +175,28 @@ def _is_seen(seen: Bool) -> bool:
 
 def _is_expected(region: Region, end: _End) -> bool:
     """Whether a detected plate has the size, and the place across the vehicle, that its box lets expect."""
-    left, top, right, bottom = end.plate_px
+    left, _, right, _ = end.plate_px
     held = min(region.right_px, right) - max(region.left_px, left)
-    width, height = region.size_px
+    return _is_at_end(region, end) and held >= _LEAST_HELD * (right - left)
+
+
+def _is_at_end(region: Region, end: _End) -> bool:
+    """Whether a region may be a plate, or a part of one, at an end of a vehicle."""
+    (u, v), (width, height) = region.centre_px, region.size_px
+    largest = end.plate_px[2:] - end.plate_px[:2]
     return bool(
-        held >= _LEAST_HELD * (right - left)
-        and end.strip_px[1] <= region.centre_px[1] <= end.strip_px[3]
-        and width <= _WIDEST * (right - left)
-        and height <= _TALLEST * (bottom - top)
+        end.strip_px[0] <= u <= end.strip_px[2]
+        and end.strip_px[1] <= v <= end.strip_px[3]
+        and width <= _WIDEST * largest[0]
+        and _LOWEST * largest[1] <= height <= _TALLEST * largest[1]
     )
+
+
+def _at_height(end: _End, plates: Sequence[Region]) -> Float64:
+    """The strip (4,), only as high as a plate if a detector is sure of a part of one."""
+    strip = end.strip_px.copy()
+    heights = [one.centre_px[1] for one in plates if one.score >= _SURE and _is_at_end(one, end)]
+    if heights:
+        reach = end.plate_px[3] - end.plate_px[1]
+        strip[1], strip[3] = max(strip[1], min(heights) - reach), min(strip[3], max(heights) + reach)
+    return strip

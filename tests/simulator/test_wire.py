@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pool
@@ -47,6 +50,14 @@ def test_the_messages_are_in_a_pool_of_their_own() -> None:
         descriptor_pool.Default().FindMessageTypeByName("egodriver.DriveRequest")
     with pytest.raises(AttributeError):
         _ = first.LidarRenderRequest
+
+
+@pytest.mark.parametrize("first", ["mirror", "other"])
+def test_a_package_with_the_same_names_in_the_default_pool_can_be_imported_too(first: str) -> None:
+    command = [sys.executable, "-m", "tests.simulator.other_package", first]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "both\n"
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE, F_THETA, RATIONAL, BROWN], ids=lambda camera: camera.model)

@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from numbers import Real
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mirror.dataset.generation import Generation
-from mirror.dataset.index.inputs import read_inputs
 from mirror.dataset.layers import LayerChoice
-from mirror.dataset.layout import MANIFEST, Layout
+from mirror.dataset.layout import Layout
 from mirror.dataset.lock import is_being_written
+from mirror.dataset.opening import find_staleness, hold_generation, read_document, read_index_manifest
 from mirror.dataset.query.catalog import TABLES, Catalog
+from mirror.dataset.query.choices import parse_interval, require_known
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count_rows, read_rows
 from mirror.dataset.store import Store, store_at
-from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import (
     CANONICAL_CAMERAS,
     DatasetDocument,
-    Manifest,
     Roi,
     Role,
     SplitDocument,
     is_identifier,
 )
-from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.files import parse_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -189,7 +185,7 @@ class Dataset:
             vehicle=self._known("vehicle", vehicle, lambda: self._all("traversals", "vehicle_id")),
             light=self._known("light", light, lambda: {*_LIGHT, *self._all("traversals", "light")}),
             weather=self._known("weather", weather, lambda: {*_WEATHER, *self._all("traversals", "weather")}),
-            time=_interval(time),
+            time=parse_interval(time),
             within=() if within is None else (self._circle(within),),
         )
         if split is not None:
@@ -233,10 +229,10 @@ class Dataset:
             if name is None:
                 continue
             known = {layer.partition("/")[2] for layer in layers if layer.startswith(f"{kind}/")}
-            _check(f"{kind} layer", name, known | {"recorded"} if kind in recorded else known)
+            require_known(f"{kind} layer", name, known | {"recorded"} if kind in recorded else known)
             changes[kind] = name
         if stage is not None:
-            _check("stage", stage, {"factory", "online", "refined"})
+            require_known("stage", stage, {"factory", "online", "refined"})
             changes["stage"] = stage
         return replace(self, layers=replace(self.layers, **changes))
 
@@ -257,11 +253,11 @@ class Dataset:
             >>> rows.to_pylist()[0]
             {'drive_id': 'd0', 'light': 'day', 'images': 8}
         """
-        _check("table", name, TABLES)
+        require_known("table", name, TABLES)
         known = TABLES[name].schema.names
         chosen = list(known if columns is None else columns)
         for column in chosen:
-            _check(f"column of {name}", column, known)
+            require_known(f"column of {name}", column, known)
         return read_rows(self._catalog, self.filters, name, chosen)
 
     def to_pandas(self, name: str, columns: Iterable[str] | None = None) -> pd.DataFrame:
@@ -278,7 +274,7 @@ class Dataset:
             >>> mirror.open("dataset").count("boxes")
             6
         """
-        _check("table", name, TABLES)
+        require_known("table", name, TABLES)
         return count_rows(self._catalog, self.filters, name)
 
     def sql(self, query: str) -> pa.Table:
@@ -351,7 +347,7 @@ class Dataset:
                 f"the view has {len(scenes)} scenes", place="scene", expected=f"one of {', '.join(scenes)}"
             )
         chosen = scenes[0] if scene is None else scene
-        _check("scene", chosen, scenes)
+        require_known("scene", chosen, scenes)
         (row,) = self.where(scene=chosen).table("scenes", [*Roi.model_fields]).to_pylist()
         return read_recorded_map(self.store, Roi.model_validate(row))
 
@@ -373,7 +369,7 @@ class Dataset:
         chosen = frozenset([choice] if isinstance(choice, str) else choice)
         values = set(known())
         for value in sorted(chosen - values, key=str):
-            _check(what, value, values)
+            require_known(what, value, values)
         return chosen
 
     def _circle(self, within: Within) -> Circle | LocalCircle:
@@ -382,7 +378,7 @@ class Dataset:
             return Circle(float(lon), float(lat), float(radius))
         if len(within) == 4:
             x, y, radius, frame = within
-            _check("frame", frame, {value for value in self._all("scenes", "frame") if value is not None})
+            require_known("frame", frame, {value for value in self._all("scenes", "frame") if value is not None})
             return LocalCircle(frame, float(x), float(y), float(radius))
         raise UsageError(
             f"{within!r}", place="within", expected="(longitude, latitude, radius_m) or (x_m, y_m, radius_m, frame)"
@@ -445,11 +441,11 @@ def open(path: str | os.PathLike[str], *, check_stale: bool = True) -> Dataset:
 
 def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
     store = Store(root)
-    document = _document(store)
+    document = read_document(store)
     while True:
-        held = _held(store)
-        manifest, digest = _index_manifest(held)
-        wrong = _staleness(store, manifest) if check_stale else None
+        held = hold_generation(store)
+        manifest, digest = read_index_manifest(held)
+        wrong = find_staleness(store, manifest) if check_stale else None
         generation = held.generation
         if wrong is None or (store.folder is not None and is_being_written(Layout(store.folder))):
             # While a run writes the dataset, readers get the generation before that run.
@@ -458,98 +454,13 @@ def _open(root: str | os.PathLike[str], *, check_stale: bool) -> Dataset:
             raise wrong
 
 
-def _held(store: Store) -> Store:
-    """A local store at its current generation, or the unchanged remote store."""
-    if store.folder is None:
-        return store
-    try:
-        return Store(store.root, Generation.current(store.folder))
-    except FileNotFoundError as error:
-        raise _no_index_error(store) from error
-
-
-def _staleness(store: Store, manifest: Manifest) -> MirrorError | None:
-    """The reason why an index is stale; None: it is current."""
-    try:
-        current = read_inputs(store).fingerprints
-    except (DatasetError, SchemaError) as error:
-        return error
-    differing = sorted(key for key, value in current.items() if manifest.derived_from.get(key) != value)
-    if dict(current) == manifest.derived_from:
-        return None
-    return DatasetError(
-        f"the index is stale: {len(differing)} of its sources changed ({', '.join(differing[:3])} ...)",
-        file=store.full_path("index"),
-        expected="an index derived from the present files",
-        remedy=f"run `mirror index {store.root}`",
-    )
-
-
 def _reopen(root: str, index_sha256: str, filters: Filters, layers: LayerChoice) -> Dataset:
     store = Store(root) if Store(root).folder is None else store_at(root, index_sha256)
-    manifest, digest = _index_manifest(store)
+    manifest, digest = read_index_manifest(store)
     if digest != index_sha256:
         raise DatasetError(
             "the index has changed since this view was made",
             file=store.full_path("index"),
             remedy="open the dataset again and make the view again",
         )
-    return Dataset(_document(store), filters, layers, digest, Catalog(store, manifest.files))
-
-
-def _document(store: Store) -> DatasetDocument:
-    try:
-        data = store.read("dataset.json")
-    except (FileNotFoundError, NotADirectoryError) as error:
-        exists = store.folder is None or Path(store.folder).exists()
-        raise DatasetError(
-            "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
-            file=store.full_path(""),
-            expected="the folder that `mirror ingest --out` wrote",
-            remedy="check the path",
-        ) from error
-    return parse_json(data, DatasetDocument, store.full_path("dataset.json"))
-
-
-def _index_manifest(store: Store) -> tuple[Manifest, str]:
-    path = f"index/{MANIFEST}"
-    try:
-        data = store.read(path) if store.generation is None else store.generation.manifest
-    except FileNotFoundError as error:
-        raise _no_index_error(store) from error
-    return parse_json(data, Manifest, store.full_path(path)), sha256_bytes(data)
-
-
-def _no_index_error(store: Store) -> DatasetError:
-    return DatasetError(
-        "the dataset has no index", file=store.full_path("index"), remedy=f"run `mirror index {store.root}`"
-    )
-
-
-def _interval(time: tuple[int, int] | None) -> tuple[int, int] | None:
-    if time is None:
-        return None
-    try:
-        start, end = time
-    except (TypeError, ValueError) as error:
-        raise _interval_error(time) from error
-    # The remainder of NaN and of infinity is NaN.
-    if not all(isinstance(bound, Real) and bound % 1 == 0 for bound in (start, end)) or start >= end:
-        raise _interval_error(time)
-    return int(start), int(end)
-
-
-def _interval_error(time: object) -> UsageError:
-    return UsageError(f"{time!r}", place="time", expected="(start_ns, end_ns), whole numbers, start before end")
-
-
-def _check(what: str, value: str, known: Iterable[str]) -> None:
-    values = sorted(set(known))
-    if value in values:
-        return
-    similar = difflib.get_close_matches(str(value), values, n=1, cutoff=0.5)
-    listed = ", ".join(values[:20]) + (f" and {len(values) - 20} more" if len(values) > 20 else "")
-    raise UsageError(
-        f"unknown {what} {value!r}" + (f": did you mean {similar[0]!r}?" if similar else ""),
-        expected=f"one of {listed}" if values else f"nothing: the dataset has no {what}",
-    )
+    return Dataset(read_document(store), filters, layers, digest, Catalog(store, manifest.files))

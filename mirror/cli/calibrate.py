@@ -227,7 +227,7 @@ def _describe(one: CameraRefinement) -> str:
         return f"keeps its calibration: {one.reason}"
     relative = f"was off by {one.relative_deg:.3f} +- {one.relative_sigma_deg:.3f} degrees relative to {one.reference}"
     axes = ", ".join(
-        f"{axis} kept (unobservable)" if axis in one.held else f"{axis} {error:+.3f} +- {sigma:.3f}"
+        f"{axis} unobservable" if axis in one.held else f"{axis} {error:+.3f} +- {sigma:.3f}"
         for axis, error, sigma in zip(("roll", "pitch", "yaw"), one.vehicle_deg, one.vehicle_sigma_deg)
     )
     return f"{'is the reference' if one.camera == one.reference else relative}; to the vehicle {axes}"

@@ -9,9 +9,10 @@ from typing import Any, Final
 from mirror.calibration.refinement.summary import CameraRefinement
 from mirror.errors import ExitCode
 
-METHOD: Final = "rig adjustment, 1"
+METHOD: Final = "rig adjustment, 2"
 GAUGE: Final = (
-    "rotations are relative to the rig's reference camera; its rotation to the vehicle comes from the recorded poses"
+    "rotations are relative to the rig's reference camera; its rotation to the vehicle comes from the recorded poses, "
+    "and about unobservable axes from the median of the recorded mountings"
 )
 
 

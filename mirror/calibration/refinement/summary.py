@@ -39,7 +39,8 @@ class CameraRefinement:
         relative_sigma_deg: its standard deviation: the root of the trace of the covariance.
         vehicle_deg: (3,) error of the rotation to the vehicle: roll, pitch, yaw.
         vehicle_sigma_deg: (3,) standard deviations.
-        held: axes about which the reference camera's rotation to the vehicle is unobservable; there it was kept.
+        held: axes about which the rotation of the rig to the vehicle is unobservable; there it is the median of the
+            recorded rotations of the cameras.
         moved_cm: distance of the refined position from the earlier one.
         observations: number of observations.
         residual_px: median distance of the observations from the projections; None without any.
@@ -88,8 +89,8 @@ def summarise(adjusted: Adjustment, scene: SceneRigs, references: Sequence[str])
     """The refined calibration of each mounting.
 
     Where the images and recorded poses do not show the rotation of the whole rig to the vehicle (its standard deviation
-    about an axis is above 0.1 degrees, such as roll on a straight road), the reference camera keeps its rotation about
-    that axis, and the other cameras turn with it.
+    about an axis is above 0.1 degrees, such as roll on a straight road), the rig keeps the median of the recorded
+    rotations of its cameras about that axis.
 
     Args:
         adjusted: the adjustment.
@@ -102,7 +103,12 @@ def summarise(adjusted: Adjustment, scene: SceneRigs, references: Sequence[str])
     out = []
     for number, (used, drive_id) in enumerate(zip(scene.calibrations, scene.drives)):
         gauge = _reference_of(scene, number, references[number])
-        held, turn = _hold(adjusted, before[gauge], after[gauge], gauge)
+        members = [
+            other
+            for other, drive in enumerate(scene.drives)
+            if drive == drive_id and (counts[other] >= _FEWEST or other == gauge)
+        ]
+        held, turn = _hold(adjusted, before, after, gauge, members)
         now = turn @ after[number]
         own = mounting == number
         covariance = _covariance(adjusted, number, number)
@@ -147,11 +153,18 @@ def _reference_of(scene: SceneRigs, mounting: int, camera: str) -> int:
     return next((number for number in own if scene.calibrations[number].camera == camera), own[0])
 
 
-def _hold(adjusted: Adjustment, before: Float64, after: Float64, gauge: int) -> tuple[tuple[str, ...], Float64]:
-    """Axes about which the rig keeps its rotation to the vehicle, and the rotation (3, 3) of the rig that does it."""
-    block = after @ _covariance(adjusted, gauge, gauge)[:3, :3] @ after.T
+def _hold(
+    adjusted: Adjustment, before: Float64, after: Float64, gauge: int, members: Sequence[int]
+) -> tuple[tuple[str, ...], Float64]:
+    """Axes about which the rig's rotation to the vehicle is unobservable, and the rotation (3, 3) of the whole rig.
+
+    About these axes each recorded mounting says how the rig was turned, with an error of its own: the median of all
+    cameras has a smaller error than one camera, and a single camera that was knocked does not turn the others.
+    """
+    block = after[gauge] @ _covariance(adjusted, gauge, gauge)[:3, :3] @ after[gauge].T
     unknown = np.degrees(np.sqrt(np.diag(block))) > OBSERVABLE_DEG
-    turn = exp_rotations((np.where(unknown, _log(before @ after.T), 0.0))[None])[0]
+    back = np.median([_log(before[number] @ after[number].T) for number in members], axis=0)
+    turn = exp_rotations(np.where(unknown, back, 0.0)[None])[0]
     return tuple(axis for axis, is_unknown in zip(AXES, unknown) if is_unknown), turn
 
 

@@ -1,6 +1,7 @@
 """Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [check|refine] [--draws N]``; for ``refine`` see `benchmarks.calibration.refinement`.
+``python -m benchmarks calibration [check|refine|gain] [--draws N]``; for ``refine`` see
+`benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`.
 Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
 once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
 positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
@@ -12,10 +13,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from benchmarks.calibration.gain import gain_rows
 from benchmarks.calibration.recording import (
     DriveTracks,
     choose_instants,
@@ -25,10 +28,11 @@ from benchmarks.calibration.recording import (
     track_drive,
 )
 from benchmarks.calibration.refinement import refine_rows
-from benchmarks.report import Row, report
+from benchmarks.report import OUT, Row, report
 from mirror.arrays import Bool, Float64
 from mirror.calibration.estimate import estimate_rotations
 from mirror.calibration.frame_choice import FrameChoice
+from mirror.calibration.refinement.run import DEFAULT_CHOICE
 from mirror.calibration.statistics import LIMIT_DEG
 
 VEHICLES: Final = ("saloon", "suv", "hatchback")
@@ -114,13 +118,22 @@ def straight_rows(draws: int) -> Iterator[Row]:
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks calibration")
-    parser.add_argument("what", nargs="?", choices=("check", "refine"), default="check", help="default: check")
+    parser.add_argument("what", nargs="?", choices=("check", "refine", "gain"), default="check", help="default: check")
     parser.add_argument("--vehicles", default=",".join(VEHICLES), help="rigs of the refinement, separated by commas")
     parser.add_argument("--lights", default=",".join(LIGHTS), help="light of the refinement, separated by commas")
     parser.add_argument("--draws", type=int, default=20, help="number of draws of the recorded errors for each drive")
+    parser.add_argument("--frames", type=int, default=DEFAULT_CHOICE.frames, help="frames of a refined traversal")
+    parser.add_argument("--traversals", type=int, default=1, help="traversals that are refined together")
+    parser.add_argument("--data", type=Path, default=OUT / "calibration_gain", help="working folder of the gain")
+    parser.add_argument("--steps", type=int, default=2000, help="training images of each model of the gain")
     options = parser.parse_args(argv)
+    if options.what == "gain":
+        return report("calibration_gain", {"gain": gain_rows(options.data, options.steps)})
     if options.what == "refine":
-        rows = refine_rows(options.draws, options.vehicles.split(","), options.lights.split(","))
+        rows = refine_rows(
+            options.draws, options.vehicles.split(","), options.lights.split(","),
+            frames=options.frames, traversals=options.traversals,
+        )  # fmt: skip
         return report("calibration_refine", {"refinement": rows}, errors="worst error")
     return report(
         "calibration",

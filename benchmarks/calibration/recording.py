@@ -67,9 +67,9 @@ def render_rig(drive: SynthDrive, instants_ns: Int64) -> dict[tuple[int, str], t
     return out
 
 
-def make_drive(route: str, light: str, vehicle: str) -> SynthDrive:
-    """A drive through the urban scene, 960 px wide."""
-    return urban_drive(route, light, vehicle=vehicle)  # type: ignore[arg-type]
+def make_drive(route: str, light: str, vehicle: str, visit: int = 0) -> SynthDrive:
+    """A drive through the urban scene, 960 px wide; another visit has other traffic."""
+    return urban_drive(route, light, vehicle=vehicle, visit=visit)  # type: ignore[arg-type]
 
 
 def track_drive(drive: SynthDrive, instants_ns: Int64) -> DriveTracks:

@@ -1,14 +1,18 @@
 """Rig refinement on the synthetic street: images of a turn, features, matches, and the adjustment of ours and pycolmap.
 
+Several traversals are drives of one vehicle type over the same turn with other traffic, each with recorded poses and
+mountings of its own, as `mirror calibrate refine` sees them; their images are matched with each other too.
+
 Both adjust the same tracks from the same triangulated points. pycolmap has no priors of lenses and poses: its lenses
-stay as recorded, and its poses are free. It has no f-theta lenses, so it is not run on the hatchback.
+stay as recorded, and its poses are free. It has no f-theta lenses, so it is not run on the hatchback, and its rig is
+that of one traversal.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +21,7 @@ from benchmarks.calibration.recording import DriveTracks, choose_instants, make_
 from benchmarks.report import Peer, Row
 from benchmarks.synth_matching.features import colmap, colmap_camera
 from mirror.arrays import Bool, Float64
+from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.adjustment import Adjustment, adjust_rigs, rotations
 from mirror.calibration.refinement.features import Features, find_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks, match_pair
@@ -34,72 +39,90 @@ _MEDIAN_DEG: Final = 0.03
 _WORST_DEG: Final = 0.06
 _ADJUST_S: Final = 15.0
 _LOSS_PX: Final = 0.3
+_PEER_DRAWS: Final = 2
+_SEED_OF_VISIT: Final = 1000
+"""Added to the seed of the recorded errors for each further traversal."""
 
 
 @dataclass(frozen=True, eq=False)
-class MatchedDrive:
-    """The tracks of one drive.
+class MatchedDrives:
+    """The tracks of the traversals of one turn.
 
     Attributes:
-        drive: the drive, with the times of its frames.
+        drives: the drives, with the times of their frames.
         tracks: tracks of features.
         features_s: processor time of the features.
         matches_s: processor time of the matches.
     """
 
-    drive: DriveTracks
+    drives: Sequence[DriveTracks]
     tracks: FeatureTracks
     features_s: float
     matches_s: float
 
 
-def match_drive(light: str, vehicle: str) -> MatchedDrive:
-    """Render a turn, store it as JPEG, and match its features."""
+def match_drives(light: str, vehicle: str, choice: FrameChoice, traversals: int) -> MatchedDrives:
+    """Render the traversals of a turn, store the images as JPEG, and match their features."""
     import cv2
 
-    drive, options = make_drive("turn", light, vehicle), MatchingOptions()
-    instants = choose_instants(drive, DEFAULT_CHOICE)
-    images = render_rig(drive, instants)
-    drive.forget()
-    own = DriveTracks(drive, instants, [], 0.0)
-    start = time.process_time()
+    options = MatchingOptions()
+    drives: list[DriveTracks] = []
     features: list[Features] = []
-    for frame in range(len(instants)):
-        for name in drive.vehicle.cameras:
-            encoded, still = images[frame, name]
-            grey = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE), np.uint8)
-            features.append(find_features(TrackedImage.from_grey(grey, still), options.features))
-    features_s, start = time.process_time() - start, time.process_time()
-    rigs = recorded_rigs(own, 0)
+    features_s = 0.0
+    for visit in range(traversals):
+        drive = make_drive("turn", light, vehicle, visit)
+        instants = choose_instants(drive, choice)
+        images = render_rig(drive, instants)
+        drive.forget()
+        start = time.process_time()
+        for frame in range(len(instants)):
+            for name in drive.vehicle.cameras:
+                encoded, still = images[frame, name]
+                grey = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE), np.uint8)
+                features.append(find_features(TrackedImage.from_grey(grey, still), options.features))
+        features_s += time.process_time() - start
+        drives.append(DriveTracks(drive, instants, [], 0.0))
+    start = time.process_time()
+    rigs = recorded_rigs(drives, 0)
     matches = {
         (one, other): match_pair(rigs, one, other, features, options)
         for one, other in choose_pairs(rigs, options).tolist()
     }
     tracks = join_tracks(features, {pair: found for pair, found in matches.items() if len(found)})
-    return MatchedDrive(own, tracks, features_s, time.process_time() - start)
+    return MatchedDrives(drives, tracks, features_s, time.process_time() - start)
 
 
-def recorded_rigs(drive: DriveTracks, draw: int) -> MovingRigs:
-    """The rig as recorded, with injected rotation errors."""
-    rig, _ = recorded_rig(drive, draw, INJECTED_DEG, exact=False)
-    frames, count = len(rig.time_s), len(rig.cameras)
-    frame = np.repeat(np.arange(frames), count)
+def recorded_rigs(drives: Sequence[DriveTracks], draw: int) -> MovingRigs:
+    """The rigs as recorded, with injected rotation errors."""
+    rigs = [
+        recorded_rig(drive, draw + _SEED_OF_VISIT * visit, INJECTED_DEG, exact=False)[0]
+        for visit, drive in enumerate(drives)
+    ]
+    # Positions of all images, frames and mountings of the traversals one after another.
+    frames, counts = [len(rig.time_s) for rig in rigs], [len(rig.cameras) for rig in rigs]
+    frame = [np.repeat(np.arange(f), c) for f, c in zip(frames, counts)]
+    mounting = [np.tile(np.arange(c), f) for f, c in zip(frames, counts)]
     return MovingRigs(
-        list(rig.cameras.values()), stack_poses(list(rig.ego_SE3_camera.values())),
-        rig.world_SE3_ego[rig.names[0]][frame], frame, np.tile(np.arange(count), frames), rig.time_s,
-        np.zeros(frames, np.int64),
-    )  # fmt: skip
+        [camera for rig in rigs for camera in rig.cameras.values()],
+        stack_poses([pose for rig in rigs for pose in rig.ego_SE3_camera.values()]),
+        stack_poses([rig.world_SE3_ego[rig.names[0]][own] for rig, own in zip(rigs, frame)]),
+        np.concatenate([own + first for own, first in zip(frame, np.cumsum([0, *frames]))]),
+        np.concatenate([own + first for own, first in zip(mounting, np.cumsum([0, *counts]))]),
+        np.concatenate([rig.time_s - rig.time_s[0] for rig in rigs]),
+        np.repeat(np.arange(len(rigs)), frames),
+    )
 
 
-def true_rotations(drive: DriveTracks) -> Float64:
+def true_rotations(drives: Sequence[DriveTracks]) -> Float64:
     """(K, 3, 3) true rotations of the mountings."""
-    mountings = stack_poses(list(drive.drive.vehicle.ego_SE3_camera.values()))
+    mountings = stack_poses([one for item in drives for one in item.drive.vehicle.ego_SE3_camera.values()])
     return matrix_from_quaternion(mountings.rotation)
 
 
-def angles_deg(turns: Float64, true: Float64) -> tuple[Float64, Float64]:
-    """Angles (K - 1,) relative to the first camera, the reference, and (K,) to the vehicle."""
-    relative = [turn[0].T @ turn[1:] for turn in (turns, true)]
+def angles_deg(turns: Float64, true: Float64, traversals: int = 1) -> tuple[Float64, Float64]:
+    """Angles relative to the first camera of each traversal, the reference, and (K,) to the vehicle."""
+    of_rigs = [matrices.reshape(traversals, -1, 3, 3) for matrices in (turns, true)]
+    relative = [(np.swapaxes(rigs[:, :1], 2, 3) @ rigs[:, 1:]).reshape(-1, 3, 3) for rigs in of_rigs]
     return tuple(
         np.degrees(np.linalg.norm(rotations(np.swapaxes(b, 1, 2) @ a).log()[:, :3], axis=1))
         for a, b in (tuple(relative), (turns, true))
@@ -192,15 +215,21 @@ def _solve_with_pycolmap(pycolmap: Any, reconstruction: Any, images: int) -> Non
 
 
 def refine_rows(
-    draws: int, vehicles: Sequence[str] = VEHICLES, lights: Sequence[str] = LIGHTS, *, peer: bool = True
+    draws: int,
+    vehicles: Sequence[str] = VEHICLES,
+    lights: Sequence[str] = LIGHTS,
+    *,
+    frames: int = DEFAULT_CHOICE.frames,
+    traversals: int = 1,
 ) -> Iterator[Row]:
     """Yield errors and times of the refinement, for each rig, by day and by night."""
+    choice = replace(DEFAULT_CHOICE, frames=frames)
     cover: list[Bool] = []
     every: dict[str, list[Float64]] = {}
     for light in lights:
         for vehicle in vehicles:
-            matched = match_drive(light, vehicle)
-            true = true_rotations(matched.drive)
+            matched = match_drives(light, vehicle, choice, traversals)
+            true = true_rotations(matched.drives)
             relative: list[Float64] = []
             whole: list[Float64] = []
             before: list[Float64] = []
@@ -208,21 +237,24 @@ def refine_rows(
             others: list[Float64] = []
             other_times: list[float] = []
             for draw in range(draws):
-                rigs = recorded_rigs(matched.drive, draw)
+                rigs = recorded_rigs(matched.drives, draw)
                 start = time.process_time()
                 adjusted = adjust_rigs(rigs, matched.tracks)
                 times.append(time.process_time() - start)
                 turns = matrix_from_quaternion(adjusted.ego_SE3_camera.rotation)
-                for found, into in zip(angles_deg(turns, true), (relative, whole)):
+                for found, into in zip(angles_deg(turns, true, traversals), (relative, whole)):
                     into.append(found)
-                before.append(angles_deg(matrix_from_quaternion(rigs.ego_SE3_camera.rotation), true)[0])
+                start_turns = matrix_from_quaternion(rigs.ego_SE3_camera.rotation)
+                before.append(angles_deg(start_turns, true, traversals)[0])
                 cover.append(is_covered(adjusted, true).ravel())
-                if draw < 2 and peer and all(camera.model != "f_theta" for camera in rigs.cameras):
+                has_peer = traversals == 1 and all(camera.model != "f_theta" for camera in rigs.cameras)
+                if draw < _PEER_DRAWS and has_peer:
                     start = time.process_time()
                     other = adjust_with_pycolmap(rigs, adjusted.tracks)
                     other_times.append(time.process_time() - start)
                     others.append(angles_deg(other, true)[0])
-            size = f"{len(matched.drive.instants_ns)} x {len(true)}, {draws} draws"
+            counts = "+".join(str(len(drive.instants_ns)) for drive in matched.drives)
+            size = f"{counts} x {len(true) // traversals}, {draws} draws"
             rms = np.sqrt(np.mean(np.square(relative), axis=0))
             every.setdefault(light, []).append(rms)
             peers: tuple[Peer, ...] = ()

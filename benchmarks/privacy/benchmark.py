@@ -1,13 +1,14 @@
 """De-identification: recall of faces and plates, what is covered beside them, the template attack, and run time.
 
-``python -m benchmarks privacy [--sections recall attack control time] [--lights day-clear ...] [--images N] [--near
-N]`` on the synthetic street, by light. A region counts if 90 % of it are covered; faces need 60 % of their front
-visible, plates 85 %. The images of a light show people and cars as in ``synth_detectors``; further ones show cars at
-4.5 to 11 m, for the recall of plates only. Recall is by image: nothing is propagated, but for the rows with fallback,
-which use the vehicles' exact 3D boxes. What detectors found is appended to ``benchmarks/out/privacy_recall_*.jsonl``;
-an interrupted run goes on there, and larger numbers add images to it. After a change of the synthetic street, delete
-these files. YuNet is in the folder of real recordings (``MIRROR_REAL_DATA``); `mirror
-weights fetch clp_det` gets the other. Each section, and each light of the first, has a report of its own.
+``python -m benchmarks privacy [--sections recall boxes attack control time] [--lights day-clear ...] [--images N]
+[--near N]`` on the synthetic street, by light. A region counts if 90 % of it are covered; faces need 60 % of their
+front visible, plates 85 %. The images of a light show people and cars as in ``synth_detectors``; further ones show cars
+at 4.5 to 11 m, for the recall of plates only. Recall is by image: nothing is propagated, but for the rows with
+fallback, which use the vehicles' exact 3D boxes; ``boxes`` disturbs these boxes, in the images of all chosen lights.
+What detectors found is appended to ``benchmarks/out/privacy_recall_*.jsonl``; an interrupted run goes on there, and
+larger numbers add images to it. After a change of the synthetic street, delete these files. YuNet is in the folder of
+real recordings (``MIRROR_REAL_DATA``); `mirror weights fetch clp_det` gets the other. Each section, and each light of
+the first, has a report of its own.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import cv2
 import numpy as np
 
 from benchmarks.privacy.attack import CHANCE, mosaic, read_plates, redacting
+from benchmarks.privacy.box_errors import box_error_rows
 from benchmarks.privacy.outcomes import Outcome, append_outcome, read_outcomes, search_image, settings_digest
 from benchmarks.privacy.recall import Tally
 from benchmarks.report import OUT, Row, report
@@ -37,7 +39,7 @@ from mirror.synth.light.condition import Condition
 from mirror.synth.street.world import World
 
 CONDITIONS: Final = (("day", "clear"), ("night", "clear"), ("dusk", "clear"), ("day", "rain"))
-SECTIONS: Final = ("recall", "attack", "control", "time")
+SECTIONS: Final = ("recall", "boxes", "attack", "control", "time")
 _WIDTH_PX: Final = 960
 _AT_ONCE: Final = 10
 _SEED: Final = 31
@@ -164,22 +166,32 @@ def main(argv: Sequence[str]) -> int:
     code: int = ExitCode.DONE
     if "time" in options.sections:
         code = max(code, report("privacy_time", {"time": time_rows(options.faces)}))
-    if "recall" in options.sections:
-        plates = ChinesePlates(DetectorOptions())
-        detectors: dict[str, list[Detector]] = {
-            "street": [YuNet(DetectorOptions(options.faces)), plates],
-            # Cars that stand so close are there for their plates.
-            "near": [plates],
-        }
-        chosen = [one for one in CONDITIONS if not options.lights or "-".join(one) in options.lights]
-        counts = {"street": options.images, "near": options.near}
-        found = search_lights(chosen, counts, detectors)
-        for (light, weather), outcomes in found.items():
-            rows = recall_rows(f"{light} {weather}", outcomes["street"], outcomes["near"], Redaction())
-            name = f"privacy_recall_{light}_{weather}"
-            code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
+    if {"recall", "boxes"} & set(options.sections):
+        code = max(code, _report_images(options))
     if "attack" in options.sections:
         code = max(code, report("privacy_attack", {"attack": attack_rows(options.plates)}))
     if "control" in options.sections:
         code = max(code, report("privacy_control", {"control": control_rows(options.plates)}))
+    return code
+
+
+def _report_images(options: argparse.Namespace) -> int:
+    """Search what is missing, and report the sections that count regions of images."""
+    plates = ChinesePlates(DetectorOptions())
+    detectors: dict[str, list[Detector]] = {
+        "street": [YuNet(DetectorOptions(options.faces)), plates],
+        # Cars that stand so close are there for their plates.
+        "near": [plates],
+    }
+    chosen = [one for one in CONDITIONS if not options.lights or "-".join(one) in options.lights]
+    found = search_lights(chosen, {"street": options.images, "near": options.near}, detectors)
+    code: int = ExitCode.DONE
+    for (light, weather), outcomes in found.items() if "recall" in options.sections else ():
+        rows = recall_rows(f"{light} {weather}", outcomes["street"], outcomes["near"], Redaction())
+        name = f"privacy_recall_{light}_{weather}"
+        code = max(code, report(name, {f"{light} {weather}": rows}, errors="95 % bound (%)"))
+    if "boxes" in options.sections:
+        street, near = ([one for light in found.values() for one in light[series]] for series in ("street", "near"))
+        rows = box_error_rows(street, near, Redaction())
+        code = max(code, report("privacy_boxes", {"boxes": rows}, errors="95 % bound (%)"))
     return code

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.privacy.outcomes import Outcome, Thing
 from benchmarks.report import Row
 from mirror.privacy.operators import Redaction
-from mirror.privacy.propagation.vehicles import plate_strips
+from mirror.privacy.propagation.vehicles import StripOptions, plate_strips
 from mirror.privacy.regions import KINDS, Kind, covered_share, grown_box, region_mask
 
 FACE_EDGES_PX: Final = (8.0, 16.0, 24.0, 48.0, np.inf)
@@ -31,11 +31,13 @@ class Tally:
     """What was counted in the images of one light.
 
     Attributes:
+        strips: options of the fallback.
         sizes_px: sizes of true regions, by kind.
         found: whether each is covered by 90 %, by kind and whether the fallback is on.
         outside: share of pixels outside of true regions that is covered, a value an image.
     """
 
+    strips: StripOptions = field(default_factory=StripOptions)
     sizes_px: dict[Kind, list[float]] = field(default_factory=lambda: defaultdict(list))
     found: dict[tuple[Kind, bool], list[bool]] = field(default_factory=lambda: defaultdict(list))
     outside: dict[bool, list[float]] = field(default_factory=lambda: defaultdict(list))
@@ -54,7 +56,9 @@ class Tally:
             self.sizes_px[kind] += [_size_px(kind, one) for one in outcome.things(kind) if one.seen >= LEAST_SEEN[kind]]
         detected = list(outcome.regions)
         for fallback in (False, True):
-            regions = detected + (plate_strips(outcome.camera, *outcome.boxes, detected) if fallback else [])
+            regions = detected + (
+                plate_strips(outcome.camera, *outcome.boxes, detected, self.strips) if fallback else []
+            )
             for kind in kinds:
                 own = [one for one in regions if one.kind == kind]
                 boxes = [box for one in own if (box := grown_box(one, how.grow, width, height)) is not None]
@@ -76,22 +80,36 @@ class Tally:
         edges_px: dict[Kind, Sequence[float]] = {"face": FACE_EDGES_PX, "plate": PLATE_EDGES_PX}
         for kind, edges in edges_px.items():
             for fallback in (False, True) if kind == "plate" else (False,):
-                yield from self._kind_rows(light, kind, edges, fallback)
-        for fallback, values in self.outside.items():
-            name = f"{light}: outside of true regions covered{', with fallback' if fallback else ''} (%)"
-            yield Row(name, f"{len(values)} images", 100.0 * float(np.mean(values)), bar=_OUTSIDE_BAR)
+                for low, high in pairwise(edges):
+                    yield from self._missed(light, kind, fallback, (low, high), None)
+                for (own, on, low), bar in MISSED_BARS.items():
+                    if (own, on) == (kind, fallback):
+                        yield from self._missed(light, kind, fallback, (low, np.inf), bar)
+        for fallback in (False, True):
+            yield from self._covered(light, fallback, _OUTSIDE_BAR)
 
-    def _kind_rows(self, light: str, kind: Kind, edges: Sequence[float], fallback: bool) -> Iterator[Row]:
+    def fallback_rows(self, case: str) -> Iterator[Row]:
+        """Yield the share of plates from 32 px that are missed with the fallback, and what is covered then."""
+        yield from self._missed(case, "plate", True, (32.0, np.inf), None)
+        yield from self._covered(case, True, None)
+
+    def _covered(self, case: str, fallback: bool, bar: float | None) -> Iterator[Row]:
+        values = self.outside[fallback]
+        if values:
+            name = f"{case}: outside of true regions covered{', with fallback' if fallback else ''} (%)"
+            yield Row(name, f"{len(values)} images", 100.0 * float(np.mean(values)), bar=bar)
+
+    def _missed(
+        self, case: str, kind: Kind, fallback: bool, span_px: tuple[float, float], bar: float | None
+    ) -> Iterator[Row]:
+        """The row of a cell; none if it has no regions."""
         sizes, found = np.array(self.sizes_px[kind]), np.array(self.found[kind, fallback], np.bool_)
-        cells: list[tuple[float, float, float | None]] = [(low, high, None) for low, high in pairwise(edges)]
-        cells += [(low, np.inf, bar) for (own, on, low), bar in MISSED_BARS.items() if (own, on) == (kind, fallback)]
-        for low, high, bar in cells:
-            these = (sizes >= low) & (sizes < high)
-            count, missed = int(these.sum()), int((these & ~found).sum())
-            if not count:
-                continue
+        low, high = span_px
+        these = (sizes >= low) & (sizes < high)
+        count, missed = int(these.sum()), int((these & ~found).sum())
+        if count:
             span = f"{low:.0f} px and more" if np.isinf(high) else f"{low:.0f} to {high:.0f} px"
-            name = f"{light}, {kind}s{', with fallback' if fallback else ''}, {span}: missed (%)"
+            name = f"{case}, {kind}s{', with fallback' if fallback else ''}, {span}: missed (%)"
             bound = 100.0 * upper_bound(missed, count)
             yield Row(name, f"{count} regions", 100.0 * missed / count, bound, unit="% (95 % bound)", bar=bar)
 

@@ -253,6 +253,7 @@ def test_a_removed_road_user_leaves_views_that_cost_nothing(
         ({"background": "exact:tiny", "appearance": "night"}, "'night'"),
         ({"background": "nowhere"}, "nowhere"),
         ({"hz": 0.05}, "seed the rollout"),
+        ({"device": "banana"}, "no device 'banana'"),
     ],
 )
 def test_bad_requests_are_refused_before_anything_is_written(

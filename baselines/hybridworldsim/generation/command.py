@@ -191,6 +191,8 @@ class Scene:
     """Seed of the noise."""
     threads: int = 1
     """Number of threads. Results repeat bit for bit at the same number."""
+    device: str = "cpu"
+    """Where the generator runs: cpu, cuda, cuda:1. Backgrounds are rendered on the processor."""
     json: bool = False
     """Print JSON."""
 
@@ -306,6 +308,7 @@ def _scene(argv: Sequence[str]) -> int:
         frames=arguments.frames,
         rollout=rollout,
         threads=arguments.threads,
+        device=arguments.device,
     )
     with progress_bar(quiet=arguments.json) as bar:
         document = generate_scene(dataset, request, arguments.out, bar)
@@ -333,7 +336,7 @@ def _write_submission(
     from mirror.weights.resolve import file_sha256
 
     torch.set_num_threads(arguments.threads)
-    model, size = open_generator(generator, autoencoder), _size(arguments.size)
+    model, size = open_generator(generator, autoencoder, arguments.device), _size(arguments.size)
     plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
     background, identity = open_background(arguments.background, dataset, arguments.appearance, plan.views)
     inputs = (
@@ -349,7 +352,7 @@ def _write_submission(
             Appearance(policy="other", description=f"of the background: {arguments.appearance}"),
             arguments.out,
             bar,
-            of="|".join((*inputs, str(arguments.threads))),
+            of="|".join((*inputs, str(arguments.threads), arguments.device)),
         )
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), "views": count}))

@@ -73,8 +73,8 @@ def roll_out_clip(
     """Generate the frames of a clip from a first one on, frame by frame.
 
     Args:
-        network: the network.
-        codec: the autoencoder.
+        network: the network; the rollout runs on its device.
+        codec: the autoencoder, on the same device.
         clip: recorded images seed the rollout; later ones are not read. Backgrounds and boxes of all frames are read.
         style: how boxes are drawn.
         first: first generated frame; the `references` frames before it seed the rollout.
@@ -91,20 +91,22 @@ def roll_out_clip(
     seeds = seed_frames(first, references)
     layouts = {frame: _layout(clip, frame, style) for frame in seeds}
     conditions = [_conditions(clip, frame, network, layouts[frame]) for frame in seeds]
+    device = next(network.parameters()).device
     if latents is None:
-        latents = torch.stack([_encode(codec, clip.images[frame]) for frame in seeds])[None]
+        latents = torch.stack([_encode(codec, clip.images[frame], device) for frame in seeds])[None]
+    latents = latents.to(device)
     rollout = Rollout(network, latents, conditions, options.sampler, seed=options.seed, first=first + offset)
     source = clip if edited is None else edited
     for frame in range(first, len(clip)):
         generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
         generated &= clip.present[frame]
-        background = _encode(codec, clip.background[frame])[None, None]
+        background = _encode(codec, clip.background[frame], device)[None, None]
         of_frame = _conditions(source, frame, network, _layout(source, frame, style))
         result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=background)
         images = clip.background[frame].copy()
         if generated.any():
             with torch.no_grad():
-                images[generated] = to_bytes(codec.decode(result[0, 0, torch.from_numpy(generated)]))
+                images[generated] = to_bytes(codec.decode(result[0, 0, torch.from_numpy(generated).to(device)]))
         if options.blend_px is not None:
             images = blend(images, clip.background[frame], hull_shares(source, frame, options.blend_px))
         yield GeneratedFrame(frame, images, generated, result)
@@ -149,9 +151,9 @@ def _layout(clip: Clip, frame: int, style: BoxStyle) -> Float32:
 
 
 def _conditions(clip: Clip, frame: int, network: Transformer, layout: Float32) -> Conditions:
-    return frame_conditions(clip, frame, network.config, layout)
+    return frame_conditions(clip, frame, network.config, layout).to(next(network.parameters()).device)
 
 
 @torch.no_grad()
-def _encode(codec: LatentCodec, images: UInt8) -> torch.Tensor:
-    return codec.encode(to_tensor(images))
+def _encode(codec: LatentCodec, images: UInt8, device: torch.device) -> torch.Tensor:
+    return codec.encode(to_tensor(images).to(device))

@@ -23,7 +23,7 @@ from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Pixels
 from mirror.protocols.png import encode_png
@@ -89,6 +89,7 @@ class SceneRequest:
         frames: largest number of generated frames; None: all.
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
+        device: where the generator runs.
     """
 
     generator: Path
@@ -105,16 +106,27 @@ class SceneRequest:
     frames: int | None = None
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
+    device: str = "cpu"
 
 
-def open_generator(generator: Path, autoencoder: Path) -> Generator:
-    """Read a generator and its autoencoder.
+def open_generator(generator: Path, autoencoder: Path, device: str = "cpu") -> Generator:
+    """Read a generator and its autoencoder, and move them to a device.
 
     Raises:
+        UsageError: there is no such device.
         DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
     """
     network, references = read_generator(generator)
-    return Generator(network, read_autoencoder(autoencoder), references)
+    codec = read_autoencoder(autoencoder)
+    try:
+        return Generator(network.to(device), codec.to(device), references)
+    except (RuntimeError, AssertionError) as error:
+        # torch says so with an AssertionError where it was built without CUDA.
+        if isinstance(error, torch.OutOfMemoryError):
+            raise
+        raise UsageError(
+            f"no device {device!r}: {str(error).splitlines()[0]}", place="--device", expected="cpu, or cuda with a GPU"
+        ) from error
 
 
 def generate_scene(
@@ -138,7 +150,7 @@ def generate_scene(
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
-    generator = open_generator(request.generator, request.autoencoder)
+    generator = open_generator(request.generator, request.autoencoder, request.device)
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
     plan = plan_scene(
         dataset.where(scene=request.scene),
@@ -214,6 +226,7 @@ def _inputs(dataset: Dataset, request: SceneRequest, traversal: str, background:
         "frames": request.frames,
         "rollout": repr(request.rollout),
         "threads": request.threads,
+        "device": request.device,
     }
 
 
@@ -232,7 +245,7 @@ def _write_state(out: Path, state: SequenceState, counts: dict[str, int]) -> Non
     from safetensors.torch import save
 
     numbers = {name: torch.tensor(value) for name, value in {"frame": state.frame, **counts}.items()}
-    write_bytes(out / _STATE, save({"latents": state.latents.contiguous(), **numbers}))
+    write_bytes(out / _STATE, save({"latents": state.latents.cpu().contiguous(), **numbers}))
 
 
 def _read_state(out: Path) -> tuple[SequenceState | None, dict[str, int]]:

@@ -70,7 +70,7 @@ def test_the_controller_cruises_without_a_lead() -> None:
     controller, ego = Controller(settings(), 0.2), EgoState(0.0, 0.0, 0.0, 3.0)
     for _ in range(100):
         ego = advance(CAR, ego, controller.act(Percept(0.0, 0.0, SIGHT_M), ego.speed_mps), 0.2)
-    assert ego.speed_mps == pytest.approx(7.5, abs=0.2) and ego.y_m == 0.0
+    assert ego.speed_mps == pytest.approx(6.5, abs=0.2) and ego.y_m == 0.0
 
 
 def test_cases_cover_both_streets_and_lights_evenly() -> None:

@@ -76,7 +76,7 @@ def _cost(study: Study) -> Iterator[str]:
         return
     plan = study.plan()
     yield (
-        f"The pilot's {study.declaration.budget['pilot_runs']} rollouts estimated {figures['estimate_h']:g} core-hours "
+        f"The pilot's {study.declaration.budget['pilot_rollouts']} rollouts estimated {figures['estimate_h']:g} core-hours "
         f"with {len(plan.seeds)} seeds and {', '.join(plan.methods)}."
     )
     yield ""

@@ -198,7 +198,7 @@ def _task(study: Study, core_minutes: float) -> ReconstructionTask:
 def _pilot(study: Study, progress: ProgressReporter) -> Figures:
     """Time rollouts of an untrained network: half in the exact world, half in a model that was trained shortly."""
     declared = study.declaration
-    seed, count = int(declared.streets["seeds"][0]), int(declared.budget["pilot_runs"]) // 2
+    seed, count = int(declared.streets["seeds"][0]), int(declared.budget["pilot_rollouts"]) // 2
     folder = study.folder / "models" / PILOT
     task = _task(study, float(declared.budget["pilot_core_minutes"]))
     trained = reconstruct(

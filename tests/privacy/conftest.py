@@ -48,8 +48,18 @@ class Marks:
         return [Region(kind=self.kind, left_px=float(columns.min()), top_px=float(rows.min()),
                 right_px=float(columns.max() + 1), bottom_px=float(rows.max() + 1), score=0.9, source=self.name)]
 
+class TiledMarks(Marks):
+    """Searches the whole image as one tile."""
+    skipped, skipped_tiles = None, 0
+    def __call__(self, image):
+        if self.skipped is not None and self.skipped.all():
+            self.skipped_tiles += 1
+            return []
+        return super().__call__(image)
+
 FACES = DetectorKind("face", "red marks", lambda options: Marks("face", (255, 0, 0)))
 PLATES = DetectorKind("plate", "blue marks", lambda options: Marks("plate", (0, 0, 255)), frozenset({"XX"}))
+TILED = DetectorKind("face", "red marks", lambda options: TiledMarks("face", (255, 0, 0)))
 CRASHING = DetectorKind("face", "red marks", lambda options: Marks("face", (255, 0, 0), "crash"))
 HANGING = DetectorKind("face", "red marks", lambda options: Marks("face", (255, 0, 0), "hang"))
 FAILING = DetectorKind("face", "red marks", lambda options: Marks("face", (255, 0, 0), "fail"))
@@ -64,7 +74,7 @@ def marks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     info = folder / "mark_detectors-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mark-detectors\nVersion: 1.0\n")
-    names = ("faces", "plates", "crashing", "hanging", "failing")
+    names = ("faces", "plates", "tiled", "crashing", "hanging", "failing")
     lines = "".join(f"{name} = mark_detectors:{name.upper()}\n" for name in names)
     (info / "entry_points.txt").write_text(f"[mirror.detectors]\n{lines}")
     sys.path.insert(0, str(folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import shutil
 import threading
@@ -24,6 +25,7 @@ from mirror.privacy.release.check import check_release
 from mirror.privacy.release.document import Release
 from mirror.privacy.release.review import ReviewSession, review_server
 from mirror.privacy.release.sample import choose_sample, miss_bound
+from mirror.privacy.release.vault import Vault
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, write_json
 from tests.dataset.builders import Builder, write_reconstruction
@@ -91,6 +93,9 @@ def test_a_release_is_a_dataset_of_redacted_images_without_traces_of_the_origina
     ]
     assert all(start % 86_400_000_000_000 < 1_000_000 for start in starts)
     assert [layer for _, _, layer in _layers(released)].count("depth/sweep@1") == 1
+    said = (released / "DATASHEET.md").read_text()
+    for sentence in ("begins at midnight UTC", "were not trimmed", "have pseudonyms of this release"):
+        assert sentence in said
 
 
 def _layers(root: Path) -> list[tuple[str, str, str]]:
@@ -298,6 +303,16 @@ def test_one_key_gives_the_same_pseudonyms(dataset: Path, tmp_path: Path) -> Non
         names.append(mirror.open(str(out)).traversals())
     assert names[0] == names[1] != names[2]
     assert complete_manifest(Layout(tmp_path / "0").index) is not None
+
+
+def test_a_vault_that_is_kept_too_long_is_found(released: Path, tmp_path: Path) -> None:
+    vault = Path(shutil.copytree(released.parent / "vault", tmp_path / "vault"))
+    today = datetime.datetime.now(datetime.UTC).date()
+    kept = read_json(vault / "vault.json", Vault)
+    assert kept.retain_until in {(today + datetime.timedelta(days=days)).isoformat() for days in (29, 30)}
+    assert rules(released, vault=vault) == set()
+    write_json(vault / "vault.json", kept.model_copy(update={"retain_until": "2020-02-29"}))
+    assert rules(released, vault=vault) == {"REL015"}
 
 
 @pytest.mark.parametrize(

@@ -19,13 +19,14 @@ class Arguments:
     """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
-    docs/simulation.md.
+    docs/simulation.md. The records can be committed at any time, and the run continues from them on another machine:
+    what is missing there is made again when a stage needs it.
     """
 
     what: tyro.conf.Positional[Literal["list", "run", "report"]]
     """What to do."""
     out: Path = Path("benchmarks/out/closed_loop")
-    """Folder of what can be made again: recordings, images, networks, models."""
+    """Folder of what can be made again: recordings, images, networks, models; each declaration has its own in it."""
     outcomes: Path = OUTCOMES
     """File of the records, which are only appended to."""
     stage: str | None = None
@@ -48,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
 
     declaration = load_declaration()
-    study = Study(arguments.out, declaration, Records(arguments.outcomes, declaration.hash))
+    study = Study(arguments.out / declaration.hash[:12], declaration, Records(arguments.outcomes, declaration.hash))
     print(f"declaration {declaration.hash}")
     if arguments.what == "list":
         print("\n".join(describe_stages(study)))

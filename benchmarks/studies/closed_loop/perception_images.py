@@ -70,9 +70,10 @@ def make_perception_images(
 ) -> PerceptionImages:
     """Make the images of all streets, or those of validation; the parts of an interrupted call are kept."""
     seeds = [images["validation_seed"]] if validation else images["seeds"]
+    share = float(images["validation_share"]) if validation else 1.0
     streets = [(site, seed) for site in images["sites"] for seed in seeds]
     parts = [
-        (number, seed, f"{site}-{drive}", count)
+        (number, seed, f"{site}-{drive}", max(round(share * count), 1))
         for number, (site, seed) in enumerate(streets)
         for drive, count in images["drives"].items()
     ]

@@ -76,8 +76,8 @@ def _cost(study: Study) -> Iterator[str]:
         return
     plan = study.plan()
     yield (
-        f"The pilot's {study.declaration.budget['pilot_rollouts']} rollouts estimated {figures['estimate_h']:g} core-hours "
-        f"with {len(plan.seeds)} seeds and {', '.join(plan.methods)}."
+        f"The pilot's {study.declaration.budget['pilot_rollouts']} rollouts estimated {figures['estimate_h']:g} "
+        f"core-hours with {len(plan.seeds)} seeds and {', '.join(plan.methods)}."
     )
     yield ""
     yield "| processor time of a rollout of 12 s, ms | all | " + " | ".join(figures["exact_parts_ms"]) + " |"

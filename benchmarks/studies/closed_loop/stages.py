@@ -73,8 +73,8 @@ def list_stages(study: Study) -> list[Stage]:
             for seed in seeds
         ),
         Stage(PILOT, 4.0, _pilot, streets[:1]),
-        Stage("images", 4.0, _images, (), _has_images),
-        Stage("perception", 18.0, _perception, ("images",), _has_networks),
+        Stage("images", 5.0, _images, (), _has_images),
+        Stage("perception", 19.0, _perception, ("images",), _has_networks),
         Stage("triggers", 9.0, _triggers, ("perception",)),
         *(
             Stage(f"drive-{world}", drives[0], partial(_drive, world=world), ("perception",))

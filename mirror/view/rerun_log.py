@@ -6,6 +6,9 @@ pinholes only: images of distorted lenses are undistorted.
 
 from __future__ import annotations
 
+import os
+import socket
+import sysconfig
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +26,19 @@ from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.view.rerun_layout import make_layout
 
 LIGHT_COLOURS: Final = {"day": (240, 160, 20), "dusk": (190, 70, 160), "night": (60, 90, 220)}
 _OTHER: Final = (140, 140, 140)
 _MOST_POINTS: Final = 500_000
 _JPEG_QUALITY: Final = 85
+_IMAGE_PLANE_M: Final = 2.0
+_PORT: Final = 9876
+_MASK_COLOURS: Final = {
+    "dynamic": (235, 70, 90), "ego": (60, 140, 235), "vehicle": (60, 140, 235), "sky": (90, 200, 235),
+    "redaction": (250, 200, 60), "other": (120, 220, 120),
+}  # fmt: skip
+_CLASSES: Final = {kind: number for number, kind in enumerate(_MASK_COLOURS, start=1)}
 
 
 @dataclass(frozen=True)
@@ -90,11 +101,11 @@ def log_scene(
     temporary = None if options.save is None else options.save.with_name(f".{options.save.name}.tmp")
     try:
         if temporary is None:
-            recording.spawn()
+            _open_viewer(recording)
         else:
             recording.save(str(temporary))
         logger = _Logger(rerun, recording, options)
-        recording.send_blueprint(_make_layout(view))
+        recording.send_blueprint(make_layout(view))
         logger.log_static(view)
         rows = {row["traversal_id"]: row for row in view.table("traversals").to_pylist()}
         frames = view.frames()[:: options.every]
@@ -112,27 +123,21 @@ def log_scene(
     return LoggedScene(logger.frames, logger.images, logger.boxes, logger.points)
 
 
-def _make_layout(view: Dataset) -> Any:
-    """The scene in space beside the cameras of one traversal; a tab for each traversal, by time of entry."""
-    from rerun import blueprint
-
-    rows = sorted(view.table("traversals", ["traversal_id", "entry_ns", "light", "weather"]).to_pylist(), key=_entry)
-    grids = []
-    for row in rows:
-        name = row["traversal_id"]
-        cameras = view.where(traversal=name).cameras()
-        views = [blueprint.Spatial2DView(origin=f"world/{name}/{camera}", name=camera) for camera in cameras]
-        if views:
-            grids.append(blueprint.Grid(*views, name=f"{row['light']}, {row['weather']}: {name}"))
-    log = blueprint.TextLogView(origin="conditions", name="conditions")
-    space = blueprint.Vertical(blueprint.Spatial3DView(origin="world", name="scene"), log, row_shares=[4, 1])
-    parts = [space, blueprint.Tabs(*grids, active_tab=0)] if grids else [space]
-    panels = (blueprint.TimePanel(state="expanded"), blueprint.SelectionPanel(state="collapsed"))
-    return blueprint.Blueprint(blueprint.Horizontal(*parts), *panels)
-
-
-def _entry(row: Mapping[str, Any]) -> int:
-    return int(row["entry_ns"])
+def _open_viewer(recording: Any) -> None:
+    """Open rerun's viewer and send it the recording."""
+    # Rerun looks for its viewer in PATH, where a Python that is called by its path does not have its own programs.
+    os.environ["PATH"] = os.pathsep.join((os.environ.get("PATH", os.defpath), sysconfig.get_path("scripts")))
+    try:
+        recording.spawn(connect=False)
+        # Without a display, the viewer ends at once, and logging would wait for it.
+        socket.create_connection(("127.0.0.1", _PORT), timeout=2.0).close()
+    except (RuntimeError, OSError) as error:
+        raise UsageError(
+            "rerun's viewer does not open",
+            expected="a display, and the program rerun of the package rerun-sdk",
+            remedy="write a file with --save FILE.rrd, and open it where there is a display: rerun FILE.rrd",
+        ) from error
+    recording.connect_grpc()
 
 
 class _Logger:
@@ -147,6 +152,9 @@ class _Logger:
         """Log what does not change: trajectories, points and the axes."""
         rr = self._rr
         self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        # Without colours of its own, 0 (nothing) is painted too.
+        classes = [(0, "", (0, 0, 0, 0)), *((number, kind, _MASK_COLOURS[kind]) for kind, number in _CLASSES.items())]
+        self._log("world", rr.AnnotationContext(classes), static=True)
         for row in view.table("traversals", ["traversal_id", "light", "weather"]).to_pylist():
             poses = view.where(traversal=row["traversal_id"]).table("ego_poses", ["tx_m", "ty_m", "tz_m"])
             line = np.stack([column.to_numpy() for column in poses.columns], axis=1)
@@ -175,7 +183,7 @@ class _Logger:
             self._log("conditions", rr.TextLog(f"{frame.traversal_id}: {row['light']}, {row['weather']}"))
         for image in frame.images.values():
             self._log_image(f"{base}/{image.camera}", image)
-        self._log_boxes(f"{base}/boxes", frame)
+        self._log_boxes(f"{base}/boxes", frame, LIGHT_COLOURS.get(row["light"], _OTHER))
         self.frames += 1
 
     def _log_image(self, path: str, image: Image) -> None:
@@ -189,7 +197,7 @@ class _Logger:
             self._transform(image.world_SE3_camera),
             rr.Pinhole(
                 image_from_camera=lens.intrinsic_matrix(), width=lens.width_px, height=lens.height_px,
-                camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=1.0,
+                camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=_IMAGE_PLANE_M,
             ),
         )  # fmt: skip
         self._log(f"{path}/image", rr.EncodedImage(contents=_encoded(image, raster), media_type="image/jpeg"))
@@ -197,7 +205,7 @@ class _Logger:
             self._log(f"{path}/masks/{kind}", rr.SegmentationImage(pixels))
         self.images += 1
 
-    def _log_boxes(self, path: str, frame: Frame) -> None:
+    def _log_boxes(self, path: str, frame: Frame, colour: tuple[int, int, int]) -> None:
         boxes = frame.boxes("world")
         if not len(boxes):
             self._log(path, self._rr.Clear(recursive=False))
@@ -208,6 +216,7 @@ class _Logger:
             self._rr.Boxes3D(
                 centers=boxes.pose.translation, half_sizes=0.5 * boxes.size_m,
                 quaternions=np.stack([x, y, z, w], axis=1), labels=list(boxes.category), show_labels=False,
+                colors=[colour],
             ),
         )  # fmt: skip
         self.boxes += len(boxes)
@@ -229,8 +238,13 @@ def _encoded(image: Image, raster: ImageRaster) -> bytes:
 
 
 def _masks(image: Image, raster: ImageRaster) -> Iterator[tuple[str, UInt8]]:
+    """Masks by kind; their values are the classes that the viewer colours."""
     for mask in image.masks():
-        yield mask.kind, raster.mask(mask.decode())
+        yield mask.kind, _class_of(mask.kind, raster.mask(mask.decode()))
     static = image.static_mask()
     if static is not None:
-        yield "vehicle", raster.mask(static)
+        yield "vehicle", _class_of("vehicle", raster.mask(static))
+
+
+def _class_of(kind: str, mask: UInt8) -> UInt8:
+    return np.where(mask > 0, _CLASSES.get(kind, len(_CLASSES)), 0).astype(np.uint8)

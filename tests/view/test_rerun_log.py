@@ -9,6 +9,7 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.view.images import utc
 from mirror.view.rerun_log import RerunOptions, log_scene
 from tests.export.street import make_street
 
@@ -41,6 +42,20 @@ def test_the_file_has_what_the_dataset_has(street: Dataset, tmp_path: Path) -> N
     positions = [row["Transform3D:translation"][0] for row in found if row.get("Transform3D:translation")]
     expected = np.array([frame.images["front_wide"].world_SE3_camera.translation[0] for frame in frames])
     np.testing.assert_allclose(np.array(positions), expected, atol=1e-4)
+    masked = [image for frame in frames for image in frame.images.values() if image.masks()]
+    shown = {
+        (str(chunk.entity_path), value)
+        for chunk in chunks
+        if "/masks/" in str(chunk.entity_path)
+        for row in chunk.to_record_batch().to_pylist()
+        for buffer in row.get("SegmentationImage:buffer") or ()
+        for value in np.unique(np.asarray(buffer, np.uint8)).tolist()
+    }
+    kinds = {mask.kind for image in masked for mask in image.masks()}
+    assert masked and kinds == {path.rsplit("/", 1)[1] for path, _ in shown}
+    # Nothing is 0, which has no colour; each kind has a class of its own.
+    classes = {path.rsplit("/", 1)[1]: value for path, value in shown if value}
+    assert len(set(classes.values())) == len(kinds) and {value for _, value in shown} == {0, *classes.values()}
 
 
 def test_the_layout_has_the_scene_and_a_tab_for_each_traversal(street: Dataset, tmp_path: Path) -> None:
@@ -49,17 +64,15 @@ def test_the_layout_has_the_scene_and_a_tab_for_each_traversal(street: Dataset, 
     log_scene(street, "a", RerunOptions(out, every=5))
     found: dict[str, set[str]] = {"ViewBlueprint:class_identifier": set(), "ViewBlueprint:space_origin": set()}
     tabs = set()
+    rows = street.table("traversals").to_pylist()
+    titles = {f"{row['light']}, {row['weather']}: {row['drive_id']} {utc(row['entry_ns'])[11:]}" for row in rows}
     reader = rerun_chunk.RrdReader(str(out))
     (layout,) = reader.blueprints()
     for chunk in reader.stream(store=layout):
         for row in chunk.to_record_batch().to_pylist():
             for name, values in found.items():
                 values |= set(row.get(name) or ())
-            tabs |= {
-                name
-                for name in row.get("ContainerBlueprint:display_name") or ()
-                if any(traversal in name for traversal in street.traversals())
-            }
+            tabs |= {name for name in row.get("ContainerBlueprint:display_name") or () if name in titles}
     assert found["ViewBlueprint:class_identifier"] == {"3D", "2D", "TextLog"}
     cameras = {f"world/{traversal}/{camera}" for traversal in street.traversals() for camera in street.cameras()}
     assert cameras | {"world", "conditions"} == {origin.strip("/") for origin in found["ViewBlueprint:space_origin"]}

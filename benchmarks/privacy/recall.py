@@ -57,7 +57,7 @@ class Tally:
         detected = list(outcome.regions)
         for fallback in (False, True):
             regions = detected + (
-                plate_strips(outcome.camera, *outcome.boxes, detected, self.strips) if fallback else []
+                plate_strips(outcome.camera, *outcome.boxes, detected, self.strips, grow=how.grow) if fallback else []
             )
             for kind in kinds:
                 own = [one for one in regions if one.kind == kind]

@@ -20,7 +20,7 @@ Regions = Mapping[ImageKey, Sequence[Region]]
 
 
 def propagate(
-    dataset: Dataset, traversal_id: str, detected: Regions, steps: Propagation
+    dataset: Dataset, traversal_id: str, detected: Regions, steps: Propagation, *, grow: float
 ) -> dict[ImageKey, list[Region]]:
     """Join the regions of detectors with those that propagation adds, for the images of a traversal.
 
@@ -31,6 +31,7 @@ def propagate(
         traversal_id: the traversal.
         detected: regions of the detectors, of every image.
         steps: which steps run.
+        grow: share by which regions will be enlarged.
 
     Returns:
         All regions by image; the origin of each tells which step added it.
@@ -47,7 +48,7 @@ def propagate(
             if steps.cameras:
                 _add_cameras(images, regions, added)
             if steps.vehicles:
-                _add_vehicles(frame, images, regions, added, steps.strips)
+                _add_vehicles(frame, images, regions, added, steps.strips, grow)
     return {key: merged([*regions[key], *added[key]]) for key in regions}
 
 
@@ -97,6 +98,7 @@ def _add_vehicles(
     regions: Mapping[ImageKey, Sequence[Region]],
     added: Mapping[ImageKey, list[Region]],
     options: StripOptions,
+    grow: float,
 ) -> None:
     for name, image in images.items():
         try:
@@ -105,4 +107,5 @@ def _add_vehicles(
         except (DatasetError, UsageError):
             continue
         key = (name, image.timestamp_ns)
-        added[key] += plate_strips(camera, boxes.pose, boxes.size_m, boxes.category, regions[key], options)
+        strips = plate_strips(camera, boxes.pose, boxes.size_m, boxes.category, regions[key], options, grow=grow)
+        added[key] += strips

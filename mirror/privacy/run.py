@@ -195,7 +195,7 @@ def _traversal(
         return
     done = [task for task in tasks if task.key in log.done]
     detected = {task.key: log.done[task.key].regions for task in done}
-    regions = propagate(dataset, traversal_id, detected, options.propagation)
+    regions = propagate(dataset, traversal_id, detected, options.propagation, grow=options.redaction.grow)
     failures = _repeat(traversal_id, done, regions, options, configuration, pool, folder)
     report.failures += _named(traversal_id, failures)
     if failures and not options.withhold_failed:

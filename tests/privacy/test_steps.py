@@ -59,7 +59,7 @@ def detections(root: Path) -> dict[tuple[str, int], list[Region]]:
 def test_each_step_adds_regions_with_its_own_origin(street: tuple[Path, str], step: str) -> None:
     root, name = street
     dataset, detected = mirror.open(str(root)), detections(root)
-    regions = propagate(dataset, name, detected, replace(OFF, **{step: True}))
+    regions = propagate(dataset, name, detected, replace(OFF, **{step: True}), grow=0.3)
     added = {key: [one for one in found if one.origin != "detector"] for key, found in regions.items()}
     assert {one.origin for more in added.values() for one in more} == {step.removesuffix("s")}
     if step == "tracks":
@@ -76,7 +76,7 @@ def test_each_step_adds_regions_with_its_own_origin(street: tuple[Path, str], st
 def test_no_step_adds_nothing(street: tuple[Path, str]) -> None:
     root, name = street
     detected = detections(root)
-    assert propagate(mirror.open(str(root)), name, detected, OFF) == detected
+    assert propagate(mirror.open(str(root)), name, detected, OFF, grow=0.3) == detected
 
 
 def test_skip_rules_are_counted_and_can_be_switched_off(tmp_path: Path, marks: None) -> None:

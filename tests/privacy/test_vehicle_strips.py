@@ -40,8 +40,8 @@ def plate_box(box: Poses, end: float, low_m: float, depth_m: float = 0.05) -> li
     return [*pixels.min(axis=0).tolist(), *pixels.max(axis=0).tolist()]
 
 
-def removed(strips: list[Region]) -> list[tuple[int, int, int, int]]:
-    return [box for strip in strips if (box := grown_box(strip, 0.3, *SIZE)) is not None]
+def removed(strips: list[Region], grow: float = 0.3) -> list[tuple[int, int, int, int]]:
+    return [box for strip in strips if (box := grown_box(strip, grow, *SIZE)) is not None]
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, -50.0, 180.0, 215.0])
@@ -65,6 +65,13 @@ def test_a_plate_at_the_edge_of_the_image_is_removed() -> None:
     assert true[1] < SIZE[1] < true[3]
     cut = np.clip(true, 0.0, np.tile(SIZE, 2)).tolist()
     assert covered_share(cut, removed(plate_strips(CAMERA, box, CAR, ["car"], []))) >= 0.99
+
+
+def test_what_is_removed_is_the_same_however_regions_are_enlarged() -> None:
+    one, other = (
+        removed(plate_strips(CAMERA, vehicle(9.0, 0.0), CAR, ["car"], [], grow=grow), grow)[0] for grow in (0.15, 1.0)
+    )
+    assert np.abs(np.subtract(one, other)).max() <= 2
 
 
 def test_a_detected_plate_replaces_the_strip_if_size_and_place_are_right() -> None:

@@ -23,8 +23,6 @@ _LEAST_COSINE: Final = 0.17
 """Plates that are seen at more than 80 degrees are not readable."""
 _PLATE_M: Final = (0.52, 0.11)
 """Width and height of the largest plate of one row."""
-_ENLARGED: Final = 1.3
-"""Regions are enlarged by 30 % when they are removed: a strip is as much smaller than the place of the plate."""
 _LEAST_SEEN: Final = 0.4
 """Share of a plate's width that must be in the image and unhidden: with less, two of seven characters are whole."""
 _LARGEST_ERROR_M: Final = 2.0
@@ -86,6 +84,8 @@ def plate_strips(
     category: Sequence[str],
     detected: Sequence[Region],
     options: StripOptions | None = None,
+    *,
+    grow: float = 0.3,
 ) -> list[Region]:
     """Find where vehicles carry plates that no detector found.
 
@@ -100,6 +100,7 @@ def plate_strips(
         category: N categories; which of them carry plates, and where, says `mirror.privacy.propagation.mounts`.
         detected: regions of the image.
         options: where plates are expected; None: as by default.
+        grow: share by which regions will be enlarged: strips are as much smaller than what is to be removed.
 
     Returns:
         Regions of kind `plate` and origin `vehicle`; they may reach beyond the image.
@@ -111,7 +112,7 @@ def plate_strips(
         for direction in (1.0, -1.0):
             mount = find_mount(name, float(size_m[row, 2]), is_front=direction > 0.0)
             box = camera_SE3_box[row : row + 1]
-            end = None if mount is None else _project_end(camera, box, size_m[row], direction, mount, chosen)
+            end = None if mount is None else _project_end(camera, box, size_m[row], direction, mount, chosen, grow)
             if end is None or any(_is_expected(one, end) for one in plates):
                 continue
             hidden = find_hidden(
@@ -125,7 +126,13 @@ def plate_strips(
 
 
 def _project_end(
-    camera: Camera, camera_SE3_box: Poses, size_m: Float64, direction: float, mount: Mount, options: StripOptions
+    camera: Camera,
+    camera_SE3_box: Poses,
+    size_m: Float64,
+    direction: float,
+    mount: Mount,
+    options: StripOptions,
+    grow: float,
 ) -> _End | None:
     """One end of a vehicle; None: it faces away, is not in the image, or is too far to be read."""
     length, width, height = (float(value) for value in size_m)
@@ -139,7 +146,7 @@ def _project_end(
     if cosine < _LEAST_COSINE:
         return None
     depths = (face + direction * error, face - direction * (_DEPTH_M + error))
-    wide, tall = (half + error) / _ENLARGED, (0.5 * (high - low) + error) / _ENLARGED
+    wide, tall = (half + error) / (1.0 + grow), (0.5 * (high - low) + error) / (1.0 + grow)
     plate, rise = 0.5 * _PLATE_M[0], 0.5 * _PLATE_M[1]
     columns = np.linspace(-plate, plate, _COLUMNS)
     rows = np.linspace(min(low + rise, middle), max(high - rise, middle), _ROWS)
@@ -156,7 +163,10 @@ def _project_end(
     inside = np.minimum(strip_px[2:], size) - np.maximum(strip_px[:2], 0.0)
     if (inside < 1.0).any():
         return None
-    in_image = camera.project(places).valid.reshape(_ROWS, _COLUMNS)
+    # Boxes that are wrong may show a plate that they have just outside of the image.
+    beyond = error * (plate_px[2] - plate_px[0]) / _PLATE_M[0]
+    uv = camera.project(places).uv_px
+    in_image = ((uv >= -beyond) & (uv < size + beyond)).all(axis=1).reshape(_ROWS, _COLUMNS)
     return _End(strip_px, plate_px, places.reshape(_ROWS, _COLUMNS, 3), in_image) if _is_seen(in_image) else None
 
 

@@ -53,6 +53,7 @@ _SUMMARIES: Final = {
     "webdataset": "tar files with one sample for each frame",
     "lerobot": "a LeRobot v3.0 dataset with one episode for each traversal",
 }
+_WITH_BOXES: Final = ("nuscenes", "kitti", "webdataset")
 
 
 @dataclass(frozen=True)
@@ -99,12 +100,15 @@ def _run(layout: str, argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, f"mirror export {layout}", examples=_EXAMPLES[layout])
 
     import mirror
+    from mirror.cli.layers import with_named_layers
     from mirror.export.run import ExportOptions, export
     from mirror.progress import progress_bar
 
     dataset = mirror.open(arguments.dataset)
     dataset = dataset.where(traversal=arguments.traversal or None, camera=arguments.camera or None)
-    dataset = dataset.with_layers(poses=arguments.poses, boxes=arguments.boxes, points=arguments.points)
+    named = {"poses": arguments.poses, "boxes": arguments.boxes, "points": arguments.points}
+    read = ("points", "boxes") if layout in _WITH_BOXES else ("points",)
+    dataset = with_named_layers(dataset, arguments.scene, named, read=read)
     options = ExportOptions(arguments.scene, arguments.split, arguments.undistort, arguments.copy)
     with progress_bar(quiet=arguments.json) as progress:
         written = export(dataset, layout, arguments.out, options, progress=progress)

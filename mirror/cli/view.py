@@ -43,7 +43,11 @@ class Arguments:
     camera: Annotated[tuple[str, ...], help_text(default="all; for MODEL one", metavar="NAME ...")] = ()
     """Cameras to look at."""
     boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
-    """Layer of boxes."""
+    """Layer of boxes for rerun."""
+    points: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
+    """Layer of points for rerun."""
+    poses: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
+    """Layer of poses for rerun."""
     save: Annotated[Path | None, help_text(default="open the viewer", metavar="FILE.rrd")] = None
     """File of rerun to write."""
     width: Annotated[int, help_text(metavar="PIXELS")] = 640
@@ -67,8 +71,10 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError(
             f"--every {arguments.every}, --width {arguments.width}", expected="at least 1 frame and 16 pixels"
         )
-    if arguments.model is not None and arguments.save is not None:
-        raise UsageError("MODEL and --save exclude each other", place="--save", expected="one of them")
+    of_rerun = ("save", "boxes", "points", "poses")
+    named = [f"--{name}" for name in of_rerun if getattr(arguments, name) is not None]
+    if arguments.model is not None and named:
+        raise UsageError(f"MODEL and {named[0]} exclude each other", place=named[0], expected="one of them")
     if arguments.save is not None and arguments.save.suffix != ".rrd":
         raise UsageError(f"{arguments.save}", place="--save", expected="a name that ends in .rrd")
 
@@ -80,11 +86,12 @@ def main(argv: Sequence[str]) -> int:
             expected="the dataset of its images, which are shown beside it",
             remedy=f"mirror view DATASET {arguments.dataset}",
         )  # fmt: skip
-    dataset = mirror.open(arguments.dataset).with_layers(boxes=arguments.boxes)
+    dataset = mirror.open(arguments.dataset)
     return _view_dataset(dataset, arguments) if arguments.model is None else _view_model(dataset, arguments)
 
 
 def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
+    from mirror.cli.layers import with_named_layers
     from mirror.progress import progress_bar
     from mirror.schema.folders import require_output_file
     from mirror.view.rerun_log import RerunOptions, log_scene
@@ -98,9 +105,12 @@ def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
             f"the dataset has {len(scenes)} scenes: {', '.join(scenes[:8])}", file=dataset.root, place="--scene",
             expected="one scene", remedy="choose one with --scene",
         )  # fmt: skip
+    scene = arguments.scene or scenes[0]
+    named = {"boxes": arguments.boxes, "points": arguments.points, "poses": arguments.poses}
+    view = with_named_layers(view, scene, named, read=("boxes", "points"))
     options = RerunOptions(arguments.save, arguments.width, arguments.every)
     with progress_bar(quiet=arguments.json) as progress:
-        logged = log_scene(view, arguments.scene or scenes[0], options, progress=progress)
+        logged = log_scene(view, scene, options, progress=progress)
     if arguments.json:
         print(json.dumps({"out": None if arguments.save is None else str(arguments.save), **asdict(logged)}))
     else:

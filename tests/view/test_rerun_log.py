@@ -9,6 +9,11 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout
+from mirror.schema.files import read_table
+from mirror.schema.tables import BOXES
 from mirror.view.images import utc
 from mirror.view.rerun_log import RerunOptions, log_scene
 from tests.export.street import make_street
@@ -87,3 +92,27 @@ def test_the_verb(street: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture
     assert out.stat().st_size > 1000
     assert not [path for path in tmp_path.iterdir() if path.name.endswith(".tmp")]
     assert main([*words, "--save", f"{street.root}/x.rrd"]) == 2
+
+
+def test_a_layer_to_choose_is_chosen_by_an_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    street = make_street(tmp_path / "dataset", ("front_wide",))
+    builder = Layout(tmp_path / "dataset")
+    first, second = street.traversals()
+    rows = read_table(builder.layer(first, "boxes", "petr", "1") / "boxes.parquet", BOXES).to_pylist()
+    LayerWriter(builder, first, "boxes", "other", "2").finish(BOXES, rows[:3], {})
+    build_index(tmp_path / "dataset")
+    words = ["view", street.root, "--save", str(tmp_path / "street.rrd")]
+    export = ["export", "kitti", street.root, "--out", str(tmp_path / "kitti")]
+    for command in (words, export):
+        assert main(command) == 2
+        assert "--boxes petr@1" in (said := capsys.readouterr().err) and "with_layers" not in said
+        assert main([*command, "--boxes", "other@2"]) == 2
+        said = capsys.readouterr().err
+        assert "--traversal" in said and second in said and "with_layers" not in said
+    assert main([*words, "--boxes", "other@2", "--traversal", first]) == 0
+    assert "3 boxes" in capsys.readouterr().out
+    assert main([*words, "--boxes", "petr@1"]) == 0
+    assert "20 boxes" in capsys.readouterr().out
+    for kind in ("points", "poses"):
+        assert main([*words, "--boxes", "petr@1", f"--{kind}", "none@1"]) == 2
+        assert f"--{kind}" in capsys.readouterr().err

@@ -12,12 +12,19 @@ import pytest
 from benchmarks.studies.closed_loop.declaration import load_declaration
 from benchmarks.studies.closed_loop.records import Records, RolloutKey
 from benchmarks.studies.closed_loop.report import BEGIN, END, PAGE, format_report, update_page
-from benchmarks.studies.closed_loop.stages import is_finished, list_stages, planned_rollouts, run_count, run_stages
+from benchmarks.studies.closed_loop.stages import (
+    choose_plan,
+    is_finished,
+    list_stages,
+    planned_rollouts,
+    run_count,
+    run_stages,
+)
 from benchmarks.studies.closed_loop.study import Study
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.progress import NullProgress
-from tests.closed_loop.tiny import tiny_document, tiny_study
+from tests.closed_loop.tiny import tiny_study
 
 
 @pytest.fixture(scope="module")
@@ -97,17 +104,26 @@ def test_one_stage_and_the_budget(study: Study, tiny_dataset: Dataset, tmp_path:
         run_stages(fresh, NullProgress(), only="street")
 
 
-def test_an_estimate_over_the_budget_cuts_seeds_and_then_the_last_method(study: Study, tmp_path: Path) -> None:
+def test_an_estimate_over_the_budget_cuts_seeds_and_then_the_last_method(study: Study) -> None:
     pilot = study.records.stages["pilot"]
-    assert (pilot["seeds"], pilot["methods"]) == ([0, 1], ["vanilla_3dgs"])
-    from benchmarks.studies.closed_loop.stages import choose_plan
-
-    document = tiny_document()
-    document["budget"] |= {"core_hours": 0.8}
-    small = replace(study, declaration=replace(study.declaration, budget=document["budget"]))
-    figures = {"exact_s": 60.0, "reconstructed_s": 60.0}
-    assert choose_plan(small, figures)["seeds"] == [0]
-    assert choose_plan(small, {"exact_s": 600.0, "reconstructed_s": 600.0})["methods"] == []
+    assert (pilot["seeds"], pilot["methods"]) == ([0], ["vanilla_3dgs"])
+    declared = study.declaration
+    fixed_h = choose_plan(study, {"exact_s": 0.0, "reconstructed_s": 0.0})["estimate_h"]
+    two = replace(
+        study,
+        declaration=replace(
+            declared,
+            scenarios={**declared.scenarios, "seeds": [0, 1]},
+            budget={**declared.budget, "core_hours": fixed_h + 0.2, "fewer_seeds": [0]},
+        ),
+    )
+    # Six rollouts with two seeds in each of three worlds: 2 policies with both, 2 references with the first.
+    for rollout_s, seeds, methods in ((35.0, [0, 1], 1), (50.0, [0], 1), (70.0, [0], 0)):
+        plan = choose_plan(two, {"exact_s": rollout_s, "reconstructed_s": rollout_s})
+        assert (plan["seeds"], len(plan["methods"])) == (seeds, methods)
+    assert choose_plan(two, {"exact_s": 25.0, "reconstructed_s": 50.0})["estimate_h"] == pytest.approx(
+        fixed_h + 6 * (2 * 25.0 + 50.0) / 3600.0, abs=0.01
+    )
 
 
 def test_page_has_markers_and_gets_the_section(study: Study, tmp_path: Path) -> None:

@@ -73,20 +73,25 @@ def make_perception_images(
     share = float(images["validation_share"]) if validation else 1.0
     streets = [(site, seed) for site in images["sites"] for seed in seeds]
     parts = [
-        (number, seed, f"{site}-{drive}", max(round(share * count), 1))
+        (number, seed, site, drive, max(round(share * count), 1))
         for number, (site, seed) in enumerate(streets)
         for drive, count in images["drives"].items()
     ]
     progress.start("images of perception", len(parts))
     found = []
-    for number, seed, drive, count in parts:
-        path = folder / f"{drive}-{seed}.npz"
+    for number, seed, site, drive, count in parts:
+        path = part_file(folder, site, drive, seed)
         if not path.is_file():
-            place = open_training_place(vehicle, preset, seed, drive)
+            place = open_training_place(vehicle, preset, seed, f"{site}-{drive}")
             _write(path, _draw_part(place, images, lookahead_m, count, (seed, number)))
         found.append(_read(path, number))
         progress.advance(1)
     return PerceptionImages(*(np.concatenate(columns) for columns in zip(*(vars(one).values() for one in found))))
+
+
+def part_file(folder: Path, site: str, drive: str, seed: int) -> Path:
+    """File of the images of a street in the light of a drive."""
+    return folder / f"{site}-{drive}-{seed}.npz"
 
 
 def _write(path: Path, part: PerceptionImages) -> None:

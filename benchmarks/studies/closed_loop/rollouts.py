@@ -94,7 +94,8 @@ def drive(
     clock.add("scoring")
     figures = {name: figure.value for name, figure in report.figures.items()}
     row: Row = {
-        "score": figures["pdms"],
+        # A collision in the first steps leaves too few stamps for the comfort, but PDMS is 0 with it whatever that is.
+        "score": figures["pdms"] if report.figures["pdms"].is_valid or ending != "collision" else 0.0,
         "collision": bool(figures["collisions"] > 0.0),
         "off_road": bool(figures["drivable_area"] < 1.0),
         "least_ttc_s": min(figures["least_ttc"], horizon_s),

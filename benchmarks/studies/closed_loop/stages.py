@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from benchmarks.studies.closed_loop.driving import NetworkPolicy
-from benchmarks.studies.closed_loop.perception_images import PerceptionImages, make_perception_images
+from benchmarks.studies.closed_loop.perception_images import PerceptionImages, make_perception_images, part_file
 from benchmarks.studies.closed_loop.percepts import PerceptionNet
 from benchmarks.studies.closed_loop.records import Figures, RolloutKey
 from benchmarks.studies.closed_loop.rollouts import drive
@@ -272,9 +272,13 @@ def _perception_data(study: Study, progress: ProgressReporter) -> tuple[Percepti
 
 
 def _has_images(study: Study) -> bool:
-    images = study.declaration.images
-    count = len(images["sites"]) * (len(images["seeds"]) + 1) * len(images["drives"])
-    return len(list((study.folder / "images").glob("*.npz"))) == count
+    images, folder = study.declaration.images, study.folder / "images"
+    return all(
+        part_file(folder, site, drive, seed).is_file()
+        for site in images["sites"]
+        for drive in images["drives"]
+        for seed in (*images["seeds"], images["validation_seed"])
+    )
 
 
 def _perception(study: Study, progress: ProgressReporter) -> Figures:

@@ -16,7 +16,7 @@ import re
 import tarfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from mirror.dataset.frames import Frame
 from mirror.export.files import encode_image, image_bytes
@@ -30,6 +30,13 @@ SHARD_BYTES: Final = 256 * 1024 * 1024
 """A shard ends with the sample that reaches this size of recorded images."""
 
 Sample = tuple[Frame, list[ExportImage]]
+
+
+class _Shard(NamedTuple):
+    """Counts of what a shard holds."""
+
+    masks: int
+    boxes: int
 
 
 def sample_key(item: ExportImage) -> str:
@@ -47,8 +54,8 @@ def _write(scene: ExportScene, out: Path, progress: ProgressReporter) -> Written
     files, boxes, masks = [], 0, 0
     for name, samples in _shards(scene):
         path = out / name
-        boxes += sum(len(frame.boxes("world")) for frame, _ in samples)
-        masks += _write_shard(scene, path, samples, progress)
+        more = _write_shard(scene, path, samples, progress)
+        masks, boxes = masks + more.masks, boxes + more.boxes
         files.append(path)
     return Written(tuple(files), boxes=boxes, masks=masks)
 
@@ -70,14 +77,13 @@ def _shards(scene: ExportScene) -> Iterator[tuple[str, list[Sample]]]:
             yield f"{role}-{number:06}.tar", shard
 
 
-def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], progress: ProgressReporter) -> int:
-    """Write a shard under a temporary name, unless an earlier call completed it; returns its number of masks."""
+def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], progress: ProgressReporter) -> _Shard:
+    """Write a shard under a temporary name, unless an earlier call completed it."""
     if path.is_file():
         progress.advance(len(samples))
-        with tarfile.open(path) as found:
-            return sum(name.endswith(".mask.png") for name in found.getnames())
+        return _read_counts(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
-    masks = 0
+    masks = boxes = 0
     try:
         with tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as tar:
             for frame, images in samples:
@@ -87,15 +93,27 @@ def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], prog
                     if valid is not None:
                         _add(tar, f"{sample_key(item)}.{item.image.camera}.mask.png", encode_image(valid, ".png"))
                         masks += 1
-                text = json.dumps(describe_frame(scene, frame, images))
-                _add(tar, f"{sample_key(images[0])}.json", text.encode())
+                described = describe_frame(scene, frame, images)
+                boxes += len(described["boxes"])
+                _add(tar, f"{sample_key(images[0])}.json", json.dumps(described).encode())
                 progress.advance(1)
         temporary.replace(path)
     except OSError as error:
         raise unwritable_error(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
-    return masks
+    return _Shard(masks, boxes)
+
+
+def _read_counts(path: Path) -> _Shard:
+    """Count the masks and boxes of a complete shard."""
+    masks = boxes = 0
+    with tarfile.open(path) as tar:
+        for member in tar:
+            masks += member.name.endswith(".mask.png")
+            content = tar.extractfile(member) if member.name.endswith(".json") else None
+            boxes += len(json.load(content)["boxes"]) if content is not None else 0
+    return _Shard(masks, boxes)
 
 
 def _add(tar: tarfile.TarFile, name: str, data: bytes) -> None:

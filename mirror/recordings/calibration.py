@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from mirror.arrays import Float64
 from mirror.errors import RecordingError, UsageError
-from mirror.geometry.cameras.camera import Camera
+from mirror.geometry.cameras.camera import camera_from_attributes
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.coordinates import UNIT_TOLERANCE
 from mirror.schema.documents import Document
@@ -72,16 +72,7 @@ class Calibration(Document):
     @model_validator(mode="after")
     def _consistent(self) -> Calibration:
         try:
-            Camera(
-                self.model,
-                self.width_px,
-                self.height_px,
-                self.fx_px,
-                self.fy_px,
-                self.cx_px,
-                self.cy_px,
-                self.distortion,
-            )
+            camera_from_attributes(self)
         except UsageError as error:
             raise ValueError(str(error)) from error
         length = float(np.linalg.norm(self.ego_SE3_camera[:4]))

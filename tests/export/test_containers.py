@@ -75,7 +75,7 @@ def test_shards_end_at_their_size_and_a_call_continues(
     street: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(webdataset, "SHARD_BYTES", 40_000)
-    export(street, "webdataset", tmp_path / "once")
+    once = export(street, "webdataset", tmp_path / "once")
     shards = sorted(path.name for path in (tmp_path / "once").glob("*.tar"))
     assert len(shards) > 2 and shards[0] == "all-000000.tar"
     calls = 0
@@ -94,7 +94,8 @@ def test_shards_end_at_their_size_and_a_call_continues(
     done = list((tmp_path / "twice").glob("*.tar"))
     assert 0 < len(done) < len(shards) and not list((tmp_path / "twice").glob("*.tmp"))
     before = {path: path.stat().st_mtime_ns for path in done}
-    export(street, "webdataset", tmp_path / "twice")
+    twice = export(street, "webdataset", tmp_path / "twice")
+    assert (twice.boxes, twice.masks) == (once.boxes, once.masks) and once.boxes and once.masks
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
     for name in shards:
         assert (tmp_path / "once" / name).read_bytes() == (tmp_path / "twice" / name).read_bytes()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.geometry import Camera, camera_from_row
+from mirror.geometry.cameras import camera_from_attributes
 from mirror.geometry.cameras.perspective import Perspective
 from tests.geometry.cameras import CAMERAS, each_model
 
@@ -288,6 +289,13 @@ def test_from_a_row_and_what_is_no_camera() -> None:
         assert "camera front_wide" in str(error.value)
     with pytest.raises(UsageError, match="cx_px"):
         camera_from_row({key: value for key, value in row.items() if key != "cx_px"})
+
+
+@each_model
+def test_a_row_has_the_values_of_its_camera(camera: Camera) -> None:
+    row = camera.to_row()
+    assert list(row) == ["model", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion"]
+    assert camera_from_row(row) == camera == camera_from_attributes(camera)
 
 
 def test_later_coefficients_of_f_theta_have_any_sign() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -192,6 +192,10 @@ class Camera:
             self, width_px=width_px, height_px=height_px, cx_px=self.cx_px - left_px, cy_px=self.cy_px - top_px
         )
 
+    def to_row(self) -> dict[str, Any]:
+        """The values of this camera by their names in the ``calibrations`` table; `camera_from_row` reads them."""
+        return {name: getattr(self, name) for name in _COLUMNS}
+
     def undistort_maps(self, target: Camera) -> tuple[Float32, Float32]:
         """Where each pixel of a target camera at the same place looks into this camera's images.
 
@@ -227,6 +231,9 @@ class Camera:
         valid[:, 0] = inside
 
 
+_COLUMNS: Final = tuple(field.name for field in fields(Camera))
+
+
 def camera_from_row(row: Mapping[str, Any]) -> Camera:
     """The camera of one row of the ``calibrations`` table, or of one entry of a calibration file.
 
@@ -251,6 +258,15 @@ def camera_from_row(row: Mapping[str, Any]) -> Camera:
         raise UsageError(f"not a number: {error}", place=place, expected="a row of the calibrations table") from error
     except UsageError as error:
         raise UsageError(error.problem, place=place, expected=error.expected, remedy=error.remedy) from error
+
+
+def camera_from_attributes(source: object) -> Camera:
+    """The camera that the attributes ``model``, ``width_px`` ... ``distortion`` of an object describe.
+
+    Raises:
+        UsageError: the values make no camera.
+    """
+    return Camera(**{name: getattr(source, name) for name in _COLUMNS})
 
 
 def _require_camera(camera: Camera) -> None:

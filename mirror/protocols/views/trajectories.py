@@ -205,14 +205,7 @@ def plan_views_along(
             timestamp_ns=int(stamp),
             light=row["light"],
             weather=row["weather"],
-            model=lens.model,
-            width_px=lens.width_px,
-            height_px=lens.height_px,
-            fx_px=lens.fx_px,
-            fy_px=lens.fy_px,
-            cx_px=lens.cx_px,
-            cy_px=lens.cy_px,
-            distortion=lens.distortion,
+            **lens.to_row(),
             world_SE3_camera=to_pose_numbers(trajectory.world_SE3_ego[index] @ ego_SE3_camera),
         )
         for index, stamp in enumerate(trajectory.timestamps_ns)

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from mirror.geometry.cameras import Camera
+from mirror.geometry.cameras import Camera, camera_from_attributes
 from mirror.geometry.poses import Poses
 from mirror.schema.documents import Document
 
@@ -81,16 +81,7 @@ class RenderView(Document):
     @property
     def lens(self) -> Camera:
         """The camera model of the render."""
-        return Camera(
-            self.model,
-            self.width_px,
-            self.height_px,
-            self.fx_px,
-            self.fy_px,
-            self.cx_px,
-            self.cy_px,
-            self.distortion,
-        )
+        return camera_from_attributes(self)
 
     @property
     def pose(self) -> Poses:

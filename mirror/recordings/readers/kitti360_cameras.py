@@ -108,14 +108,7 @@ def _fisheye(root: Path, camera: str, mounting: Float64) -> Calibration:
     return make_calibration(
         file,
         camera,
-        model=lens.model,
-        width_px=width,
-        height_px=height,
-        fx_px=lens.fx_px,
-        fy_px=lens.fy_px,
-        cx_px=lens.cx_px,
-        cy_px=lens.cy_px,
-        distortion=lens.distortion,
+        **lens.to_row(),
         ego_SE3_camera=_in_ego(mounting, np.eye(4)),
         method=f"KITTI-360 {camera}.yaml, Mei's model {fit.note}",
     )

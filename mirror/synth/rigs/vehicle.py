@@ -101,14 +101,7 @@ class Vehicle:
     ) -> dict[str, Any]:
         return {
             "camera": name,
-            "model": camera.model,
-            "width_px": camera.width_px,
-            "height_px": camera.height_px,
-            "fx_px": camera.fx_px,
-            "fy_px": camera.fy_px,
-            "cx_px": camera.cx_px,
-            "cy_px": camera.cy_px,
-            "distortion": list(camera.distortion),
+            **camera.to_row(),
             "ego_SE3_camera": [*ego_SE3_camera.rotation[0].tolist(), *ego_SE3_camera.translation[0].tolist()],
             "valid_from_ns": None,
             "valid_to_ns": None,

@@ -88,14 +88,7 @@ class SceneRig:
                     timestamp_ns=frame.timestamp_ns,
                     light=light,
                     weather=weather,
-                    model=lens.model,
-                    width_px=lens.width_px,
-                    height_px=lens.height_px,
-                    fx_px=lens.fx_px,
-                    fy_px=lens.fy_px,
-                    cx_px=lens.cx_px,
-                    cy_px=lens.cy_px,
-                    distortion=lens.distortion,
+                    **lens.to_row(),
                     world_SE3_camera=to_pose_numbers(world_SE3_ego @ self.ego_SE3_camera[row]),
                 )
             )

@@ -22,7 +22,7 @@ from benchmarks.studies.closed_loop.stages import (
 )
 from benchmarks.studies.closed_loop.study import Study
 from mirror.dataset.dataset import Dataset
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.closed_loop.tiny import tiny_study
 
@@ -93,6 +93,21 @@ def test_rollouts_of_another_network_do_not_count(study: Study, tmp_path: Path) 
 def test_another_declaration_is_refused(study: Study) -> None:
     with pytest.raises(UsageError, match="made under the declaration"):
         Records(study.records.file, "0" * 64)
+
+
+def test_processes_share_the_records(tmp_path: Path) -> None:
+    file = tmp_path / "outcomes.jsonl"
+    first, second = Records(file, "a" * 64), Records(file, "a" * 64)
+    first.add_stage("one", 2.0, {"value": 1})
+    second.add_stage("two", 3.0, {"value": 2})
+    with file.open("a") as unfinished:
+        unfinished.write('{"declaration"')
+    first.refresh()
+    assert set(first.stages) == set(second.stages) == {"one", "two"}
+    assert first.core_s == second.core_s == 5.0
+    file.write_text(file.read_text() + "\n")
+    with pytest.raises(DatasetError, match="line 3"):
+        first.refresh()
 
 
 def test_one_stage_and_the_budget(study: Study, tiny_dataset: Dataset, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ class Arguments:
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
     docs/simulation.md. The records can be committed at any time, and the run continues from them on another machine:
-    what is missing there is made again when a stage needs it.
+    what is missing there is made again when a stage needs it. Processes may run different stages side by side.
     """
 
     what: tyro.conf.Positional[Literal["list", "run", "report"]]

@@ -1,7 +1,7 @@
 """Records of the study: one JSON line for each finished stage and for each rollout.
 
-Lines are only ever appended, so that the file can be committed at any time and continued on another machine. The last
-line of a stage or of a rollout counts.
+Lines are only ever appended, so that the file can be committed at any time and continued on another machine, and
+processes that run different stages can share it. The last line of a stage or of a rollout counts.
 """
 
 from __future__ import annotations
@@ -52,11 +52,21 @@ class Records:
         self.stages: dict[str, Figures] = {}
         self.core_s = 0.0
         self.rollouts: dict[RolloutKey, Figures] = {}
+        self._bytes, self._lines = 0, 0
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Read what was appended to the file, also by other processes, since the last call.
+
+        Raises:
+            UsageError: a line is of another declaration.
+            DatasetError: a line is no record.
+        """
         for number, line in self._read():
-            if line.get("declaration") != declaration:
+            if line.get("declaration") != self._declaration:
                 raise UsageError(
-                    f"made under the declaration {str(line.get('declaration'))[:12]}, not {declaration[:12]}",
-                    file=file, place=f"line {number}", remedy="choose another --outcomes",
+                    f"made under the declaration {str(line.get('declaration'))[:12]}, not {self._declaration[:12]}",
+                    file=self.file, place=f"line {number}", remedy="choose another --outcomes",
                 )  # fmt: skip
             self._take(line)
 
@@ -78,7 +88,7 @@ class Records:
             os.write(handle, data)
         finally:
             os.close(handle)
-        self._take(document)
+        self.refresh()
 
     def _take(self, line: Figures) -> None:
         self.core_s += float(line["core_s"])
@@ -92,9 +102,16 @@ class Records:
     def _read(self) -> Iterator[tuple[int, Figures]]:
         if not self.file.is_file():
             return
-        for number, text in enumerate(self.file.read_text().splitlines(), 1):
+        with self.file.open("rb") as file:
+            file.seek(self._bytes)
+            data = file.read()
+        for text in data.splitlines(keepends=True):
+            if not text.endswith(b"\n"):
+                # Another process is writing this line.
+                return
+            self._bytes, self._lines = self._bytes + len(text), self._lines + 1
             try:
                 line = json.loads(text)
             except json.JSONDecodeError as error:
-                raise DatasetError("not JSON", file=self.file, place=f"line {number}") from error
-            yield number, line
+                raise DatasetError("not JSON", file=self.file, place=f"line {self._lines}") from error
+            yield self._lines, line

@@ -117,7 +117,8 @@ def run_stages(study: Study, progress: ProgressReporter, *, only: str | None = N
     torch.set_num_threads(int(study.declaration.training["threads"]))
     budget_s = 3600.0 * float(study.declaration.budget["core_hours"] if hours is None else hours)
     while True:
-        # The pilot may shorten the list.
+        # The pilot may shorten the list, and other processes may have finished stages.
+        study.records.refresh()
         left = [stage for stage in list_stages(study) if not is_finished(study, stage)]
         chosen = [stage for stage in left if only in (None, stage.name)]
         if not chosen:

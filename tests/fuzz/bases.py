@@ -221,6 +221,17 @@ def mcap(root: Path) -> Base:
     return Base("mcap", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=200.0))
 
 
+def rosbag2(root: Path) -> Base:
+    """The same log as a database."""
+    from tests.recordings.message_logs.writer import TOPICS, drive, messages, write_rosbag2
+
+    path = root / "monday"
+    path.mkdir(parents=True)
+    write_rosbag2(path / "monday_0.db3", messages(drive(12.0)), definitions=True)
+    (path / "topics.toml").write_text(TOPICS)
+    return Base("rosbag2", path, Roi(scene_id="s", longitude_deg=LON, latitude_deg=LAT, radius_m=200.0))
+
+
 def nuscenes(root: Path) -> Base:
     """One scene of two cameras, in a map of no known place."""
     path = write_nuscenes(root / "nuscenes", [straight_drive()], location="town")
@@ -344,4 +355,5 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "kitti360": kitti360,
     "ncore": ncore,
     "ncore_folders": ncore_folders,
+    "rosbag2": rosbag2,
 }

@@ -48,6 +48,7 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
     },
     "comma2k19": {"": frozenset({POSES})},
     "mcap": {"": ALL},
+    "rosbag2": {"": ALL},
     "nuscenes": {"v1.0-mini/": ALL, "samples/": frozenset({SHOTS}), "sweeps/": frozenset({SHOTS})},
     "argoverse2": {
         "city_SE3_egovehicle": frozenset({POSES}),
@@ -204,6 +205,7 @@ def pose_files(base: Base) -> list[str]:
         "boreas": ["camera_poses.csv"],
         "dgp": [],
         "mcap": [],
+        "rosbag2": [],
         "nuscenes": [],
         "argoverse2": [],
         "colmap": [],

@@ -201,7 +201,7 @@ def open_video(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
     """Open a video for demuxing and decoding.
 
     Raises:
-        RecordingError: PyAV is not installed, or the file is no video.
+        RecordingError: PyAV is not installed, or has no decoder for the video's codec, or the file is no video.
     """
     try:
         import av
@@ -219,6 +219,13 @@ def open_video(file: Path) -> Iterator[tuple[InputContainer, Stream]]:
         if not container.streams.video:
             raise _broken_error(file, "it has no video stream")
         stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise RecordingError(
+                "the installed PyAV has no decoder for its codec",
+                file=file,
+                expected="H.264, HEVC, AV1, VP9, MPEG-4 or another codec of PyAV",
+                remedy="convert it where there is one: ffmpeg -i VIDEO -c:v libx264 -fps_mode passthrough OUT.mp4",
+            )
         stream.thread_type = "AUTO"
         yield container, stream
 

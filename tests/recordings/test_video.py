@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream
+from mirror.recordings.remux import copy_frames
 from mirror.recordings.video import VideoStream, read_video_stamps, to_unix_stamps
 from mirror.recordings.video_frames import JPEG_QUALITY
 from tests.recordings.videos import FRAMES, GROUP, decode_all, write_video
@@ -113,6 +115,21 @@ def test_stamps_must_ascend_and_match() -> None:
         open_stream(Path("front.mp4"), np.array([1, 3, 3]))
     with pytest.raises(RecordingError, match="2 frames but 1 exposure stamps"):
         VideoStream("front", np.array([1]), np.array([1]), Path("front.mp4"), np.array([1, 2]))
+
+
+def test_a_codec_without_a_decoder_is_named(video: Path, tmp_path: Path) -> None:
+    file = tmp_path / "unknown.mp4"
+    file.write_bytes(video.read_bytes().replace(b"avc1", b"zzz1"))
+    pts, _ = read_video_stamps(video)
+    reads: list[Callable[[], object]] = [
+        lambda: list(open_stream(file, pts).read([0])),
+        lambda: read_video_stamps(file),
+        lambda: copy_frames(file, pts[:5], tmp_path / "copy.mp4"),
+    ]
+    for read in reads:
+        with pytest.raises(RecordingError, match=r"unknown\.mp4.*no decoder.*ffmpeg"):
+            read()
+    assert not (tmp_path / "copy.mp4").exists()
 
 
 def test_file_without_video_is_refused(tmp_path: Path) -> None:

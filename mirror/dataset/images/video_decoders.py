@@ -46,7 +46,7 @@ class VideoDecoders:
         """Decode the frame with a time stamp to pixels (H, W, 3), RGB; None: the video has no such frame, or is broken.
 
         Raises:
-            DatasetError: PyAV is not installed, or the uri leads out of the dataset.
+            DatasetError: PyAV is not installed or has no decoder for the video, or the uri leads out of the dataset.
             OSError: the video cannot be opened.
         """
         with self._lock:
@@ -124,6 +124,14 @@ class _Reader:
             lambda filesystem, path: av.open(filesystem.open(path, "rb")),
         )
         self._stream = self._container.streams.video[0]
+        if self._stream.codec_context is None:
+            self._container.close()
+            raise DatasetError(
+                "the installed PyAV has no decoder for the video's codec",
+                file=uri,
+                expected="a codec of PyAV",
+                remedy="install a PyAV with this codec, or ingest the recording with --images jpeg where it is",
+            )
         self._stream.thread_type = thread_type
         self._frames: Iterator[av.VideoFrame] = iter(())
         self._last: int | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.studies.closed_loop.declaration import load_declaration
+from benchmarks.studies.closed_loop.driving import exact_percept
 from benchmarks.studies.closed_loop.records import Records, RolloutKey
 from benchmarks.studies.closed_loop.report import BEGIN, END, PAGE, format_report, update_page
 from benchmarks.studies.closed_loop.stages import (
@@ -21,9 +23,11 @@ from benchmarks.studies.closed_loop.stages import (
     run_stages,
 )
 from benchmarks.studies.closed_loop.study import Study
+from hybridworldsim.simulator.simulation import start_simulation
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
+from mirror.schema.behaviours import HardBrake
 from tests.closed_loop.tiny import tiny_study
 
 
@@ -88,6 +92,23 @@ def test_rollouts_of_another_network_do_not_count(study: Study, tmp_path: Path) 
     assert other.is_current(RolloutKey("exact", "strong", "hard-brake", 0))
     assert not other.is_current(RolloutKey("exact", "full", "hard-brake", 0))
     assert "| 0 | - |" not in format_report(study)
+
+
+def test_scenarios_vary_by_seed_and_their_triggers_by_the_scale(study: Study) -> None:
+    declared = study.declaration.scenarios
+    first, second = study.cases([0, 1])
+    one, half, other = study.scenario(first, 1.0), study.scenario(first, 0.5), study.scenario(second, 1.0)
+    assert one == study.scenario(first, 1.0) and one.ego == half.ego != other.ego
+    behaviours = [scenario.agents[0].behaviour for scenario in (one, half)]
+    assert all(isinstance(behaviour, HardBrake) for behaviour in behaviours)
+    ttc = [behaviour.trigger.ttc_s for behaviour in behaviours if isinstance(behaviour, HardBrake)]
+    assert ttc[1] == pytest.approx(0.5 * ttc[0], abs=1e-3)
+    # The exact percept at the start is the declared displacement.
+    for scenario in (one, other):
+        simulation = start_simulation(study.place(first).street, scenario)
+        seen = exact_percept(simulation.observe({}, privileged=True), simulation.observation_spec({}), study.settings)
+        assert 0.0 < abs(seen.offset_m) <= declared["start_offset_m"] + 0.05
+        assert 0.0 < abs(seen.heading_rad) <= math.radians(declared["start_yaw_deg"]) + 0.05
 
 
 def test_another_declaration_is_refused(study: Study) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.studies.closed_loop.streets import LIGHTS, Light, Place, time_inside_s
-from mirror.schema.scenario import LaneStart, RecordedStart, Scenario, read_scenario
+from hybridworldsim.simulator.street.route import plan_route
+from hybridworldsim.simulator.street.street import Street
+from mirror.schema.scenario import EgoPlan, LaneStart, PoseStart, RecordedStart, Route, Scenario, read_scenario
 
 
 @dataclass(frozen=True)
@@ -68,11 +71,24 @@ def make_scenario(
         "light": place.drive.condition.light,
         "weather": place.drive.condition.weather,
     }
-    start: LaneStart | RecordedStart = LaneStart(kind="lane", along_m=start_m)
+    aside, turned = rng.uniform(-1.0, 1.0, 2).tolist()
     if isinstance(shipped.ego.start, RecordedStart):
-        start = RecordedStart(kind="recorded", after_s=time_inside_s(place.street, start_m))
-    document["ego"] |= {"start": start.model_dump(mode="json", exclude_none=True), "speed_mps": speed_mps}
+        ego = EgoPlan(start=RecordedStart(kind="recorded", after_s=time_inside_s(place.street, start_m)))
+    else:
+        ego = _start_beside(
+            place.street, start_m, aside * declared["start_offset_m"], turned * math.radians(declared["start_yaw_deg"])
+        )
+    document["ego"] = ego.model_copy(update={"speed_mps": speed_mps}).model_dump(mode="json", exclude_none=True)
     return Scenario.model_validate(document)
+
+
+def _start_beside(street: Street, along_m: float, offset_m: float, turn_rad: float) -> EgoPlan:
+    """The start on the longest lane straight on, moved to the left and turned to the left."""
+    middle, route, _, _ = plan_route(street, EgoPlan(start=LaneStart(kind="lane", along_m=along_m)))
+    x = middle.x_m - math.sin(middle.yaw_rad) * offset_m
+    y = middle.y_m + math.cos(middle.yaw_rad) * offset_m
+    yaw_deg = math.degrees(middle.yaw_rad + turn_rad)
+    return EgoPlan(start=PoseStart(kind="pose", x_m=x, y_m=y, yaw_deg=yaw_deg), route=Route(lanes=route.lanes))
 
 
 def _change(behaviour: dict[str, Any], rng: np.random.Generator, spread: float, speed: float, scale: float) -> None:

@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from benchmarks.studies.closed_loop.declaration import load_declaration
 from benchmarks.studies.closed_loop.driving import exact_percept
 from benchmarks.studies.closed_loop.records import Records, RolloutKey
 from benchmarks.studies.closed_loop.report import BEGIN, END, PAGE, format_report, update_page
+from benchmarks.studies.closed_loop.sheets import write_sheets
 from benchmarks.studies.closed_loop.stages import (
     choose_plan,
     is_finished,
@@ -160,6 +163,16 @@ def test_an_estimate_over_the_budget_cuts_seeds_and_then_the_last_method(study: 
     assert choose_plan(two, {"exact_s": 25.0, "reconstructed_s": 50.0})["estimate_h"] == pytest.approx(
         fixed_h + 6 * (2 * 25.0 + 50.0) / 3600.0, abs=0.01
     )
+
+
+def test_sheets_show_the_exact_world_above_the_reconstructed_one(study: Study, tmp_path: Path) -> None:
+    (path,) = write_sheets(study, tmp_path)
+    assert path.name == "hard-brake-day.png"
+    sheet = cv2.imread(str(path)).astype(float)
+    assert sheet.shape == (2 * 27, 6 * 48, 3)
+    # The first column is the start: the same place, sky above and road below.
+    first = sheet[:, :48].reshape(2, 27, 48, 3)
+    assert 0.0 < np.abs(first[0] - first[1]).mean() < 128.0
 
 
 def test_page_has_markers_and_gets_the_section(study: Study, tmp_path: Path) -> None:

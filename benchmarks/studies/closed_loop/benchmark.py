@@ -19,11 +19,12 @@ class Arguments:
     """The study that `experiment.toml` declares. Every stage resumes where it was interrupted.
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
-    docs/simulation.md. The records can be committed at any time, and the run continues from them on another machine:
-    what is missing there is made again when a stage needs it. Processes may run different stages side by side.
+    docs/simulation.md. sheets: images of the same drives in all worlds that are made. The records can be committed
+    at any time, and the run continues from them on another machine: what is missing there is made again when a
+    stage needs it. Processes may run different stages side by side.
     """
 
-    what: tyro.conf.Positional[Literal["list", "run", "report"]]
+    what: tyro.conf.Positional[Literal["list", "run", "report", "sheets"]]
     """What to do."""
     out: Path = Path("benchmarks/out/closed_loop")
     """Folder of what can be made again: recordings, images, networks, models; each declaration has its own in it."""
@@ -60,6 +61,11 @@ def main(argv: Sequence[str]) -> int:
             return ExitCode.DONE if text in PAGE.read_text() else ExitCode.FINDINGS
         update_page(study)
         print(text)
+        return ExitCode.DONE
+    if arguments.what == "sheets":
+        from benchmarks.studies.closed_loop.sheets import write_sheets
+
+        print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
         return ExitCode.DONE
     with progress_bar(quiet=False) as bar:
         left = run_stages(study, bar, only=arguments.stage, hours=arguments.hours)

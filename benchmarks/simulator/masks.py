@@ -29,6 +29,7 @@ _AGENTS = 40
 _REACH_M = 45.0
 _HIDDEN_REACH_M = 25.0
 _TRIES = 1500
+_LONGEST_M = 10.0
 _EYE_M = 1.5
 
 
@@ -40,11 +41,13 @@ class Mask:
         iou: intersection over union of the composed and the exact mask.
         hidden: share of the agent that the exact world hides.
         pixels: pixels of the exact mask.
+        camera: name of the camera.
     """
 
     iou: float
     hidden: float
     pixels: int
+    camera: str
 
 
 def measure_masks(
@@ -63,8 +66,9 @@ def measure_masks(
     cameras = rig_cameras(street, tuple(street.rig), width_px)
     scenario = Scenario(name="masks")
     recording = street.recordings[min(street.recordings)]
-    rng = np.random.default_rng(seed)
-    for place in np.linspace(0.1, 0.9, places):
+    for number, place in enumerate(np.linspace(0.1, 0.9, places)):
+        # Each place has random numbers of its own.
+        rng = np.random.default_rng([seed, int(hidden), number])
         row = int(place * (len(recording.poses) - 1))
         x, y, yaw = recording.poses[row].tolist()
         snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns, hidden=hidden)
@@ -81,14 +85,14 @@ def measure_masks(
             pose = ego_pose(street, snapshot) @ cameras[name].ego_SE3_camera
             alone = composed.layer.draw(instant, cameras[name].camera, pose)
             true, ours = exact.agent_masks()[name], composed.agent_masks()[name]
-            for number in range(len(snapshot.agents)):
-                seen = true == number
+            for agent in range(len(snapshot.agents)):
+                seen = true == agent
                 if alone is None or seen.sum() < SMALLEST_PX:
                     continue
-                whole = (alone.number == number) & (alone.alpha >= 0.5)
-                own = ours == number
-                hidden = 1.0 - seen.sum() / max(whole.sum(), seen.sum())
-                yield Mask(float((seen & own).sum() / (seen | own).sum()), float(hidden), int(seen.sum()))
+                whole = (alone.number == agent) & (alone.alpha >= 0.5)
+                own = ours == agent
+                share = 1.0 - seen.sum() / max(whole.sum(), seen.sum())
+                yield Mask(float((seen & own).sum() / (seen | own).sum()), float(share), int(seen.sum()), name)
 
 
 def _without_ego(street: Street) -> SynthDrive:
@@ -99,10 +103,22 @@ def _without_ego(street: Street) -> SynthDrive:
     return bare
 
 
-def _hidden_share(street: Street, ego: EgoState, box: Float64, height_m: float) -> float:
-    """Share of points of a box (x, y, yaw, half length, half width) that fixed objects hide from above the ego."""
+def _fixed_near(street: Street, ego: EgoState) -> Model:
+    """The fixed objects that may hide an agent of the second sample: those whose bounds reach near the ego."""
     if street.drive is None:
         raise UsageError("the exact world of the street is not known")
+    model = street.drive.world.model
+    faces, reach_m = model.faces, np.hypot(_HIDDEN_REACH_M, _HIDDEN_REACH_M) + _LONGEST_M
+    begin = np.concatenate([[0], np.cumsum(faces["count"])[:-1]])
+    rows = np.repeat(faces["first"] - begin, faces["count"]) + np.arange(faces["count"].sum())
+    corners, here = model.corners[rows, :2], np.array([ego.x_m, ego.y_m])
+    low, high = np.minimum.reduceat(corners, begin), np.maximum.reduceat(corners, begin)
+    away = np.linalg.norm(np.maximum(np.maximum(low - here, here - high), 0.0), axis=1)
+    return replace(model, faces=faces[away <= reach_m])
+
+
+def _hidden_share(street: Street, fixed: Model, ego: EgoState, box: Float64, height_m: float) -> float:
+    """Share of points of a box (x, y, yaw, half length, half width) that fixed objects hide from above the ego."""
     floor = corners_of(box) * 0.8 + box[:2] * 0.2
     flat = np.concatenate([floor, 0.5 * (floor + np.roll(floor, 1, axis=0))])
     x, y = np.array([ego.x_m, *flat[:, 0]]), np.array([ego.y_m, *flat[:, 1]])
@@ -111,13 +127,14 @@ def _hidden_share(street: Street, ego: EgoState, box: Float64, height_m: float) 
     points = np.concatenate([np.column_stack([flat, ground[1:] + share * height_m]) for share in (0.2, 0.5, 0.8)])
     rays = points - eye
     length = np.linalg.norm(rays, axis=1)
-    distance, index = cast_rays(street.drive.world.model, eye, rays / length[:, None])
+    distance, index = cast_rays(fixed, eye, rays / length[:, None])
     return float(np.mean((index >= 0) & (distance < length - 0.3)))
 
 
 def _snapshot(
     street: Street, ego: EgoState, rng: np.random.Generator, start_ns: int, *, hidden: bool = False
 ) -> Snapshot:
+    fixed = _fixed_near(street, ego) if hidden else Model.empty()
     agents: list[Agent] = []
     rows: list[tuple[float, float, float, float]] = []
     for _ in range(_TRIES):
@@ -134,7 +151,7 @@ def _snapshot(
             continue
         ring = np.array([(x, y), *((x + reach * np.cos(t), y + reach * np.sin(t)) for t in np.linspace(0, 6.3, 9))])
         box = np.array([x, y, yaw, 0.5 * body.size_m[0], 0.5 * body.size_m[1]])
-        if hidden and not 0.3 <= _hidden_share(street, ego, box, body.size_m[2]) <= 0.9:
+        if hidden and not 0.3 <= _hidden_share(street, fixed, ego, box, body.size_m[2]) <= 0.9:
             continue
         if not street.is_inside(ring).all() or wall_at(street, ring):
             continue

@@ -5,12 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from hybridworldsim.simulator.agents.bodies import body_of_size, draw_body
 from hybridworldsim.simulator.agents.states import Agent, AgentStates
 from hybridworldsim.simulator.ego.vehicle import EgoState
 from hybridworldsim.simulator.renderers.agent_layer import AgentImage, AgentLayer
-from hybridworldsim.simulator.renderers.compositing import CELL_M, add_contact_shadows, compose, free_space
+from hybridworldsim.simulator.renderers.compositing import (
+    CELL_M,
+    add_contact_shadows,
+    compose,
+    depth_levels,
+    free_space,
+    hiding_depth,
+)
 from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
 from hybridworldsim.simulator.world import Snapshot
 from mirror.geometry import project_boxes
@@ -30,11 +38,17 @@ def agents_at(depth: float, alpha: float = 1.0) -> AgentImage:
     )
 
 
-def composed(street_m: float, agent_m: float, ring: np.ndarray | None = None, alpha: float = 1.0):
+def composed(
+    street_m: float, agent_m: float, ring: np.ndarray | None = None, alpha: float = 1.0, covered: float | None = None
+):
+    """By default the street is a surface: it covers all before it, or nothing."""
     rings = [] if ring is None else [ring]
     free = free_space(rings, (0.0, 0.0), 50.0)
     depth = np.full((30, 40), street_m, np.float32)
-    return compose(GRAY, depth, agents_at(agent_m, alpha), LENS, EGO_R_CAMERA, CAMERA, free)
+    agents = agents_at(agent_m, alpha)
+    surface = ((depth > 0.0) & (depth < hiding_depth(agents))).astype(np.float32)
+    share = surface if covered is None else np.full((30, 40), covered, np.float32)
+    return compose(GRAY, depth, share, agents, LENS, EGO_R_CAMERA, CAMERA, free)
 
 
 def test_the_nearer_one_is_seen() -> None:
@@ -42,6 +56,27 @@ def test_the_nearer_one_is_seen() -> None:
     assert shown.all() and (image == 200).all()
     image, shown = composed(street_m=10.0, agent_m=20.0)
     assert not shown.any() and (image == 100).all()
+
+
+def test_mist_hides_an_agent_only_where_it_covers_most() -> None:
+    """Whatever the mean depth is: mist before a wall has one between the two."""
+    for street_m in (8.0, 30.0):
+        assert composed(street_m, agent_m=10.0, covered=0.7)[1].all()
+        assert not composed(street_m, agent_m=10.0, covered=0.8)[1].any()
+
+
+def test_depths_are_rounded_down_to_a_few_levels() -> None:
+    depths = np.random.default_rng(0).uniform(2.0, 60.0, (30, 40)).astype(np.float32)
+    depths[:5] -= 62.0
+    levels, number = depth_levels(depths)
+    assert 12 < len(levels) <= 24 and ((number < 0) == (depths <= 0.0)).all()
+    near = depths > 0.0
+    ratio = depths[near] / np.array(levels)[number[near]]
+    # From 2 m to 60 m there are 59 steps of 6 %: levels are three of them apart.
+    assert ratio.min() >= 1.0 - 1e-6 and ratio.max() <= 1.06**3 + 1e-6
+    few = np.full((2, 3), 10.0, np.float32)
+    assert depth_levels(few)[0][0] == pytest.approx(10.0, rel=0.06) and len(depth_levels(few)[0]) == 1
+    assert depth_levels(np.zeros((2, 3), np.float32))[0] == ()
 
 
 def test_nothing_hides_an_agent_where_the_street_is_empty() -> None:

@@ -10,7 +10,9 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.partition import partition
 from hybridworldsim.model.parts import split_street
+from hybridworldsim.model.splats import concatenate_splats
 from hybridworldsim.model.street import Street
+from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.training.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, shifted, street, view
@@ -62,6 +64,24 @@ def test_a_single_block_renders_unchanged() -> None:
         expected = one(to_viewpoint(view(-15.0), np.zeros(3)), select_latents(one.appearance)[0])
     torch.testing.assert_close(output.rgb, expected.rgb, atol=2e-5, rtol=0.0)
     assert counts["nodes_drawn"] == 3 and counts["decoded"] < counts["held"]
+
+
+def test_covers_are_the_opacity_of_what_lies_before_a_far_plane() -> None:
+    composition, seen, limits = Composition([(A, street())]), view(-15.0), (4.0, 12.0, 40.0)
+    decoded = composition.decode(seen, select_latents)
+    plain, output = composition.draw(seen, decoded), composition.draw(seen, decoded, limits)
+    torch.testing.assert_close((output.rgb, output.depth_m), (plain.rgb, plain.depth_m), atol=1e-6, rtol=1e-6)
+    splats, point = concatenate_splats(decoded.splats), to_viewpoint(seen, decoded.origin_m)
+    assert output.before is not None and plain.before is None
+    for number, limit in enumerate(limits):
+        _, alphas, _ = rasterization(
+            splats.means, splats.quats, splats.scales, splats.opacities, splats.colours,
+            point.viewmat[None], point.K[None], point.width_px, point.height_px, near_plane=0.2, far_plane=limit,
+        )  # fmt: skip
+        # Beyond a transmittance of 1e-4 nothing is blended.
+        torch.testing.assert_close(output.before[..., number], alphas[0, ..., 0], atol=2e-4, rtol=0.0)
+    means = output.before.mean(dim=(0, 1))
+    assert 0.05 < means[0] < means[1] - 0.05 < means[2] <= output.alpha.mean() + 1e-6
 
 
 def test_identical_blocks_render_as_one() -> None:

@@ -126,6 +126,18 @@ class StreetRenderer:
         output, counts = self._composition.render(view, self.latents(view))
         return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
+    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
+        """Render a view, and the share (H, W, K) of each pixel that the street before K depths covers.
+
+        Args:
+            view: the view.
+            limits_m: K depths (camera z), at least one.
+        """
+        output, counts = self._composition.render(view, self.latents(view), limits_m)
+        if output.before is None:
+            raise UsageError("no depth was given", place="limits_m", expected="at least one")
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts), output.before
+
     def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Return a function that selects the latents of a view's colours and content from a block's appearance."""
 

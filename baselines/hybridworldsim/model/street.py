@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, nn
 
 from hybridworldsim.model.appearance import AppearanceLatents
@@ -33,6 +35,7 @@ class RenderOutput:
         depth_m: (H, W) expected depth.
         parts: decoded Gaussians of each node, in the order of the nodes.
         meta: intermediate results of the rasterizer.
+        before: (H, W, K) share of each pixel that Gaussians before K limits cover; None: no limits were given.
     """
 
     rgb: Tensor
@@ -40,6 +43,7 @@ class RenderOutput:
     depth_m: Tensor
     parts: tuple[Splats, ...]
     meta: dict[str, Any]
+    before: Tensor | None = None
 
 
 class Street(nn.Module):
@@ -96,15 +100,30 @@ class Street(nn.Module):
         return render(viewpoint, parts, track_gradients=track_gradients)
 
 
-def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False) -> RenderOutput:
-    """Rasterize the decoded Gaussians of nodes; see `Street.forward`."""
+def render(
+    viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False, limits_m: Sequence[float] = ()
+) -> RenderOutput:
+    """Rasterize the decoded Gaussians of nodes; see `Street.forward`.
+
+    Args:
+        viewpoint: the camera.
+        parts: the decoded Gaussians.
+        track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
+        limits_m: K depths (camera z). Gaussians are blended from front to back, so that the sum of the weights of those
+            with a centre before a limit is the share of a pixel that they cover.
+    """
     splats = concatenate_splats(parts)
+    colours = splats.colours
+    if limits_m:
+        towards = viewpoint.viewmat[2].to(splats.means.dtype)
+        nearer = (splats.means @ towards[:3] + towards[3])[:, None] < splats.means.new_tensor(limits_m)
+        colours = torch.cat([colours, nearer.to(colours.dtype)], dim=1)
     images, alphas, meta = rasterization(
         splats.means,
         splats.quats,
         splats.scales,
         splats.opacities,
-        splats.colours,
+        colours,
         viewpoint.viewmat[None],
         viewpoint.K[None],
         viewpoint.width_px,
@@ -114,4 +133,5 @@ def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: 
         absgrad=track_gradients,
         nonfinite="cull",
     )
-    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)
+    before = images[0, ..., 3:-1] if limits_m else None
+    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., -1], parts, meta, before)

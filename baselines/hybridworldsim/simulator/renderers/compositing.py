@@ -1,7 +1,9 @@
 """Composes agents into images of the empty street: hidden by what is nearer, with a contact shadow under them.
 
-The depth of a reconstruction has errors: mist that the training left in the air seems near. Nothing fixed stands on a
-road, so what seems to hide an agent from a place above the drivable area, or from just before the camera, is ignored.
+An agent is hidden where the street before it covers most of a pixel. The mean depth of a reconstruction does not tell
+that: at the edges of things, and where a short training left mist in the air, it lies between near and far.
+Nothing fixed stands on a road, so what seems to hide an agent from a place above the drivable area, or from just before
+the camera, is ignored.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ import numpy as np
 from numba import njit
 
 from hybridworldsim.simulator.renderers.agent_layer import AgentImage
-from mirror.arrays import Bool, Float32, Float64, UInt8
+from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 
 TOLERANCE_M: Final = 0.4
 TOLERANCE_SHARE: Final = 0.03
-"""An agent is hidden where the street is nearer than it by more than this distance and share of the depth."""
-NEAREST_M: Final = 3.0
-"""Nothing fixed is so near to a camera of a vehicle that drives on a road."""
+"""An agent is hidden by what is nearer than it by more than this distance and share of the depth."""
+NEAREST_M: Final = 1.0
+"""Nothing fixed has so small a camera z before a vehicle that drives on a road."""
+HIDDEN: Final = 0.75
+"""An agent is hidden where the street before it covers a larger share of a pixel: things do, most mist does not."""
 CELL_M: Final = 0.25
 _BEYOND_M: Final = 60.0
 _SHIFT: Final = 4
@@ -32,6 +36,8 @@ _REACH_M: Final = 0.9
 _HEIGHT_M: Final = 0.45
 _FARTHEST_M: Final = 70.0
 _NEAR_M: Final = 0.2
+_LEVEL: Final = 1.06
+_MOST_LEVELS: Final = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +65,47 @@ def free_space(rings: Sequence[Float64], middle_m: tuple[float, float], radius_m
     return FreeSpace(image.astype(np.bool_), origin)
 
 
+def hiding_depth(agents: AgentImage) -> Float32:
+    """The camera z (H, W) before which the street hides the agents; 0 or less: nothing can."""
+    own = np.where(agents.alpha > 0.0, agents.depth_m, 0.0)
+    return ((own - TOLERANCE_M) / (1.0 + TOLERANCE_SHARE)).astype(np.float32)
+
+
+def depth_levels(limit_m: Float32) -> tuple[tuple[float, ...], Int32]:
+    """Round the depths of an image down to a few levels.
+
+    Args:
+        limit_m: (H, W) depths; 0 or less: none.
+
+    Returns:
+        At most 24 depths, in steps of 6 % or, where that makes too many, of the least power of it that does not; and
+        the number (H, W) of the level of each pixel; -1: none.
+    """
+    known = limit_m > 0.0
+    exponent, step = np.log(limit_m[known].astype(np.float64)) / math.log(_LEVEL), 1
+    while len(steps := np.unique(np.floor(exponent / step))) > _MOST_LEVELS:
+        step += 1
+    number = np.full(limit_m.shape, -1, np.int32)
+    number[known] = np.searchsorted(steps, np.floor(exponent / step))
+    return tuple((_LEVEL ** (step * steps)).tolist()), number
+
+
 def compose(
-    rgb: UInt8, depth_m: Float32, agents: AgentImage, lens: Float64, rotation: Float64, origin: Float64, free: FreeSpace
+    rgb: UInt8,
+    depth_m: Float32,
+    covered: Float32,
+    agents: AgentImage,
+    lens: Float64,
+    rotation: Float64,
+    origin: Float64,
+    free: FreeSpace,
 ) -> tuple[UInt8, Bool]:
     """Put agents into an image.
 
     Args:
         rgb: (H, W, 3) image of the empty street, with its shadows.
         depth_m: (H, W) camera z of the empty street; 0 or less: nothing is there.
+        covered: (H, W) share of each pixel that the street before `hiding_depth` covers.
         agents: the agents in the same camera.
         lens: fx, fy, cx, cy of the camera.
         rotation: (3, 3) world_R_camera.
@@ -76,8 +115,9 @@ def compose(
     Returns:
         The image, and (H, W) where it shows an agent.
     """
+    limit = hiding_depth(agents)
     return _compose(
-        rgb, depth_m, agents.rgb, agents.alpha, agents.depth_m, lens, rotation, origin, free.is_free, free.origin_m
+        rgb, depth_m, covered, agents.rgb, agents.alpha, limit, lens, rotation, origin, free.is_free, free.origin_m
     )
 
 
@@ -85,9 +125,10 @@ def compose(
 def _compose(
     rgb: UInt8,
     depth_m: Float32,
+    covered: Float32,
     agent_rgb: UInt8,
     alpha: Float32,
-    agent_m: Float32,
+    limit_m: Float32,
     lens: Float64,
     rotation: Float64,
     origin: Float64,
@@ -101,8 +142,11 @@ def _compose(
             share = alpha[row, column]
             if share <= 0.0:
                 continue
-            far, own = depth_m[row, column], agent_m[row, column]
-            if far > NEAREST_M and own > far * (1.0 + TOLERANCE_SHARE) + TOLERANCE_M:
+            far = depth_m[row, column]
+            if covered[row, column] > HIDDEN and far > NEAREST_M:
+                if far >= limit_m[row, column]:
+                    # Most of the pixel is covered before the agent; the mean depth lies behind it.
+                    continue
                 a, b = (column + 0.5 - lens[2]) / lens[0] * far, (row + 0.5 - lens[3]) / lens[1] * far
                 x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * far + origin[0]
                 y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * far + origin[1]

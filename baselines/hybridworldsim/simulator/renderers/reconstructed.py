@@ -14,7 +14,13 @@ import numpy as np
 from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
-from hybridworldsim.simulator.renderers.compositing import add_contact_shadows, compose, free_space
+from hybridworldsim.simulator.renderers.compositing import (
+    add_contact_shadows,
+    compose,
+    depth_levels,
+    free_space,
+    hiding_depth,
+)
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.street.street import Recording, Street
 from hybridworldsim.simulator.world import Snapshot
@@ -39,6 +45,15 @@ class DepthRenderer(Protocol):
 
     def render(self, view: RenderView) -> Any:
         """Render a view; the result has ``rgb`` (H, W, 3), ``alpha`` and ``depth_m`` (H, W) as float tensors."""
+        ...
+
+
+@runtime_checkable
+class CoverRenderer(Protocol):
+    """A renderer of a method that also gives what the street before some depths covers."""
+
+    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Any, Any]:
+        """Render a view as `DepthRenderer` does, and the share (H, W, K) of each pixel covered before K depths."""
         ...
 
 
@@ -159,17 +174,17 @@ class ReconstructedRenderer(Renderer):
         def work(number: int) -> None:
             view = views[number]
             clock = time.thread_time()
-            rgb, depth = self._background(view, snapshot)
-            clock = self.seconds.add("street", clock)
             agents = self.layer.draw(instant, view.camera, view.world_SE3_camera)
             clock = self.seconds.add("agents", clock)
+            rgb, depth, covered = self._background(view, snapshot, None if agents is None else hiding_depth(agents))
+            clock = self.seconds.add("street", clock)
             rotation = matrix_from_quaternion(view.world_SE3_camera.rotation)[0]
             origin, lens = view.world_SE3_camera.translation[0], view.camera
             numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px])
             add_contact_shadows(rgb, depth, numbers, rotation, origin, boxes)
             shown: Bool = np.zeros(depth.shape, np.bool_)
             if agents is not None:
-                rgb, shown = compose(rgb, depth, agents, numbers, rotation, origin, self._free)
+                rgb, shown = compose(rgb, depth, covered, agents, numbers, rotation, origin, self._free)
             self._shown[view.name] = np.where(shown, -1 if agents is None else agents.number, -1).astype(np.int32)
             images[view.name] = rgb
             self.seconds.add("composition", clock)
@@ -181,7 +196,10 @@ class ReconstructedRenderer(Renderer):
         """Return, for the last images, the number (H, W) of the agent that each pixel shows; -1: none."""
         return self._shown
 
-    def _background(self, place: CameraView, snapshot: Snapshot) -> tuple[UInt8, Float32]:
+    def _background(
+        self, place: CameraView, snapshot: Snapshot, limit_m: Float32 | None
+    ) -> tuple[UInt8, Float32, Float32]:
+        """The empty street: its image, its depth, and the share of each pixel that it covers before a depth (H, W)."""
         camera = place.camera
         recording = self._street.recordings.get(self._appearance)
         view = RenderView(
@@ -192,12 +210,25 @@ class ReconstructedRenderer(Renderer):
             fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
             world_SE3_camera=to_pose_numbers(place.world_SE3_camera),
         )  # fmt: skip
-        rendering = self._model.renderer.render(view)
+        renderer, covers = self._model.renderer, None
+        none = np.zeros((camera.height_px, camera.width_px), np.float32)
+        levels, number = depth_levels(none if limit_m is None else limit_m)
+        if levels and isinstance(renderer, CoverRenderer):
+            rendering, covers = renderer.render_covers(view, levels)
+        else:
+            rendering = renderer.render(view)
         rgb = rendering.rgb.detach().clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
         depth = rendering.depth_m.detach().cpu().numpy()
         # Where the model shows hardly anything, nothing hides an agent.
         depth = np.where(rendering.alpha.detach().cpu().numpy() > 0.5, depth, 0.0).astype(np.float32)
-        return np.ascontiguousarray(rgb), np.ascontiguousarray(depth)
+        covered: Float32 = np.zeros(depth.shape, np.float32)
+        if covers is not None:
+            chosen = np.take_along_axis(covers.detach().cpu().numpy(), np.maximum(number, 0)[..., None], axis=2)
+            covered = np.where(number >= 0, chosen[..., 0], 0.0).astype(np.float32)
+        elif limit_m is not None:
+            # Only the mean depth is known.
+            covered = ((depth > 0.0) & (depth < limit_m)).astype(np.float32)
+        return np.ascontiguousarray(rgb), np.ascontiguousarray(depth), covered
 
 
 def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> str:

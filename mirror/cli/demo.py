@@ -126,7 +126,8 @@ def _commands(arguments: Arguments) -> Iterator[list[str]]:
     preset = "quick" if arguments.quick else "demo"
     rois = str(recordings / "rois.geojson")
     yield ["mirror", "synth", "--out", str(recordings), "--preset", preset, "--seed", seed]
-    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
+    maps = ["--map", str(recordings / "maps")]
+    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, *maps, "--out", dataset, "--licence", "CC0-1.0"]
     yield ["mirror", "split", dataset, "novel", "--seed", seed]
     yield ["mirror", "stats", dataset]
     yield ["mirror", "check", dataset]
@@ -175,7 +176,8 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     recordings, dataset, model = out / "recordings", str(out / "dataset"), str(out / "model")
     rois = str(recordings / "rois.geojson")
     yield ["mirror", "synth", "--out", str(recordings), "--preset", "block", "--seed", seed]
-    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
+    maps = ["--map", str(recordings / "maps")]
+    yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, *maps, "--out", dataset, "--licence", "CC0-1.0"]
     yield ["mirror", "split", dataset, "novel", "--seed", seed]
     budget = ["--minutes", "1.5", "--width", "160", "--initialise", "plane-sweep"]
     yield ["mirror", "reconstruct", dataset, "--split", "novel", *budget, "--out", model]

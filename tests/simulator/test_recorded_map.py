@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
+from hybridworldsim.simulator.simulation import start_simulation
 from hybridworldsim.simulator.street.opening import open_street
 from mirror.cli.main import main
 from mirror.errors import DatasetError, UsageError
@@ -15,7 +18,7 @@ from mirror.evaluation.result import RESULT, Result
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.schema.files import read_json
-from mirror.schema.road_map import read_road_map, write_road_map
+from mirror.schema.road_map import MapLane, read_road_map, write_road_map
 from mirror.schema.rollout import MAP_FILE, read_rollout
 from mirror.schema.scenario import Scenario, write_scenario
 from tests.ingest.maps import east_map
@@ -64,6 +67,18 @@ def test_a_rollout_says_which_map_it_drove_on(
     result = read_json(tmp_path / "scores" / RESULT, Result)
     assert result.options["road_map"] == source
     assert ("lower bounds" in " ".join(result.warnings)) == (source == "fitted")
+
+
+def test_the_ego_starts_on_a_lane_that_was_driven(folder: Path, tmp_path: Path) -> None:
+    """A longer lane beside the recorded line, there and back, is on the map but was not recorded."""
+    road_map, x = east_map(), np.linspace(-50.0, 50.0, 11)
+    there = np.column_stack([np.r_[x, x[::-1]], np.r_[np.full(11, 12.0), np.full(11, -12.0)], np.zeros(22)])
+    other = MapLane("a-longer-one", "drive", there, np.full(22, 3.5))
+    file = tmp_path / "map.parquet"
+    write_road_map(file, replace(road_map, lanes={"a-longer-one": other, **road_map.lanes}))
+    street = open_street(str(folder / "fitted"), road_map=file)
+    assert street.is_driven(np.array([[0.0, 1.9], [0.0, 2.1], [500.0, 0.0]])).tolist() == [True, False, False]
+    assert start_simulation(street, Scenario(name="anywhere")).route.lanes == ("only",)
 
 
 def test_a_map_that_was_changed_or_is_of_another_scene_ends_the_drive(folder: Path, tmp_path: Path) -> None:

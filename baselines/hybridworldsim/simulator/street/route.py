@@ -138,15 +138,20 @@ def _lane_start(street: Street, plan: EgoPlan, start: LaneStart) -> tuple[tuple[
                 expected=f"less, not {start.along_m:g}",
             )  # fmt: skip
         return tuple(_onward(road_map, start.lane, plan.route.turns)), start.along_m
+    # Of a recorded map, only what was driven was recorded by cameras too.
+    is_shown = street.is_inside if street.drive is not None or road_map.fitted else street.is_driven
     candidates = []
     for lane in road_map.lanes_of(("drive",)):
         lanes = tuple(_onward(road_map, lane.lane_id, plan.route.turns))
         points = way_along([road_map.lanes[name] for name in lanes]).points
-        inside = np.flatnonzero(street.is_inside(points))
+        inside = np.flatnonzero(is_shown(points))
         if len(inside):
             candidates.append((len(inside), lane.lane_id, lanes, STEP_M * float(inside[0])))
     if not candidates:
-        raise UsageError("no driving lane leads through the street", expected="a map with driving lanes")
+        raise UsageError(
+            "no driving lane leads through the part of the street that was recorded", place="ego.start",
+            expected="a map with driving lanes along the recorded lines, or a start that names a lane",
+        )  # fmt: skip
     _, _, lanes, begin = min(candidates, key=lambda row: (-row[0], row[1]))
     return lanes, begin + start.along_m
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import shapely
 
 from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
@@ -21,6 +22,9 @@ from mirror.schema.rollout import MapSource
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
+
+_BESIDE_M: Final = 2.0
+"""Half of a lane and a little more: a recorded line so near is one in the same lane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +105,8 @@ class Street:
     def is_inside(self, points_m: Float64) -> Bool:
         """Return which points (N, 2) lie in the part that can be rendered."""
         return np.hypot(*(points_m - np.array(self.middle_m)).T) <= self.radius_m
+
+    def is_driven(self, points_m: Float64) -> Bool:
+        """Return which points (N, 2) lie in the part that can be rendered, and beside a recorded line."""
+        lines = shapely.MultiLineString([one.poses[:, :2] for one in self.recordings.values() if len(one.poses) > 1])
+        return self.is_inside(points_m) & (shapely.distance(lines, shapely.points(points_m)) <= _BESIDE_M)

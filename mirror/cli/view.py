@@ -97,7 +97,7 @@ def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
     from mirror.view.rerun_log import RerunOptions, log_scene
 
     if arguments.save is not None:
-        require_output_file(arguments.save)
+        require_output_file(arguments.save, place="--save")
     view = dataset.where(traversal=arguments.traversal or None, camera=arguments.camera or None)
     scenes = view.scenes()
     if arguments.scene is None and len(scenes) != 1:

@@ -26,6 +26,7 @@ from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.files import unwritable_error
 from mirror.view.rerun_layout import make_layout
 
 LIGHT_COLOURS: Final = {"day": (240, 160, 20), "dusk": (190, 70, 160), "night": (60, 90, 220)}
@@ -89,7 +90,7 @@ def log_scene(
 
     Raises:
         UsageError: rerun is not installed, or there are several box layers and none was chosen.
-        DatasetError: an image cannot be read.
+        DatasetError: an image cannot be read, or the file cannot be written.
     """
     try:
         import rerun
@@ -99,11 +100,11 @@ def log_scene(
     view = dataset.where(scene=scene)
     recording = rerun.RecordingStream(f"mirror {scene}")
     temporary = None if options.save is None else options.save.with_name(f".{options.save.name}.tmp")
+    if temporary is None:
+        _open_viewer(recording)
+    else:
+        _open_file(recording, temporary)
     try:
-        if temporary is None:
-            _open_viewer(recording)
-        else:
-            recording.save(str(temporary))
         logger = _Logger(rerun, recording, options)
         recording.send_blueprint(make_layout(view))
         logger.log_static(view)
@@ -121,6 +122,16 @@ def log_scene(
         if temporary is not None:
             temporary.unlink(missing_ok=True)
     return LoggedScene(logger.frames, logger.images, logger.boxes, logger.points)
+
+
+def _open_file(recording: Any, file: Path) -> None:
+    """Begin to write the recording to a file."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        recording.save(str(file))
+    except OSError as error:
+        raise unwritable_error(file, error) from error
 
 
 def _open_viewer(recording: Any) -> None:

@@ -91,6 +91,10 @@ def test_the_verb(street: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out.startswith("3 frames, 3 images, 6 boxes, 7 points")
     assert out.stat().st_size > 1000
     assert not [path for path in tmp_path.iterdir() if path.name.endswith(".tmp")]
+    assert main([*words, "--save", str(tmp_path / "a" / "b" / "night.rrd")]) == 0
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["night.rrd"]
+    assert main([*words, "--save", str(out / "night.rrd")]) == 2
+    assert "night.rrd is a file" in capsys.readouterr().err
     assert main([*words, "--save", f"{street.root}/x.rrd"]) == 2
 
 

@@ -66,7 +66,7 @@ def list_stages(study: Study) -> list[Stage]:
     seeds = declared.streets["seeds"]
     streets = tuple(f"street-{seed}" for seed in seeds)
     blocks = 2.0 * float(declared.reconstruction["core_minutes"])
-    drives = run_count(study, plan) * _run_seconds(study)
+    exact, reconstructed = _rollout_minutes(study)
     stages = [
         *(
             Stage(f"street-{seed}", 8.0, partial(_street, seed=seed), (), partial(_has_street, seed=seed))
@@ -77,10 +77,13 @@ def list_stages(study: Study) -> list[Stage]:
         Stage("perception", 19.0, _perception, ("images",), _has_networks),
         Stage("triggers", 9.0, _triggers, ("perception",)),
         *(
-            Stage(f"drive-{world}", drives[0], partial(_drive, world=world), ("perception",))
+            Stage(
+                f"drive-{world}", exact * len(missing_rollouts(study, world)), partial(_drive, world=world),
+                ("perception", "triggers"),
+            )
             for world in declared.worlds
         ),
-    ]
+    ]  # fmt: skip
     for method in plan.methods:
         models = tuple(f"model-{method}-{seed}" for seed in seeds)
         stages += [
@@ -91,7 +94,12 @@ def list_stages(study: Study) -> list[Stage]:
             for name, street, seed in zip(models, streets, seeds)
         ]  # fmt: skip
         stages.append(
-            Stage(f"drive-{method}", drives[1], partial(_drive, world=method), ("perception", *models, *streets))
+            Stage(
+                f"drive-{method}",
+                reconstructed * len(missing_rollouts(study, method)),
+                partial(_drive, world=method),
+                ("perception", "triggers", *models, *streets),
+            )
         )
     return stages
 
@@ -135,7 +143,7 @@ def is_finished(study: Study, stage: Stage) -> bool:
     if stage.name not in study.records.stages:
         return False
     world = stage.name.removeprefix("drive-")
-    return world == stage.name or all(map(study.is_current, planned_rollouts(study, world)))
+    return world == stage.name or not missing_rollouts(study, world)
 
 
 def _run_with_needs(study: Study, stage: Stage, progress: ProgressReporter) -> None:
@@ -171,10 +179,17 @@ def planned_rollouts(study: Study, world: str) -> list[RolloutKey]:
     return keys
 
 
-def _run_seconds(study: Study) -> np.ndarray:
+def missing_rollouts(study: Study, world: str) -> list[RolloutKey]:
+    """The planned rollouts in a world that are not recorded, or do not count."""
+    planned = planned_rollouts(study, world)
+    # Before the triggers are tuned nothing is driven.
+    return [key for key in planned if not study.is_current(key)] if "triggers" in study.records.stages else planned
+
+
+def _rollout_minutes(study: Study) -> tuple[float, float]:
     """Core-minutes of a rollout in the exact world and in a reconstructed one: the pilot's, or a guess before it."""
-    figures = study.records.stages.get(PILOT)
-    return np.array([2.0, 2.0] if figures is None else [figures["exact_s"], figures["reconstructed_s"]]) / 60.0
+    figures = study.records.stages.get(PILOT, {"exact_s": 2.0, "reconstructed_s": 2.0})
+    return figures["exact_s"] / 60.0, figures["reconstructed_s"] / 60.0
 
 
 def _street(study: Study, progress: ProgressReporter, *, seed: int) -> Figures:

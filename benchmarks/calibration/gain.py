@@ -35,6 +35,7 @@ from mirror.dataset.lock import writer_lock
 from mirror.dataset.traversal import Calibration
 from mirror.errors import DatasetError
 from mirror.evaluation.result import RESULT, Result
+from mirror.evaluation.submission.manifest import MANIFEST
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.methods.model_document import read_reconstruction
 from mirror.protocols.document import load_protocol
@@ -111,8 +112,9 @@ def reconstruct(folder: Path, name: str, steps: int) -> Mapping[tuple[str, str],
         budget = ("--steps", steps, "--seed", _SEED, "--threads", 1, "--width", WIDTH_PX)
         source = ("--initialise", "plane-sweep", "--calibrations", _layer(name))
         _run("reconstruct", dataset, "--split", "novel", "--scene", SCENE, *budget, *source, "--out", model)
-        _run("render", dataset, model, "--split", "novel", "--protocol", protocol, "--out", submission)
-        _run("evaluate", dataset, submission, "--protocol", protocol, "--out", result)
+        if not (submission / MANIFEST).is_file():
+            _run("render", dataset, model, "--split", "novel", "--protocol", protocol, "--out", submission)
+        _run("evaluate", dataset, submission, "--protocol", protocol, "--out", result, "--workers", 1)
     figures = read_json(result / RESULT, Result).figures
     return {(one.group, one.metric): one.value for one in figures if one.level == "group" and one.value is not None}
 

@@ -29,7 +29,7 @@ _LARGEST_ERROR_M: Final = 2.0
 _COLUMNS, _ROWS = 9, 5
 """Places at which a plate is looked for, across and up."""
 _LEAST_HELD: Final = 0.75
-"""Share of the expected plate's width that a detected one holds, before it is enlarged."""
+"""Share of the expected plate's width and height that a detected one holds, before it is enlarged."""
 _WIDEST, _LOWEST, _TALLEST = 1.8, 0.4, 3.0
 """Size of a detected plate in that of the expected one: plates of two rows are higher."""
 _SURE: Final = 0.5
@@ -185,9 +185,10 @@ def _is_seen(seen: Bool) -> bool:
 
 def _is_expected(region: Region, end: _End) -> bool:
     """Whether a detected plate has the size, and the place across the vehicle, that its box lets expect."""
-    left, _, right, _ = end.plate_px
-    held = min(region.right_px, right) - max(region.left_px, left)
-    return _is_at_end(region, end) and held >= _LEAST_HELD * (right - left)
+    left, top, right, bottom = end.plate_px
+    held = min(region.right_px, right) - max(region.left_px, left), region.size_px[1]
+    is_whole = held[0] >= _LEAST_HELD * (right - left) and held[1] >= _LEAST_HELD * (bottom - top)
+    return bool(is_whole and _is_at_end(region, end))
 
 
 def _is_at_end(region: Region, end: _End) -> bool:

@@ -25,7 +25,7 @@ from mirror.recordings.discovery import find_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.recordings.formats.compare import Tolerances, angle_between, compare_boxes, compare_cameras, compare_poses
-from tests.recordings.formats.kitti360 import CAMERAS, FISHEYES, MEI, write_kitti360
+from tests.recordings.formats.kitti360 import CAMERAS, FISHEYES, MEI, SEMANTIC_IDS, write_kitti360
 from tests.recordings.formats.street import StreetDrive, StreetObject, synth_drives
 
 ROAD_USERS = ("car", "truck", "bus", "bicycle", "motorcycle")
@@ -105,12 +105,12 @@ def test_boxes_of_frames_and_of_windows(drives: tuple[StreetDrive, ...], tmp_pat
     assert f"data_3d_bboxes/train/{drive.name}.xml" in dict(recording.files())
     boxes = recording.boxes()
     assert boxes is not None
-    moving = SimpleNamespace(boxes=lambda: boxes.filter(pc.field("track_id") != "26_100"))
+    moving = SimpleNamespace(boxes=lambda: boxes.filter(pc.field("track_id") != "13_100"))
     of_road_users = replace(drive, objects=tuple(one for one in drive.objects if one.category in ROAD_USERS))
-    names = {one.track_id: f"26_{number}" for number, one in enumerate(drive.objects)}
+    names = {one.track_id: f"{SEMANTIC_IDS.get(one.category)}_{number}" for number, one in enumerate(drive.objects)}
     velocities = compare_boxes(moving, of_road_users, names.__getitem__, Tolerances(position_m=1e-5, angle_rad=1e-7))
     assert all(np.isnan(speed).all() for speed in velocities.values())
-    static = [row for row in boxes.to_pylist() if row["track_id"] == "26_100"]
+    static = [row for row in boxes.to_pylist() if row["track_id"] == "13_100"]
     stamps = drive.image_ns["front_wide"]
     ego = drive.poses_at(stamps)
     near = np.linalg.norm(ego.translation - parked.world_SE3_box.translation, axis=1) <= 80.0

@@ -1,7 +1,8 @@
-"""nuscenes-devkit and av2 read the same files to the same numbers; ``make peers`` makes their results again."""
+"""The data sets' own toolkits read the same files to the same numbers; ``make peers`` makes their results again."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ import pyproj
 from mirror.geometry.cameras import camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import COLUMNS, Poses
-from mirror.geometry.quaternions import rotate
+from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp, quaternion_multiply, rotate
 from mirror.recordings.protocol import Recording
+from mirror.recordings.readers.kitti360_cameras import mei_pixels
 from mirror.recordings.registry import open_recording
-from tests.recordings.formats.peers import argoverse2_input, nuscenes_input, result
+from tests.recordings.formats.kitti360 import MEI
+from tests.recordings.formats.peers import argoverse2_input, kitti360_input, nuplan_input, nuscenes_input, result
 
+LAKE = (8.4295857, 48.9843445)
 SIZES = ("length_m", "width_m", "height_m")
 
 
@@ -47,14 +51,16 @@ def projected_boxes(
     return found
 
 
-def same_corners(theirs: dict[str, Any], pixels: np.ndarray, depth: np.ndarray) -> None:
+def same_corners(
+    theirs: dict[str, Any], pixels: np.ndarray, depth: np.ndarray, *, depth_m: float = 1e-6, pixel_px: float = 1e-4
+) -> None:
     """The corners are the same points in another order; pixels of corners in front of the camera count."""
     peer_depth, peer_pixels = np.array(theirs["depth_m"]), np.array(theirs["corners_px"])
     for at, place in zip(peer_depth, peer_pixels):
         nearest = np.argmin(np.abs(depth - at) + np.linalg.norm(pixels - place, axis=1) * (at > 0.5))
-        assert abs(depth[nearest] - at) < 1e-6
+        assert abs(depth[nearest] - at) < depth_m
         if at > 0.5:
-            assert np.abs(pixels[nearest] - place).max() < 1e-4
+            assert np.abs(pixels[nearest] - place).max() < pixel_px
 
 
 def test_nuscenes_devkit_reads_the_same(tmp_path: Path) -> None:
@@ -129,3 +135,115 @@ def test_av2_reads_the_same(tmp_path: Path) -> None:
                     assert np.linalg.norm(pixels - place_px, axis=1).min() < 2e-2
                 compared += 1
     assert compared > 10
+
+
+def test_kitti360scripts_reads_the_same(tmp_path: Path) -> None:
+    """The scripts round the pixels of rectified cameras, and leave p1 and p2 of the fisheyes out."""
+    recording = open_recording(kitti360_input(tmp_path / "k"))
+    track = recording.track()
+    assert track.longitude_deg is not None and track.rotation is not None
+    # The dataset's world: Mercator's projection, scaled at the lake.
+    world = pyproj.Proj(f"+proj=merc +R=6378137 +k_0={math.cos(math.radians(LAKE[1]))!r}")
+    place = np.stack(world(track.longitude_deg, track.latitude_deg), axis=1) - world(*LAKE)
+    world_SE3_ego = Poses(track.rotation, np.column_stack([place, track.height_m]))
+    theirs = result("kitti360")
+    boxes = recording.boxes()
+    assert boxes is not None
+    rows = boxes.to_pylist()
+    assert len(rows) == sum(len(there) for there in theirs["boxes"].values()) == 3 * 6
+    for row in rows:
+        frame = int(np.searchsorted(track.timestamp_ns, row["timestamp_ns"]))
+        peer = theirs["boxes"][str(frame)][row["track_id"].partition("_")[2]]
+        assert row["category"] == peer["name"]
+        assert (row["vx_mps"] == 0.0) == peer["at_rest"]
+        box = world_SE3_ego[frame] @ Poses.from_columns({name: [row[name]] for name in COLUMNS})
+        found, expected = box.transform(corners(row))[0], np.array(peer["vertices_m"])
+        assert np.linalg.norm(found[:, None] - expected, axis=2).min(axis=1).max() < 1e-6
+    calibrations = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    assert set(calibrations) == set(theirs["cameras"])
+    rectified, fisheye = 0, 0
+    for name, peer in theirs["cameras"].items():
+        row, lens = calibrations[name], camera_from_row(calibrations[name])
+        assert [row["width_px"], row["height_px"]] == peer["size_px"]
+        if peer["projection"] is not None:
+            matrix = np.array(peer["projection"])[:, :3]
+            assert np.abs(lens.intrinsic_matrix(first_pixel_centre=0.0) - matrix).max() < 1e-8
+        world_SE3_camera = world_SE3_ego @ Poses.from_columns({column: [row[column]] * 3 for column in COLUMNS})
+        for number, image in peer["images"].items():
+            pose = world_SE3_camera[int(number)]
+            expected_pose = np.array(image["world_SE3_camera"])
+            assert np.abs(pose.translation[0] - expected_pose[:3, 3]).max() < 1e-7
+            assert np.abs(matrix_from_quaternion(pose.rotation)[0] - expected_pose[:3, :3]).max() < 1e-10
+            for instance, pixels in image["vertices_px"].items():
+                vertices = np.array(theirs["boxes"][number][instance]["vertices_m"])
+                points = pose.inverse().transform(vertices)[0]
+                ahead = points[:, 2] > 1.0
+                if peer["projection"] is not None:
+                    away = np.abs(lens.project(points[ahead]).uv_px - 0.5 - np.array(pixels)[ahead])
+                    assert away.max(initial=0.0) < 0.5 + 1e-3
+                    rectified += int(ahead.sum())
+                    continue
+                unit = points / np.linalg.norm(points, axis=1, keepdims=True)
+                numbers = {**MEI[name], "p1": 0.0, "p2": 0.0}
+                seen = np.arccos(unit[:, 2]) < np.radians(92.0)
+                assert np.abs(mei_pixels(unit, numbers) - 0.5 - pixels)[seen].max(initial=0.0) < 1e-4
+                inside = seen & (np.abs(np.array(pixels) - 700.0) < 700.0).all(axis=1)
+                away = np.linalg.norm(lens.project(points[inside]).uv_px - 0.5 - np.array(pixels)[inside], axis=1)
+                assert away.max(initial=0.0) < 0.5
+                fisheye += int(inside.sum())
+    assert (rectified, fisheye) == (224, 64)
+
+
+def utm_poses(recording: Recording) -> Poses:
+    """Poses in UTM zone 11, from degrees; PROJ turns them by its meridian convergence."""
+    track = recording.track()
+    assert track.longitude_deg is not None and track.rotation is not None
+    utm = pyproj.Proj(proj="utm", zone=11, ellps="WGS84")
+    place = np.stack([*utm(track.longitude_deg, track.latitude_deg), track.height_m], axis=1)
+    convergence = np.radians(utm.get_factors(track.longitude_deg, track.latitude_deg).meridian_convergence)
+    turn = quaternion_exp(np.outer(convergence, (0.0, 0.0, 1.0)))
+    return Poses(quaternion_multiply(turn, track.rotation), place)
+
+
+def test_nuplan_devkit_reads_the_same(tmp_path: Path) -> None:
+    recording = open_recording(nuplan_input(tmp_path / "p"))
+    theirs = result("nuplan")
+    assert (recording.info.drive_id, recording.info.vehicle_id) == (theirs["log"], theirs["vehicle"])
+    track, utm_SE3_ego = recording.track(), utm_poses(recording)
+    assert recording.rig is not None
+    names = {camera.source_name: camera.name for camera in recording.rig.cameras}
+    assert set(names) == set(theirs["cameras"])
+    calibrations = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    for channel, peer in theirs["cameras"].items():
+        row = calibrations[names[channel]]
+        matrix = camera_from_row(row).intrinsic_matrix(first_pixel_centre=0.0)
+        assert [row["width_px"], row["height_px"]] == peer["size_px"]
+        assert np.abs(matrix - peer["intrinsic"]).max() < 1e-8
+        assert np.abs(np.array(row["distortion"]) - peer["distortion"]).max() < 1e-11
+        mounting = [row[name] for name in COLUMNS]
+        assert np.abs(np.array(mounting[4:]) - peer["translation"]).max() < 1e-11
+        assert abs(abs(np.array(mounting[:4]) @ peer["rotation"]) - 1.0) < 1e-11
+    streams = recording.images()
+    stamps_of = {Path(str(s.path(i))).name: int(t) for s in streams.values() for i, t in enumerate(s.exposure_start_ns)}
+    assert len(theirs["images"]) == 3 * 4
+    compared = 0
+    for file, peer in theirs["images"].items():
+        stamp = stamps_of[Path(file).name]
+        assert stamp == peer["timestamp_us"] * 1_000 and peer["epsg"] == 32611
+        row_number = int(np.searchsorted(track.timestamp_ns, stamp))
+        assert track.timestamp_ns[row_number] == stamp
+        # Degrees and back to metres.
+        assert np.abs(utm_SE3_ego.translation[row_number] - peer["translation"]).max() < 1e-5
+        assert abs(abs(utm_SE3_ego.rotation[row_number] @ peer["rotation"]) - 1.0) < 1e-12
+        box_ns = peer["lidar_us"] * 1_000
+        found = projected_boxes(recording, utm_SE3_ego, names[peer["channel"]], stamp, box_ns)
+        assert set(found) == set(peer["boxes"])
+        ego = utm_SE3_ego[int(np.searchsorted(track.timestamp_ns, box_ns))]
+        for track_id, (box, pixels, depth) in found.items():
+            other = peer["boxes"][track_id]
+            assert (box["category"], box["score"]) == (other["category"], other["confidence"])
+            same_corners(other, pixels, depth, depth_m=1e-5, pixel_px=1e-3)
+            velocity = rotate(ego.rotation[0], [box["vx_mps"], box["vy_mps"], box["vz_mps"]])
+            assert np.abs(velocity - other["velocity_mps"]).max() < 1e-6
+            compared += 1
+    assert compared == 60

@@ -26,11 +26,17 @@ MEI = {
         "u0": 698.88316784030962, "v0": 698.14541887723055,
     },
 }  # fmt: skip
+SEMANTIC_IDS = {"car": 13, "truck": 14, "person": 19, "pole": 21}
+"""The dataset's numbers of classes, which its own scripts map to their names."""
+
+_UNKNOWN_VEHICLE = 36
 _GROUPS = {
     "mirror": ("xi",),
     "distortion": ("k1", "k2", "p1", "p2"),
     "projection": ("gamma1", "gamma2", "u0", "v0"),
 }
+# The sides of the cube by the numbers of its corners: two triangles each.
+_SQUARES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (2, 3, 6, 7), (0, 2, 4, 6), (1, 3, 5, 7))
 # The IMU's axes, y right and z down, in the ego's.
 _EGO_FROM_IMU = np.diag([1.0, -1.0, -1.0, 1.0])
 # What rectification turns a camera by.
@@ -116,13 +122,16 @@ def _write_boxes(file: Path, drive: StreetDrive, stamps: np.ndarray, parked: Seq
     rows += [(one, 100 + number, _matrices(one.world_SE3_box)[0], -1) for number, one in enumerate(parked)]
     text = ['<?xml version="1.0"?>', "<opencv_storage>", "<object0><label>no box</label></object0>"]
     cube = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    faces = np.array([[a, b, c] for square in _SQUARES for a, b, c in (square[:3], square[1:])])
     for index, (one, instance, pose, frame) in enumerate(rows, 1):
         transform = pose @ np.diag([*one.size_m, 1.0])
+        semantic = SEMANTIC_IDS.get(one.category, _UNKNOWN_VEHICLE)
         text += [
             f"<object{index}><index>{index}</index><label>{one.category}</label><timestamp>{frame}</timestamp>",
-            f"<semanticId>26</semanticId><instanceId>{instance}</instanceId>",
+            f"<semanticId>{semantic}</semanticId><instanceId>{instance}</instanceId>",
             f"<start_frame>0</start_frame><end_frame>{len(stamps) - 1}</end_frame>",
-            f"{_xml_matrix('transform', transform)}{_xml_matrix('vertices', cube)}</object{index}>",
+            f"{_xml_matrix('transform', transform)}{_xml_matrix('vertices', cube)}"
+            f"{_xml_matrix('faces', faces)}</object{index}>",
         ]
     file.write_text("\n".join([*text, "</opencv_storage>"]) + "\n")
 

@@ -5,12 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from mirror.geometry.poses import Poses
+from mirror.geometry.quaternions import quaternion_exp
 from tests.recordings.formats.argoverse2 import write_argoverse2
+from tests.recordings.formats.kitti360 import CAMERAS as RECTIFIED
+from tests.recordings.formats.kitti360 import FISHEYES, write_kitti360
+from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
-from tests.recordings.formats.street import StreetDrive, synth_drives
+from tests.recordings.formats.street import StreetDrive, StreetObject, synth_drives
+from tests.recordings.formats.waymo import write_waymo
 
 RESULTS = Path(__file__).resolve().parents[2] / "peers"
 CAMERAS = ("front_wide", "front_left", "rear_right")
@@ -33,7 +42,52 @@ def argoverse2_input(folder: Path) -> Path:
     return write_argoverse2(folder, peer_drive((5122.0, 2432.0, 66.0)))
 
 
-INPUTS: dict[str, Callable[[Path], Path]] = {"nuscenes": nuscenes_input, "argoverse2": argoverse2_input}
+def kitti360_input(folder: Path) -> Path:
+    """A folder with one drive of three frames: four cameras, moving boxes and a parked one."""
+    shutil.rmtree(folder, ignore_errors=True)
+    names = (*RECTIFIED, *FISHEYES)
+    drive = synth_drives()[0].placed((1107.0, 3826.0, 115.0)).with_cameras(names)
+    chosen = [4, 12, 20]
+    stamps = drive.box_ns[chosen]
+    # The dataset has no vans.
+    objects = tuple(
+        replace(one, category={"van": "truck"}.get(one.category, one.category), world_SE3_box=one.world_SE3_box[chosen])
+        for one in drive.objects
+    )
+    beside = Poses(quaternion_exp([[0.02, -0.03, 1.1]]), np.array([[12.0, 4.0, 0.7]]))
+    parked = StreetObject("parked", "car", (4.5, 1.9, 1.6), drive.poses_at(stamps[1:2]) @ beside)
+    raster = {name: replace(drive.cameras[name], width_px=1400, height_px=1400) for name in FISHEYES}
+    drive = replace(
+        drive,
+        image_ns=dict.fromkeys(names, stamps),
+        pose_ns=stamps,
+        box_ns=stamps,
+        objects=objects,
+        cameras={**drive.cameras, **raster},
+    )
+    return write_kitti360(folder, [drive], parked=[parked], boxes=True)
+
+
+def waymo_input(folder: Path) -> Path:
+    """A folder with one segment; the cameras are distorted, and their shutters roll."""
+    shutil.rmtree(folder, ignore_errors=True)
+    drive = synth_drives()[0].placed((220.0, -43.0, 30.0))
+    return write_waymo(folder, [drive.with_cameras(("front_wide", "front_left", "rear_right"))])
+
+
+def nuplan_input(folder: Path) -> Path:
+    """A folder with one log in Las Vegas, and the images of three cameras."""
+    shutil.rmtree(folder, ignore_errors=True)
+    return write_nuplan(folder, peer_drive((664_400.0, 3_998_300.0, 605.0)).upright())
+
+
+INPUTS: dict[str, Callable[[Path], Path]] = {
+    "nuscenes": nuscenes_input,
+    "argoverse2": argoverse2_input,
+    "kitti360": kitti360_input,
+    "nuplan": nuplan_input,
+    "waymo": waymo_input,
+}
 
 
 def result(name: str) -> Any:

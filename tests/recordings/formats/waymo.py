@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import matrix_from_quaternion
+from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_inverse, quaternion_multiply
 from tests.recordings.formats.street import StreetDrive
 
 CAMERAS = {"front_wide": 1, "front_left": 2, "front_right": 3, "rear_left": 4, "rear_right": 5}
@@ -83,6 +83,11 @@ def _write_segment(root: Path, drive: StreetDrive) -> None:
             "[StatsComponent].time_of_day": [{"day": "Day", "night": "Night"}[drive.light]],
             "[StatsComponent].location": ["location_sf"],
             "[StatsComponent].weather": [{"clear": "sunny", "rain": "rain"}[drive.weather]],
+            **{
+                f"[StatsComponent].{sensor}_object_counts.{name}": pa.array([[value]], pa.list_(kind))
+                for sensor in ("lidar", "camera")
+                for name, value, kind in (("types", 1, pa.int8()), ("counts", len(drive.objects), pa.int32()))
+            },
         },
         1,
     )
@@ -93,6 +98,7 @@ def _write_images(write: Any, drive: StreetDrive, names: list[str]) -> None:
     rows = [(index, name) for index in range(len(drive.image_ns[names[0]])) for name in names]
     stamps = np.array([drive.image_ns[name][index] for index, name in rows])
     image = "[CameraImageComponent]."
+    linear, angular = _velocities(drive, stamps)
     half = (SHUTTER_S + READOUT_S) / 2
     write(
         "camera_image",
@@ -101,6 +107,11 @@ def _write_images(write: Any, drive: StreetDrive, names: list[str]) -> None:
             "key.camera_name": pa.array([CAMERAS[name] for _, name in rows], pa.int8()),
             f"{image}image": [drive.image(name, index) for index, name in rows],
             f"{image}pose.transform": transforms(matrices(drive.poses_at(stamps))),
+            **{
+                f"{image}velocity.linear_velocity.{axis}": pa.array(values, pa.float32())
+                for axis, values in zip("xyz", linear.T)
+            },
+            **{f"{image}velocity.angular_velocity.{axis}": values for axis, values in zip("xyz", angular.T)},
             f"{image}pose_timestamp": stamps * 1e-9,
             f"{image}rolling_shutter_params.shutter": [SHUTTER_S] * len(rows),
             f"{image}rolling_shutter_params.camera_trigger_time": stamps * 1e-9 - half,
@@ -108,6 +119,18 @@ def _write_images(write: Any, drive: StreetDrive, names: list[str]) -> None:
         },
         len(rows),
         100,
+    )
+
+
+def _velocities(drive: StreetDrive, stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) metres and radians per second in the world, from poses 2 ms apart."""
+    step = 1_000_000
+    before, after = drive.poses_at(stamps - step), drive.poses_at(stamps + step)
+    turn = quaternion_multiply(after.rotation, quaternion_inverse(before.rotation))
+    seconds = 2e-9 * step
+    return (
+        (after.translation - before.translation) / seconds,
+        2.0 * turn[:, 1:] * np.sign(turn[:, :1]) / seconds,
     )
 
 
@@ -125,11 +148,19 @@ def _write_boxes(write: Any, drive: StreetDrive) -> None:
             f"{box}box.heading": np.arctan2(ahead[:, 1], ahead[:, 0]).tolist(),
             **{f"{box}box.center.{axis}": values.tolist() for axis, values in zip("xyz", seen.translation.T)},
             **{f"{box}box.size.{axis}": [size] * len(drive.box_ns) for axis, size in zip("xyz", one.size_m)},
+            f"{box}num_lidar_points_in_box": [100] * len(drive.box_ns),
+            f"{box}num_top_lidar_points_in_box": [60] * len(drive.box_ns),
         }
         for name, values in columns.items():
             parts.setdefault(name, []).extend(values)
+    count = len(parts["key.laser_object_id"])
     parts[f"{box}type"] = pa.array(parts[f"{box}type"], pa.int8())
-    write("lidar_box", parts, len(parts["key.laser_object_id"]))
+    # The dataset does not state the frame of these vectors, and the reader leaves them out.
+    for name in ("speed", "acceleration"):
+        parts.update({f"{box}{name}.{axis}": pa.nulls(count, pa.float64()) for axis in "xyz"})
+    for name in ("detection", "tracking"):
+        parts[f"{box}difficulty_level.{name}"] = pa.nulls(count, pa.int8())
+    write("lidar_box", parts, count)
 
 
 def transforms(matrix: np.ndarray) -> pa.Array:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pyproj
 
 from mirror.geometry.cameras import camera_from_row
@@ -17,7 +19,14 @@ from mirror.recordings.protocol import Recording
 from mirror.recordings.readers.kitti360_cameras import mei_pixels
 from mirror.recordings.registry import open_recording
 from tests.recordings.formats.kitti360 import MEI
-from tests.recordings.formats.peers import argoverse2_input, kitti360_input, nuplan_input, nuscenes_input, result
+from tests.recordings.formats.peers import (
+    argoverse2_input,
+    kitti360_input,
+    nuplan_input,
+    nuscenes_input,
+    result,
+    waymo_input,
+)
 
 LAKE = (8.4295857, 48.9843445)
 SIZES = ("length_m", "width_m", "height_m")
@@ -29,10 +38,10 @@ def corners(row: dict[str, Any]) -> np.ndarray:
     return half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
-def projected_boxes(
+def boxes_in_camera(
     recording: Recording, world_SE3_ego: Poses, camera: str, stamp_ns: int, box_ns: int
-) -> dict[str, tuple[dict[str, Any], np.ndarray, np.ndarray]]:
-    """Row, corner pixels and depths of the boxes of an instant, in an image, by track."""
+) -> dict[str, tuple[dict[str, Any], np.ndarray]]:
+    """Row and (8, 3) corners of the boxes of an instant, in the frame of an image's camera, by track."""
     track = recording.track()
     calibration = next(row for row in recording.calibrations().to_pylist() if row["camera"] == camera)
     ego_SE3_camera = Poses.from_columns({name: [calibration[name]] for name in COLUMNS})
@@ -45,9 +54,20 @@ def projected_boxes(
         if row["timestamp_ns"] == box_ns:
             box = Poses.from_columns({name: [row[name]] for name in COLUMNS})
             points = ((at[0] @ ego_SE3_camera).inverse() @ at[1] @ box).transform(corners(row))[0]
-            matrix = camera_from_row(calibration).intrinsic_matrix(first_pixel_centre=0.0)
-            pixels = points @ matrix.T
-            found[row["track_id"]] = row, pixels[:, :2] / pixels[:, 2:], points[:, 2]
+            found[row["track_id"]] = row, points
+    return found
+
+
+def projected_boxes(
+    recording: Recording, world_SE3_ego: Poses, camera: str, stamp_ns: int, box_ns: int
+) -> dict[str, tuple[dict[str, Any], np.ndarray, np.ndarray]]:
+    """Row, corner pixels of a pinhole and depths of the boxes of an instant, in an image, by track."""
+    calibration = next(row for row in recording.calibrations().to_pylist() if row["camera"] == camera)
+    matrix = camera_from_row(calibration).intrinsic_matrix(first_pixel_centre=0.0)
+    found = {}
+    for name, (row, points) in boxes_in_camera(recording, world_SE3_ego, camera, stamp_ns, box_ns).items():
+        pixels = points @ matrix.T
+        found[name] = row, pixels[:, :2] / pixels[:, 2:], points[:, 2]
     return found
 
 
@@ -247,3 +267,62 @@ def test_nuplan_devkit_reads_the_same(tmp_path: Path) -> None:
             assert np.abs(velocity - other["velocity_mps"]).max() < 1e-6
             compared += 1
     assert compared == 60
+
+
+def test_waymo_open_dataset_reads_the_same(tmp_path: Path) -> None:
+    """Its camera model computes in float32; the shutter is taken as global at the stamp of the image's pose."""
+    root = waymo_input(tmp_path / "w")
+    theirs = result("waymo")
+    for component, columns in theirs["columns"].items():
+        (file,) = (root / component).iterdir()
+        # Parquet names the values of a list differently.
+        assert {f.name: str(f.type).replace("element:", "item:") for f in pq.read_schema(file)} == columns
+    recording = open_recording(root)
+    assert (recording.info.light, recording.info.weather, recording.info.city) == ("day", "clear", "San Francisco")
+    assert theirs["stats"] == ["Day", "location_sf", "sunny"]
+    track = recording.track()
+    assert track.x_m is not None and track.rotation is not None
+    world_SE3_ego = Poses(track.rotation, np.stack([track.x_m, track.y_m, track.height_m], axis=1))
+    assert recording.rig is not None
+    names = {camera.source_name: camera.name for camera in recording.rig.cameras}
+    calibrations = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    assert set(names) == set(theirs["cameras"])
+    for source, peer in theirs["cameras"].items():
+        row = calibrations[names[source]]
+        assert [row["width_px"], row["height_px"]] == peer["size_px"]
+        assert row["shutter_direction"] == peer["shutter"].lower()
+        # Waymo's cameras are x forward, y left, z up.
+        axes = matrix_from_quaternion([[row[key] for key in COLUMNS[:4]]])[0][:, [2, 0, 1]] * (1.0, -1.0, -1.0)
+        expected = np.array(peer["extrinsic"])
+        assert np.abs(axes - expected[:3, :3]).max() < 1e-11
+        assert np.abs(expected[:3, 3] - [row[key] for key in COLUMNS[4:]]).max() < 1e-11
+    streams = recording.images()
+    assert len(theirs["images"]) == 3 * 4
+    seen = 0
+    for peer in theirs["images"]:
+        name = names[peer["camera"]]
+        start, end = (round(Fraction(second) * 10**9) for second in peer["exposure_s"])
+        index = int(np.argmin(np.abs(streams[name].exposure_start_ns - start)))
+        assert (streams[name].exposure_start_ns[index], streams[name].exposure_end_ns[index]) == (start, end)
+        stamp = round(Fraction(peer["pose_s"]) * 10**9)
+        for at_ns, matrix in ((stamp, peer["pose"]), (peer["box_us"] * 1_000, peer["vehicle_pose"])):
+            row_number = int(np.argmin(np.abs(track.timestamp_ns - at_ns)))
+            pose = world_SE3_ego[row_number]
+            assert abs(track.timestamp_ns[row_number] - at_ns) < 500
+            assert np.abs(pose.translation[0] - np.array(matrix)[:3, 3]).max() < 1e-9
+            assert np.abs(matrix_from_quaternion(pose.rotation)[0] - np.array(matrix)[:3, :3]).max() < 1e-9
+        found = boxes_in_camera(recording, world_SE3_ego, name, stamp, peer["box_us"] * 1_000)
+        assert set(found) == set(peer["boxes"])
+        lens = camera_from_row(calibrations[name])
+        for track_id, (row, points) in found.items():
+            other = peer["boxes"][track_id]
+            assert f"TYPE_{row['category'].upper()}" == other["type"]
+            yaw = 2.0 * math.atan2(row["qz"], row["qw"])
+            mine = [row[key] for key in (*COLUMNS[4:], *SIZES)]
+            assert np.abs(np.array(mine) - other["box"][:6]).max() < 1e-9
+            assert abs(math.remainder(yaw - other["box"][6], 2.0 * math.pi)) < 1e-9
+            inside = np.array(other["seen"])
+            away = np.abs(lens.project(points[inside]).uv_px - np.array(other["corners_px"])[inside])
+            assert away.max(initial=0.0) < 1e-3
+            seen += int(inside.sum())
+    assert seen == 160

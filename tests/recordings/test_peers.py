@@ -14,16 +14,24 @@ import pyproj
 from mirror.geometry.cameras import camera_from_row
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import COLUMNS, Poses
-from mirror.geometry.quaternions import matrix_from_quaternion, quaternion_exp, quaternion_multiply, rotate
+from mirror.geometry.quaternions import (
+    matrix_from_quaternion,
+    quaternion_exp,
+    quaternion_multiply,
+    quaternion_normalise,
+    rotate,
+)
 from mirror.recordings.protocol import Recording
 from mirror.recordings.readers.kitti360_cameras import mei_pixels
 from mirror.recordings.registry import open_recording
+from tests.recordings.formats.compare import angle_between
 from tests.recordings.formats.kitti360 import MEI
 from tests.recordings.formats.peers import (
     argoverse2_input,
     kitti360_input,
     nuplan_input,
     nuscenes_input,
+    py123d_input,
     result,
     waymo_input,
 )
@@ -157,15 +165,19 @@ def test_av2_reads_the_same(tmp_path: Path) -> None:
     assert compared > 10
 
 
+def kitti360_poses(recording: Recording) -> Poses:
+    """Poses in the dataset's world, from degrees: Mercator's projection, scaled at the lake, by PROJ."""
+    track = recording.track()
+    assert track.longitude_deg is not None and track.rotation is not None
+    world = pyproj.Proj(f"+proj=merc +R=6378137 +k_0={math.cos(math.radians(LAKE[1]))!r}")
+    place = np.stack(world(track.longitude_deg, track.latitude_deg), axis=1) - world(*LAKE)
+    return Poses(track.rotation, np.column_stack([place, track.height_m]))
+
+
 def test_kitti360scripts_reads_the_same(tmp_path: Path) -> None:
     """The scripts round the pixels of rectified cameras, and leave p1 and p2 of the fisheyes out."""
     recording = open_recording(kitti360_input(tmp_path / "k"))
-    track = recording.track()
-    assert track.longitude_deg is not None and track.rotation is not None
-    # The dataset's world: Mercator's projection, scaled at the lake.
-    world = pyproj.Proj(f"+proj=merc +R=6378137 +k_0={math.cos(math.radians(LAKE[1]))!r}")
-    place = np.stack(world(track.longitude_deg, track.latitude_deg), axis=1) - world(*LAKE)
-    world_SE3_ego = Poses(track.rotation, np.column_stack([place, track.height_m]))
+    track, world_SE3_ego = recording.track(), kitti360_poses(recording)
     theirs = result("kitti360")
     boxes = recording.boxes()
     assert boxes is not None
@@ -212,6 +224,52 @@ def test_kitti360scripts_reads_the_same(tmp_path: Path) -> None:
                 assert away.max(initial=0.0) < 0.5
                 fisheye += int(inside.sum())
     assert (rectified, fisheye) == (224, 64)
+
+
+def same_pose(pose: Poses, row: int, theirs: list[float]) -> None:
+    """A pose is that of seven numbers, within 1e-8 m and 1e-10 rad."""
+    assert np.abs(pose.translation[row] - theirs[4:]).max() < 1e-8
+    rotation = quaternion_normalise([theirs[:4]])
+    assert angle_between(pose.rotation[row : row + 1], rotation)[0] < 1e-10
+
+
+def test_py123d_reads_the_same(tmp_path: Path) -> None:
+    recording = open_recording(py123d_input(tmp_path / "k"))
+    track, world_SE3_ego = recording.track(), kitti360_poses(recording)
+    theirs = result("py123d")
+    calibrations = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    assert set(calibrations) == set(theirs["cameras"])
+    mountings = {name: Poses.from_columns({key: [row[key]] for key in COLUMNS}) for name, row in calibrations.items()}
+    for name, peer in theirs["cameras"].items():
+        row = calibrations[name]
+        assert [row["width_px"], row["height_px"]] == peer["size_px"]
+        same_pose(mountings[name], 0, peer["ego_SE3_camera"])
+        if peer["pixels_px"] is not None:
+            pixels = camera_from_row(row).project(np.array(theirs["points"])).uv_px
+            assert np.abs(pixels - 0.5 - peer["pixels_px"]).max() < 1e-8
+    streams = recording.images()
+    boxes = recording.boxes()
+    assert boxes is not None
+    rows = boxes.to_pylist()
+    assert len(theirs["frames"]) == len(track.timestamp_ns) == 3
+    for frame, peer in enumerate(theirs["frames"]):
+        assert track.timestamp_ns[frame] == peer["timestamp_us"] * 1_000
+        same_pose(world_SE3_ego, frame, peer["world_SE3_ego"])
+        assert set(streams) == set(peer["images"])
+        for name, image in peer["images"].items():
+            assert str(streams[name].path(frame)).endswith(image["file"])
+            assert streams[name].exposure_start_ns[frame] == image["timestamp_us"] * 1_000
+            same_pose(world_SE3_ego[frame] @ mountings[name], 0, image["world_SE3_camera"])
+        # Of boxes at rest, py123d keeps those that the lidar sees.
+        moving = [row for row in rows if row["timestamp_ns"] == track.timestamp_ns[frame] and row["vx_mps"] is None]
+        assert len(moving) == len(peer["boxes"]) == 5
+        for row in moving:
+            instance = row["track_id"].partition("_")[2]
+            (other,) = (box for name, box in peer["boxes"].items() if int(name) % 1_000 == int(instance))
+            assert row["category"].upper() == other["label"]
+            assert np.abs(np.array([row[key] for key in SIZES]) - other["size_m"]).max() < 1e-8
+            pose = world_SE3_ego[frame] @ Poses.from_columns({key: [row[key]] for key in COLUMNS})
+            same_pose(pose, 0, other["world_SE3_box"])
 
 
 def utm_poses(recording: Recording) -> Poses:

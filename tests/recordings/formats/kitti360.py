@@ -120,7 +120,11 @@ def _write_boxes(file: Path, drive: StreetDrive, stamps: np.ndarray, parked: Seq
         for pose, stamp in zip(_matrices(one.world_SE3_box), drive.box_ns)
     ]
     rows += [(one, 100 + number, _matrices(one.world_SE3_box)[0], -1) for number, one in enumerate(parked)]
-    text = ['<?xml version="1.0"?>', "<opencv_storage>", "<object0><label>no box</label></object0>"]
+    text = [
+        '<?xml version="1.0"?>',
+        "<opencv_storage>",
+        "<object0><label>no box</label><timestamp>-1</timestamp></object0>",
+    ]
     cube = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     faces = np.array([[a, b, c] for square in _SQUARES for a, b, c in (square[:3], square[1:])])
     for index, (one, instance, pose, frame) in enumerate(rows, 1):

@@ -59,6 +59,7 @@ def kitti360_input(folder: Path) -> Path:
     raster = {name: replace(drive.cameras[name], width_px=1400, height_px=1400) for name in FISHEYES}
     drive = replace(
         drive,
+        name="2013_05_28_drive_0000_sync",
         image_ns=dict.fromkeys(names, stamps),
         pose_ns=stamps,
         box_ns=stamps,
@@ -66,6 +67,19 @@ def kitti360_input(folder: Path) -> Path:
         cameras={**drive.cameras, **raster},
     )
     return write_kitti360(folder, [drive], parked=[parked], boxes=True)
+
+
+def py123d_input(folder: Path) -> Path:
+    """The folder of `kitti360_input`, with stamps and empty points of the lidar, which py123d asks for."""
+    root = kitti360_input(folder)
+    (images,) = (root / "data_2d_raw").iterdir()
+    lidar = root / "data_3d_raw" / images.name / "velodyne_points"
+    (lidar / "data").mkdir(parents=True)
+    shutil.copyfile(images / "image_00" / "timestamps.txt", lidar / "timestamps.txt")
+    for file in (images / "image_00" / "data_rect").iterdir():
+        (lidar / "data" / f"{file.stem}.bin").touch()
+    (root / "calibration" / "calib_cam_to_velo.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    return root
 
 
 def waymo_input(folder: Path) -> Path:
@@ -86,6 +100,7 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
     "argoverse2": argoverse2_input,
     "kitti360": kitti360_input,
     "nuplan": nuplan_input,
+    "py123d": py123d_input,
     "waymo": waymo_input,
 }
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from hybridworldsim.rasterizer import rasterization
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
 from tests.baselines_splatting.scenes import (
     GROWING,
@@ -73,6 +74,24 @@ def test_loaded_model_renders_as_the_trained_one(method):
     load(other.model, trainer.state())
     for at in (shown[0].viewpoint, viewpoint(0.7)):
         assert torch.equal(trainer.render(at).rgb, other.render(at).rgb)
+
+
+@methods
+def test_covers_are_the_opacity_of_what_lies_before_a_far_plane(method):
+    trainer, limits = _made(method), (5.0, 8.5, 30.0)
+    _train(trainer, images(), 0, 10, 10)
+    rendering, covers = trainer.render_covers(viewpoint(), limits)
+    assert torch.equal(rendering.rgb, trainer.render(viewpoint()).rgb)
+    geometry, at = trainer.model.geometry(torch.arange(len(trainer.model))), viewpoint()
+    for number, limit in enumerate(limits):
+        _, alphas, _ = rasterization(
+            geometry["means"], geometry["quats"], geometry["scales"].exp(), geometry["opacities"].sigmoid(),
+            torch.zeros(len(trainer.model), 3), at.viewmat[None], at.K[None], WIDTH, HEIGHT,
+            near_plane=trainer.settings.near_m, far_plane=limit,
+            rasterize_mode="antialiased" if trainer.settings.antialiased else "classic",
+        )  # fmt: skip
+        torch.testing.assert_close(covers[..., number], alphas[0, ..., 0].detach(), atol=2e-4, rtol=0.0)
+    assert covers.mean(dim=(0, 1)).diff().min() > 0.01
 
 
 @methods

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from torch import Tensor
 
 from hybridworldsim.methods.overrides import settings_adapter
 from hybridworldsim.model.initialization import InitialGeometry
@@ -17,7 +18,7 @@ from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
 from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
-from hybridworldsim.training.viewpoint import Source, to_viewpoint
+from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
@@ -93,13 +94,27 @@ class NearestBlockRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """Render a view with its depth."""
+        trainer, viewpoint = self._choose(view)
+        return trainer.render(viewpoint)
+
+    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
+        """Render a view, and the share (H, W, K) of each pixel that the street before K depths covers.
+
+        Args:
+            view: the view.
+            limits_m: K depths (camera z), at least one.
+        """
+        trainer, viewpoint = self._choose(view)
+        return trainer.render_covers(viewpoint, limits_m)
+
+    def _choose(self, view: RenderView) -> tuple[TrainableMethod, Viewpoint]:
+        """The nearest block's model, and the view in its frame and appearance."""
         camera_m = view.pose.translation[0, :2]
         place = int(np.abs(self._centres - camera_m).max(axis=1).argmin())
         block = self._blocks[place]
         choice = self._selectors[place].select(view)
         ((source, _),) = choice.colours
-        viewpoint = to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
-        return block.trainer.render(viewpoint)
+        return block.trainer, to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
 
 
 def _placeholder(run: Run) -> InitialGeometry:

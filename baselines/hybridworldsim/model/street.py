@@ -14,6 +14,7 @@ from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
 from hybridworldsim.model.splats import Splats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.rasterizer.covers import nearer_than
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
@@ -109,15 +110,12 @@ def render(
         viewpoint: the camera.
         parts: the decoded Gaussians.
         track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
-        limits_m: K depths (camera z). Gaussians are blended from front to back, so that the sum of the weights of those
-            with a centre before a limit is the share of a pixel that they cover.
+        limits_m: K depths (camera z), before which the share that Gaussians cover is wanted.
     """
     splats = concatenate_splats(parts)
     colours = splats.colours
     if limits_m:
-        towards = viewpoint.viewmat[2].to(splats.means.dtype)
-        nearer = (splats.means @ towards[:3] + towards[3])[:, None] < splats.means.new_tensor(limits_m)
-        colours = torch.cat([colours, nearer.to(colours.dtype)], dim=1)
+        colours = torch.cat([colours, nearer_than(splats.means, viewpoint.viewmat, limits_m)], dim=1)
     images, alphas, meta = rasterization(
         splats.means,
         splats.quats,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,6 +66,15 @@ class TrainableMethod(Protocol):
 
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
+        ...
+
+    def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
+        """Render as `render` does, with the share (H, W, K) of each pixel that Gaussians before K depths cover.
+
+        Args:
+            viewpoint: the camera, with a training source.
+            limits_m: K depths (camera z), at least one.
+        """
         ...
 
     def state(self) -> dict[str, Tensor]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.rasterizer.covers import nearer_than
 from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
@@ -105,33 +106,54 @@ class SplattingTrainer:
         counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
         return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
 
+    @torch.no_grad()
+    def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
+        """See `TrainableMethod`; colours are spherical harmonics, so that the marks are rasterized by themselves."""
+        geometry = self.model.geometry(self.model.visible_ids(viewpoint))
+        marks = nearer_than(geometry["means"], viewpoint.viewmat, limits_m)
+        covers, _, _ = self._rasterize(viewpoint, geometry, marks, "RGB", sh_degree=None)
+        return self.render(viewpoint), covers[0]
+
     def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
-        model, settings = self.model, self.settings
+        model = self.model
         rows = model.visible_ids(viewpoint)
         geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
         for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
-        images, alphas, meta = rasterization(
-            geometry["means"],
-            geometry["quats"],
-            geometry["scales"].exp(),
-            geometry["opacities"].sigmoid(),
-            spherical_harmonics,
-            viewpoint.viewmat[None],
-            viewpoint.K[None],
-            viewpoint.width_px,
-            viewpoint.height_px,
-            near_plane=settings.near_m,
-            sh_degree=int(model.sh_degree),
-            render_mode="RGB+ED",
-            rasterize_mode="antialiased" if settings.antialiased else "classic",
-            absgrad=settings.densification.absolute,
-            nonfinite="cull",
+        images, alphas, meta = self._rasterize(
+            viewpoint, geometry, spherical_harmonics, "RGB+ED", sh_degree=int(model.sh_degree)
         )
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
         alpha = alphas[0, ..., 0]
         finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
         return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, spherical_harmonics, meta)
+
+    def _rasterize(
+        self,
+        viewpoint: Viewpoint,
+        geometry: Mapping[str, Tensor],
+        colours: Tensor,
+        mode: Literal["RGB", "RGB+ED"],
+        *,
+        sh_degree: int | None,
+    ) -> tuple[Tensor, Tensor, dict[str, Any]]:
+        return rasterization(
+            geometry["means"],
+            geometry["quats"],
+            geometry["scales"].exp(),
+            geometry["opacities"].sigmoid(),
+            colours,
+            viewpoint.viewmat[None],
+            viewpoint.K[None],
+            viewpoint.width_px,
+            viewpoint.height_px,
+            near_plane=self.settings.near_m,
+            sh_degree=sh_degree,
+            render_mode=mode,
+            rasterize_mode="antialiased" if self.settings.antialiased else "classic",
+            absgrad=self.settings.densification.absolute,
+            nonfinite="cull",
+        )
 
     def state(self) -> dict[str, Tensor]:
         """See `TrainableMethod`."""

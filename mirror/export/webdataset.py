@@ -25,6 +25,7 @@ from mirror.export.samples import describe_frame, own_lens
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.progress import ProgressReporter
 from mirror.schema.files import TEMPORARY, unwritable_error
+from mirror.schema.strict_json import decode_json
 
 SHARD_BYTES: Final = 256 * 1024 * 1024
 """A shard ends with the sample that reaches this size of recorded images."""
@@ -112,7 +113,7 @@ def _read_counts(path: Path) -> _Shard:
         for member in tar:
             masks += member.name.endswith(".mask.png")
             content = tar.extractfile(member) if member.name.endswith(".json") else None
-            boxes += len(json.load(content)["boxes"]) if content is not None else 0
+            boxes += len(decode_json(content.read())["boxes"]) if content is not None else 0
     return _Shard(masks, boxes)
 
 

@@ -39,6 +39,20 @@ def test_parts_within_parts_do_not_wait_for_each_other(threads):
     assert sorted(called) == sorted(list(range(4)) * 5)
 
 
+def test_inner_parts_of_the_calling_thread_do_not_wait_for_outer_parts_of_others(threads):
+    if threads < 2:
+        pytest.skip("needs two threads")
+    finished, met = [threading.Event(), threading.Event()], []
+
+    def outer(part):
+        in_parallel(lambda _: None, 4)
+        finished[part].set()
+        met.append(finished[1 - part].wait(10.0))
+
+    in_parallel(outer, 2)
+    assert met == [True, True]
+
+
 def test_a_failure_is_raised_when_nothing_is_written_any_more(threads):
     running, lock = [0], threading.Lock()
 

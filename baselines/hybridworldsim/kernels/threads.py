@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import count
-from threading import Event, current_thread
+from threading import Event, local
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,8 @@ from mirror.arrays import Int64
 _NAME: Final = "rasterizer"
 _SPANS: Final = 4
 _MIN_SPAN: Final = 512
+_inside: Final = local()
+"""Has ``a_call`` in threads that run a call of `in_parallel`, the calling thread included."""
 
 
 def in_parallel(call: Callable[[int], object], parts: int) -> None:
@@ -34,27 +36,32 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
         parts: number of calls; they start in order.
     """
     helpers = min(torch.get_num_threads(), parts) - 1
-    if helpers <= 0 or current_thread().name.startswith(_NAME):
+    if helpers <= 0 or getattr(_inside, "a_call", False):
         for part in range(parts):
             call(part)
         return
     numbers, failed = count(), Event()
 
     def work() -> None:
-        while not failed.is_set() and (part := next(numbers)) < parts:
-            try:
+        _inside.a_call = True
+        try:
+            while not failed.is_set() and (part := next(numbers)) < parts:
                 call(part)
-            except BaseException:
-                failed.set()
-                raise
+        except BaseException:
+            failed.set()
+            raise
+        finally:
+            _inside.a_call = False
 
     pool = _pool(helpers, os.getpid())
     futures = [pool.submit(work) for _ in range(helpers)]
     try:
         work()
     finally:
-        wait(futures)
-    for future in futures:
+        # Nothing is left for a thread that has not begun, because it is busy with the work of another caller.
+        begun = [future for future in futures if not future.cancel()]
+        wait(begun)
+    for future in begun:
         future.result()
 
 

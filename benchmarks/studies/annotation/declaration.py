@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.studies.annotation.scoring import Bar
+from benchmarks.studies.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("experiment.toml")
 
@@ -69,5 +68,5 @@ def load_declaration() -> Declaration:
         settings=training["settings"],
         bar=Bar(score["range_m"], score["visible_px"], tuple(score["thresholds_m"])),
         bars=document["bars"],
-        hash=hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest(),
+        hash=hash_document(document),
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+from benchmarks.studies.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("experiment.toml")
 
@@ -59,5 +59,4 @@ def load_declaration(file: Path = FILE) -> Declaration:
 
 def make_declaration(document: Mapping[str, Any]) -> Declaration:
     """Make the declaration of a document, with its hash."""
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-    return Declaration(**document, hash=digest)
+    return Declaration(**document, hash=hash_document(document))

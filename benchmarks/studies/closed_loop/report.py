@@ -13,8 +13,7 @@ from benchmarks.studies.closed_loop.records import RolloutKey
 from benchmarks.studies.closed_loop.stages import EXACT, is_finished, list_stages
 from benchmarks.studies.closed_loop.statistics import Rollouts, compare, intervals
 from benchmarks.studies.closed_loop.study import PILOT, Study
-from mirror.errors import UsageError
-from mirror.schema.files import write_bytes
+from benchmarks.studies.page import replace_section
 
 PAGE: Final = Path(__file__).parents[3] / "docs" / "simulation.md"
 BEGIN: Final = "<!-- closed loop study: written by `python -m benchmarks closed_loop report` -->"
@@ -54,11 +53,7 @@ def update_page(study: Study, page: Path = PAGE) -> None:
     Raises:
         UsageError: the page has no markers.
     """
-    text = page.read_text()
-    begin, end = text.find(BEGIN), text.find(END)
-    if begin < 0 or end < begin:
-        raise UsageError("has no place for the report", file=page, expected=f"the lines {BEGIN} and {END}")
-    write_bytes(page, (text[:begin] + format_report(study) + text[end + len(END) :]).encode())
+    replace_section(page, BEGIN, END, format_report(study))
 
 
 def describe_stages(study: Study) -> Sequence[str]:

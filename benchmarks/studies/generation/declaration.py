@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+
+from benchmarks.studies.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("experiment.toml")
 
@@ -41,5 +41,4 @@ class Declaration:
 def load_declaration(file: Path = FILE) -> Declaration:
     """Load a declaration; its hash is of its values, not of their formatting."""
     document = tomllib.loads(file.read_text())
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-    return Declaration(**document, hash=digest)
+    return Declaration(**document, hash=hash_document(document))

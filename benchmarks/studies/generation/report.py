@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.studies.generation.published import STAGE
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study
-from mirror.errors import UsageError
+from benchmarks.studies.page import replace_section
 from mirror.schema.files import write_bytes
 
 PAGE: Final = Path(__file__).parents[3] / "docs" / "generation.md"
@@ -53,11 +53,7 @@ def update_page(study: Study, page: Path = PAGE) -> None:
     Raises:
         UsageError: the page has no markers.
     """
-    text = page.read_text()
-    begin, end = text.find(BEGIN), text.find(END)
-    if begin < 0 or end < begin:
-        raise UsageError("has no place for the report", file=page, expected=f"the lines {BEGIN} and {END}")
-    write_bytes(page, (text[:begin] + format_report(study) + text[end + len(END) :]).encode())
+    replace_section(page, BEGIN, END, format_report(study))
 
 
 def write_sheets(study: Study, out: Path) -> list[Path]:

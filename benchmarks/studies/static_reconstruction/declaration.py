@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+from benchmarks.studies.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("comparison.toml")
 TRAINING: Final = "training"
@@ -77,5 +77,5 @@ def load_declaration() -> Declaration:
             rates=tuple(grid["rates"]),
             sizes=tuple(grid["sizes"]),
         ),
-        hash=hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest(),
+        hash=hash_document(document),
     )

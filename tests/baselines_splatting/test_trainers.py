@@ -7,7 +7,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from hybridworldsim.methods.renderers import OpenBlock, render_nearest
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.training.appearance import trained_cameras
+from hybridworldsim.training.run.folder import Run
+from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
 from tests.baselines_splatting.scenes import (
     GROWING,
@@ -20,6 +25,7 @@ from tests.baselines_splatting.scenes import (
     small,
     viewpoint,
 )
+from tests.training import street
 
 pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is what densifies")
 METHODS = {"vanilla": vanilla_3dgs, "mtgs": mtgs_style, "omnire": omnire_style}
@@ -92,6 +98,18 @@ def test_covers_are_the_opacity_of_what_lies_before_a_far_plane(method):
         )  # fmt: skip
         torch.testing.assert_close(covers[..., number], alphas[0, ..., 0].detach(), atol=2e-4, rtol=0.0)
     assert covers.mean(dim=(0, 1)).diff().min() > 0.01
+
+
+def test_a_renderer_states_covers_if_its_method_does():
+    run = Run(
+        method="any", settings={}, settings_hash="", seed=0, steps=1, core_minutes=None, threads=1, scene="s",
+        split="novel", block="whole", origin_m=(0.0, 0.0, 0.0), radius_m=30.0, width_px=WIDTH, half=False,
+        dataset_hash="", plan_hash="", depth=None, points=None, pictures=1, sources=trained_cameras(street.views()),
+    )  # fmt: skip
+    for trainer, expected in ((_made(vanilla_3dgs), True), (street.trainer(), False)):
+        renderer = render_nearest([OpenBlock(run, trainer)], AppearancePolicy())
+        assert isinstance(renderer, DepthRenderer)
+        assert isinstance(renderer, CoverRenderer) is expected
 
 
 @methods

@@ -17,7 +17,7 @@ from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters
 from hybridworldsim.training.run.previews import pixels
-from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
+from hybridworldsim.training.trainable_method import CoverTrainableMethod, Rendering, TrainableMethod
 from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.arrays import Float64, UInt8
 from mirror.errors import UsageError
@@ -94,8 +94,21 @@ class NearestBlockRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """Render a view with its depth."""
-        trainer, viewpoint = self._choose(view)
+        trainer, viewpoint = self.choose(view)
         return trainer.render(viewpoint)
+
+    def choose(self, view: RenderView) -> tuple[TrainableMethod, Viewpoint]:
+        """Return the nearest block's model, and the view in its frame and appearance."""
+        camera_m = view.pose.translation[0, :2]
+        place = int(np.abs(self._centres - camera_m).max(axis=1).argmin())
+        block = self._blocks[place]
+        choice = self._selectors[place].select(view)
+        ((source, _),) = choice.colours
+        return block.trainer, to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
+
+
+class NearestBlockCoverRenderer(NearestBlockRenderer):
+    """A `NearestBlockRenderer` of a method that states what covers each pixel."""
 
     def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
         """Render a view, and the share (H, W, K) of each pixel that the street before K depths covers.
@@ -103,18 +116,20 @@ class NearestBlockRenderer:
         Args:
             view: the view.
             limits_m: K depths (camera z), at least one.
+
+        Raises:
+            UsageError: the nearest block's method does not state what covers a pixel.
         """
-        trainer, viewpoint = self._choose(view)
+        trainer, viewpoint = self.choose(view)
+        if not isinstance(trainer, CoverTrainableMethod):
+            raise UsageError(f"a {type(trainer).__name__}", expected="a CoverTrainableMethod")
         return trainer.render_covers(viewpoint, limits_m)
 
-    def _choose(self, view: RenderView) -> tuple[TrainableMethod, Viewpoint]:
-        """The nearest block's model, and the view in its frame and appearance."""
-        camera_m = view.pose.translation[0, :2]
-        place = int(np.abs(self._centres - camera_m).max(axis=1).argmin())
-        block = self._blocks[place]
-        choice = self._selectors[place].select(view)
-        ((source, _),) = choice.colours
-        return block.trainer, to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
+
+def render_nearest(blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> NearestBlockRenderer:
+    """Make a `NearestBlockRenderer`, with `render_covers` if the method of all blocks has it."""
+    covers = all(isinstance(block.trainer, CoverTrainableMethod) for block in blocks)
+    return (NearestBlockCoverRenderer if covers else NearestBlockRenderer)(blocks, appearance)
 
 
 def _placeholder(run: Run) -> InitialGeometry:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.methods.overrides import override_settings, settings_document
-from hybridworldsim.methods.renderers import NearestBlockRenderer, Renderer, open_block
+from hybridworldsim.methods.renderers import Renderer, open_block, render_nearest
 from hybridworldsim.methods.scene_preparation import BlockTraining, Scene, prepare_scene, source_pairs
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
@@ -94,9 +94,7 @@ class StaticMethod:
             DatasetError: the folder holds no complete model of this method.
         """
         settings = type(self.settings(0))
-        return NearestBlockRenderer(
-            [open_block(folder, self.make, settings) for folder in block_folders(model)], appearance
-        )
+        return render_nearest([open_block(folder, self.make, settings) for folder in block_folders(model)], appearance)
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """Write what rendering needs, and return its size in bytes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import torch
@@ -16,13 +16,12 @@ from hybridworldsim.model.lazy_adam import BETA1, BETA2, EPS, LazyAdam
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
-from hybridworldsim.model.street import NodeRows, RenderOutput, Street, render
+from hybridworldsim.model.street import NodeRows, RenderOutput, Street
 from hybridworldsim.model.visibility_cache import VisibilityCache
 from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
-from mirror.errors import UsageError
 
 _SENSOR_RATE_SHARE = 0.1
 """Learning rate of a sensor's latent, as a share of the learning rate of its traversal's latent."""
@@ -95,18 +94,6 @@ class StreetTrainer:
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
-        return self._render(viewpoint)[0]
-
-    @torch.no_grad()
-    def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
-        """See `TrainableMethod`."""
-        rendering, output = self._render(viewpoint)
-        covers = render(viewpoint, output.parts, limits_m=limits_m).before
-        if covers is None:
-            raise UsageError("no depth was given", place="limits_m", expected="at least one")
-        return rendering, covers
-
-    def _render(self, viewpoint: Viewpoint) -> tuple[Rendering, RenderOutput]:
         self.catch_up()
         output = self.street(viewpoint, self.street.appearance(viewpoint.source))
         counts = {
@@ -114,7 +101,7 @@ class StreetTrainer:
             "decoded": sum(part.decoded_count for part in output.parts),
             "drawn": sum(len(part) for part in output.parts),
         }
-        return Rendering(output.rgb, output.alpha, output.depth_m, counts), output
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
     def catch_up(self) -> None:
         """Bring all rows up to date; rows that no recent step used have missed updates."""

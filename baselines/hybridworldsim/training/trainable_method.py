@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
@@ -68,6 +68,19 @@ class TrainableMethod(Protocol):
         """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
         ...
 
+    def state(self) -> dict[str, Tensor]:
+        """Everything that training needs to continue exactly: parameters, moments, statistics, random generators."""
+        ...
+
+    def restore(self, state: Mapping[str, Tensor]) -> None:
+        """Restore what `state` returned."""
+        ...
+
+
+@runtime_checkable
+class CoverTrainableMethod(TrainableMethod, Protocol):
+    """A model that also states what covers each pixel before some depths."""
+
     def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
         """Render as `render` does, with the share (H, W, K) of each pixel that Gaussians before K depths cover.
 
@@ -75,12 +88,4 @@ class TrainableMethod(Protocol):
             viewpoint: the camera, with a training source.
             limits_m: K depths (camera z), at least one.
         """
-        ...
-
-    def state(self) -> dict[str, Tensor]:
-        """Everything that training needs to continue exactly: parameters, moments, statistics, random generators."""
-        ...
-
-    def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Restore what `state` returned."""
         ...

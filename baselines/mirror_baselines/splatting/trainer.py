@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,6 +12,8 @@ from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import nearer_than
+from hybridworldsim.rasterizer.cpu.spherical_harmonics import spherical_harmonics as sum_harmonics
+from hybridworldsim.rasterizer.harmonics import compute_directions, to_colours
 from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
@@ -32,6 +34,7 @@ class RenderOutput:
         finished: colours.
         alpha: (H, W).
         depth_m: (H, W) expected depth.
+        before: (H, W, K) share of each pixel that Gaussians before K depths cover.
         rows: (M,) int64 rows of the tables that may be visible.
         geometry: copies of these rows of each table of geometry, leaves that may require gradients.
         spherical_harmonics: (M, K, 3) coefficients of these rows, likewise.
@@ -41,6 +44,7 @@ class RenderOutput:
     finished: FinishedImage
     alpha: Tensor
     depth_m: Tensor
+    before: Tensor
     rows: Tensor
     geometry: dict[str, Tensor]
     spherical_harmonics: Tensor
@@ -102,42 +106,31 @@ class SplattingTrainer:
     @torch.no_grad()
     def render(self, viewpoint: Viewpoint) -> Rendering:
         """See `TrainableMethod`."""
-        output = self._render(viewpoint, learning=False)
-        counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
-        return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
+        return self._to_rendering(self._render(viewpoint, learning=False))
 
     @torch.no_grad()
     def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
-        """See `TrainableMethod`; colours are spherical harmonics, so that the marks are rasterized by themselves."""
-        geometry = self.model.geometry(self.model.visible_ids(viewpoint))
-        marks = nearer_than(geometry["means"], viewpoint.viewmat, limits_m)
-        covers, _, _ = self._rasterize(viewpoint, geometry, marks, "RGB", sh_degree=None)
-        return self.render(viewpoint), covers[0]
+        """See `CoverTrainableMethod`."""
+        output = self._render(viewpoint, learning=False, limits_m=limits_m)
+        return self._to_rendering(output), output.before
 
-    def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
+    def _to_rendering(self, output: RenderOutput) -> Rendering:
+        counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
+        return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
+
+    def _render(self, viewpoint: Viewpoint, *, learning: bool, limits_m: Sequence[float] = ()) -> RenderOutput:
         model = self.model
-        rows = model.visible_ids(viewpoint)
+        rows, degree = model.visible_ids(viewpoint), int(model.sh_degree)
         geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
         for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
-        images, alphas, meta = self._rasterize(
-            viewpoint, geometry, spherical_harmonics, "RGB+ED", sh_degree=int(model.sh_degree)
-        )
-        meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
-        alpha = alphas[0, ..., 0]
-        finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
-        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, spherical_harmonics, meta)
-
-    def _rasterize(
-        self,
-        viewpoint: Viewpoint,
-        geometry: Mapping[str, Tensor],
-        colours: Tensor,
-        mode: Literal["RGB", "RGB+ED"],
-        *,
-        sh_degree: int | None,
-    ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-        return rasterization(
+        colours = spherical_harmonics
+        if limits_m:
+            # Colours with further channels are plain numbers.
+            directions = compute_directions(geometry["means"], viewpoint.viewmat)
+            colours = to_colours(sum_harmonics(degree, directions, spherical_harmonics))
+            colours = torch.cat([colours, nearer_than(geometry["means"], viewpoint.viewmat, limits_m)], dim=1)
+        images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
@@ -148,11 +141,17 @@ class SplattingTrainer:
             viewpoint.width_px,
             viewpoint.height_px,
             near_plane=self.settings.near_m,
-            sh_degree=sh_degree,
-            render_mode=mode,
+            sh_degree=None if limits_m else degree,
+            render_mode="RGB+ED",
             rasterize_mode="antialiased" if self.settings.antialiased else "classic",
             absgrad=self.settings.densification.absolute,
             nonfinite="cull",
+        )
+        meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
+        alpha = alphas[0, ..., 0]
+        finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
+        return RenderOutput(
+            finished, alpha, images[0, ..., -1], images[0, ..., 3:-1], rows, geometry, spherical_harmonics, meta
         )
 
     def state(self) -> dict[str, Tensor]:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
 from mirror.geometry.poses import to_pose_numbers
+from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction
 from mirror.methods.registry import installed_method
 from mirror.protocols.views.view import RenderView
@@ -37,24 +37,6 @@ from mirror.synth.light.sun import instant_of
 
 _NO_POSITION = (0.0, 45.0)
 _NEAR_M = 70.0
-
-
-@runtime_checkable
-class DepthRenderer(Protocol):
-    """A renderer of a method that also gives depth."""
-
-    def render(self, view: RenderView) -> Any:
-        """Render a view; the result has ``rgb`` (H, W, 3), ``alpha`` and ``depth_m`` (H, W) as float tensors."""
-        ...
-
-
-@runtime_checkable
-class CoverRenderer(Protocol):
-    """A renderer of a method that also gives what the street before some depths covers."""
-
-    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Any, Any]:
-        """Render a view as `DepthRenderer` does, and the share (H, W, K) of each pixel covered before K depths."""
-        ...
 
 
 def require_model_of(path: Path, street: Street) -> tuple[Reconstruction, tuple[str, ...]]:

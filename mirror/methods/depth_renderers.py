@@ -1,0 +1,53 @@
+"""Optional interfaces of renderers: depth, which a simulator needs, and what covers each pixel before a depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+from mirror.protocols.views.view import RenderView
+
+
+class DepthRendering(Protocol):
+    """An image with depth; all are float tensors of torch."""
+
+    @property
+    def rgb(self) -> Any:
+        """(H, W, 3) colours, 0 to 1."""
+        ...
+
+    @property
+    def alpha(self) -> Any:
+        """(H, W) share of each pixel that the model covers, 0 to 1."""
+        ...
+
+    @property
+    def depth_m(self) -> Any:
+        """(H, W) expected camera z."""
+        ...
+
+
+@runtime_checkable
+class DepthRenderer(Protocol):
+    """A renderer that also gives depth."""
+
+    def render(self, view: RenderView) -> DepthRendering:
+        """Render a view with its depth."""
+        ...
+
+
+@runtime_checkable
+class CoverRenderer(Protocol):
+    """A renderer that also gives what the model before some depths covers."""
+
+    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[DepthRendering, Any]:
+        """Render a view with its depth, and the share of each pixel that the model before K depths covers.
+
+        Args:
+            view: the view.
+            limits_m: K depths (camera z), at least one.
+
+        Returns:
+            What `DepthRenderer.render` returns; and the shares (H, W, K), 0 to 1, a float tensor of torch.
+        """
+        ...

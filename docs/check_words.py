@@ -33,6 +33,7 @@ ALLOWED = {
         "tests/integrity/clean.py",
         "tests/integrity/edits_of_scenes.py",
         "tests/real/test_reconstruction.py",
+        "tests/baselines_splatting/test_trainers.py",
         "tests/static_reconstruction/test_records.py",
         "tests/static_reconstruction/test_tables.py",
         # Folders of a board and of a run.

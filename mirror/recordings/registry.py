@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -9,6 +10,12 @@ from pathlib import Path
 from mirror.errors import RecordingError
 from mirror.recordings.paths import not_a_file_error
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, CollectionReader, Reader, Recording
+
+
+@functools.cache
+def installed_readers() -> tuple[EntryPoint, ...]:
+    """Entry points of readers, in the order of names; found once a process, because a file of each package is read."""
+    return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP)))
 
 
 def load_readers(name: str | None = None) -> dict[str, Reader]:
@@ -22,7 +29,7 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
     """
     values: dict[str, str] = {}
     loaded: dict[str, Reader] = {}
-    for entry in sorted(entry_points(group=ENTRY_POINT_GROUP)):
+    for entry in installed_readers():
         if values.get(entry.name) == entry.value or name not in (None, entry.name):
             continue
         if entry.name in values:

@@ -18,6 +18,8 @@ import pyarrow.parquet as pq
 NUMBERS = ("1e308", "-1e308", "1e400", "99999999999999999999", "9223372036854775807", "-1", "0", "5e-324", "1e15")
 NO_NUMBERS = ("nan", "NaN", "inf", "-inf", "", "null", "[/b]", "x" * 70_000, "\x00", "\N{SNOWMAN}")
 _NUMBER = re.compile(rb"-?[0-9]+(?:\.[0-9]+)?(?:[eE][-+]?[0-9]+)?")
+# Of a large image: it has a match in every 15 bytes.
+_SEARCHED_BYTES = 2**18
 _COLUMNAR = (".parquet", ".feather")
 _TEXTS = (".csv", ".json", ".txt")
 
@@ -90,7 +92,8 @@ def put_number(root: Path, file: Path, random: Generator) -> None:
         _save(file, array)
     else:
         data = file.read_bytes()
-        numbers = list(_NUMBER.finditer(data))
+        begin = int(random.integers(len(data) - _SEARCHED_BYTES)) if len(data) > _SEARCHED_BYTES else 0
+        numbers = list(_NUMBER.finditer(data, begin, begin + _SEARCHED_BYTES))
         if numbers:
             number = numbers[int(random.integers(len(numbers)))]
             _replace(file, data[: number.start()] + word.encode() + data[number.end() :])

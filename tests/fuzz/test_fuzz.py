@@ -9,6 +9,7 @@ import os
 import shutil
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,13 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Roi(scene_id="kept", longitude_deg=11.0015, latitude_deg=48.0, radius_m=100.0)
     assert len(ingest_recordings([root / "kept.csv"], [scene], root / "d").traversals) == 1
     return root / "d"
+
+
+@pytest.fixture(scope="module")
+def worker() -> Iterator[Worker]:
+    """One process for all readers, which imports the libraries once."""
+    with Worker() as worker:
+        yield worker
 
 
 def reference_of(base: Base, kept: Path, folder: Path) -> Reference:
@@ -94,17 +102,17 @@ def _same(file: Path, pristine: Path) -> bool:
 
 
 @pytest.mark.parametrize("reader", BASES)
-def test_damage_is_refused_by_name_or_does_no_harm(reader: str, tmp_path: Path, kept: Path) -> None:
-    run_trials(BASES[reader](tmp_path / "base"), TRIALS, tmp_path, kept)
+def test_damage_is_refused_by_name_or_does_no_harm(reader: str, tmp_path: Path, kept: Path, worker: Worker) -> None:
+    run_trials(BASES[reader](tmp_path / "base"), TRIALS, tmp_path, kept, worker)
 
 
 @pytest.mark.real_data
 @pytest.mark.parametrize("reader", REAL_BASES)
-def test_damage_to_real_recordings(reader: str, real_data: Path, tmp_path: Path, kept: Path) -> None:
-    run_trials(REAL_BASES[reader](tmp_path / "base", real_data), max(1, TRIALS // 10), tmp_path, kept)
+def test_damage_to_real_recordings(reader: str, real_data: Path, tmp_path: Path, kept: Path, worker: Worker) -> None:
+    run_trials(REAL_BASES[reader](tmp_path / "base", real_data), max(1, TRIALS // 10), tmp_path, kept, worker)
 
 
-def run_trials(base: Base, trials: int, tmp_path: Path, kept: Path) -> None:
+def run_trials(base: Base, trials: int, tmp_path: Path, kept: Path, worker: Worker) -> None:
     """Damage a recording in many ways, ingest each damaged copy, and check every outcome."""
     reader = base.reader
     reference = reference_of(base, kept, tmp_path / "reference")
@@ -112,29 +120,28 @@ def run_trials(base: Base, trials: int, tmp_path: Path, kept: Path) -> None:
     counts: Counter[str] = Counter()
     faults = []
     slowest = 0.0
-    with Worker() as worker:
-        for trial in range(trials):
-            random = np.random.default_rng([SEED, list(BASES).index(reader), trial])
-            folder = tmp_path / f"trial{trial}"
-            path = linked(base.path, folder / base.path.name)
-            kind, file = mutate(path, random)
-            out = linked(kept, folder / "d")
-            start_s = time.monotonic()
-            damaged = Base(reader, path, base.roi, base.drive)
-            answer = worker.ask(Request(damaged.recording, reader, base.roi, out))
-            if "hang" in answer:
-                # On a busy machine the first compilation of a kernel takes as long, but it ends.
-                shutil.rmtree(out)
-                answer = worker.ask(Request(damaged.recording, reader, base.roi, linked(kept, out)), timeout_s=120.0)
-            slowest = max(slowest, time.monotonic() - start_s)
-            outcome, fault = judge(answer, before, reference, damaged, out)
-            counts[outcome] += 1
-            damage = f"trial {trial}: {kind} of {file.relative_to(path)}"
-            if fault is not None:
-                faults.append(f"{damage}: {outcome}: {fault}")
-            if VERBOSE:
-                problem = answer["failures"][0]["problem"] if answer.get("failures") else ""
-                print(f"{reader}, {damage}: {outcome}: {problem:.200}")
-            shutil.rmtree(folder)
+    for trial in range(trials):
+        random = np.random.default_rng([SEED, list(BASES).index(reader), trial])
+        folder = tmp_path / f"trial{trial}"
+        path = linked(base.path, folder / base.path.name)
+        kind, file = mutate(path, random)
+        out = linked(kept, folder / "d")
+        start_s = time.monotonic()
+        damaged = Base(reader, path, base.roi, base.drive)
+        answer = worker.ask(Request(damaged.recording, reader, base.roi, out))
+        if "hang" in answer:
+            # On a busy machine the first compilation of a kernel takes as long, but it ends.
+            shutil.rmtree(out)
+            answer = worker.ask(Request(damaged.recording, reader, base.roi, linked(kept, out)), timeout_s=120.0)
+        slowest = max(slowest, time.monotonic() - start_s)
+        outcome, fault = judge(answer, before, reference, damaged, out)
+        counts[outcome] += 1
+        damage = f"trial {trial}: {kind} of {file.relative_to(path)}"
+        if fault is not None:
+            faults.append(f"{damage}: {outcome}: {fault}")
+        if VERBOSE:
+            problem = answer["failures"][0]["problem"] if answer.get("failures") else ""
+            print(f"{reader}, {damage}: {outcome}: {problem:.200}")
+        shutil.rmtree(folder)
     print(f"{reader}: {trials} damaged recordings: {dict(counts)}; slowest {slowest:.1f} s")
     assert not faults, "\n".join(faults)

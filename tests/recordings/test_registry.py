@@ -32,7 +32,7 @@ def install(monkeypatch: pytest.MonkeyPatch, *extra: EntryPoint) -> None:
         EntryPoint("folder", "mirror.recordings.folder:FolderReader", ENTRY_POINT_GROUP),
         EntryPoint("csv", "mirror.recordings.gps_csv:CsvReader", ENTRY_POINT_GROUP),
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: [*ours, *extra])
+    monkeypatch.setattr(registry, "installed_readers", lambda: tuple(sorted([*ours, *extra])))
 
 
 def entry(name: str, value: str) -> EntryPoint:

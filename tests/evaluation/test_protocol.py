@@ -77,6 +77,7 @@ def test_hashes_of_shipped_protocols_are_unchanged() -> None:
     assert {(name, load_protocol(name).version): load_protocol(name).hash[:8] for name in protocol_names()} == {
         ("annotation", 1): "7bf7aa16",
         ("editing-accuracy", 1): "d698a73a",
+        ("editing-accuracy-small", 1): "d1856e44",
         ("generation", 1): "298995b8",
         ("lane-shift", 2): "741f4813",
         ("runtime", 1): "c0001232",

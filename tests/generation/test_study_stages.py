@@ -19,7 +19,7 @@ from benchmarks.studies.generation.comparison import compare
 from benchmarks.studies.generation.declaration import FILE, load_declaration
 from benchmarks.studies.generation.edits import Edit, EditScore, normalise, plan_edits, score_edit
 from benchmarks.studies.generation.features import DIMENSIONS, trunk_features
-from benchmarks.studies.generation.judge_data import CROP_PX
+from benchmarks.studies.generation.judge_data import CROP_PX, LEAST_PX
 from benchmarks.studies.generation.make_clips import (
     BUSTLE,
     CLIP_FRAMES,
@@ -43,6 +43,7 @@ from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.st_lpips import st_lpips_trunk
 from mirror.metrics.features.statistics import FeatureStatistics
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.document import load_protocol
 from mirror.weights.errors import WeightsUnavailableError
 from tests.generation.trained import CODEC, NETWORK, T
 
@@ -144,6 +145,8 @@ def test_declaration_is_that_of_the_clips_and_fits_the_budget() -> None:
     assert (clips["preset"], clips["bustle"]) == (PRESET, BUSTLE)
     assert (tuple(clips["training_seeds"]), tuple(clips["test_seeds"])) == (TRAINING_SEEDS, TEST_SEEDS)
     assert (clips["frames"], clips["test_frames"]) == (CLIP_FRAMES, TEST_FRAMES)
+    vehicles = load_protocol("editing-accuracy-small").vehicles
+    assert vehicles is not None and declaration.scoring["mask_px"] == vehicles.min_area_px == LEAST_PX
     stages = list_stages(declaration)
     assert sum(stage.core_minutes for stage in stages) <= 60.0 * declaration.budget["core_hours"]
     # At most one core-hour a model; three seeds for conditioning on and off alone.

@@ -170,7 +170,8 @@ class Scene:
     split: Annotated[str | None, help_text(default="none", metavar="NAME")] = None
     """Split to write a submission for."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "generation"
-    """Protocol of the submission: generation, vehicle-translation, editing-accuracy, editing-accuracy-small, or a .toml file."""
+    """Protocol of the submission: generation, vehicle-translation, editing-accuracy, its variant for small images
+    editing-accuracy-small, or a .toml file."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
     """Cameras, without --split."""
     size: Annotated[str, help_text(metavar="WIDTHxHEIGHT")] = "96x64"

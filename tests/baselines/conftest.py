@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -34,9 +35,10 @@ def encode_constant_image(colour: tuple[int, int, int]) -> bytes:
     return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
 
 
-@pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
-    builder = Builder(tmp_path / "dataset", cameras=CAMERAS)
+@pytest.fixture(scope="session")
+def made_street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The street as it is written; tests get copies of it."""
+    builder = Builder(tmp_path_factory.mktemp("street") / "dataset", cameras=CAMERAS)
     builder.scene("street")
     roles = {}
     for number, (name, lane, heading, colour, role) in enumerate(DRIVES):
@@ -66,7 +68,12 @@ def dataset(tmp_path: Path) -> Dataset:
     )
     write_json(builder.root / "splits" / "novel.json", split)
     build_index(builder.root)
-    return mirror.open(builder.root)
+    return builder.root
+
+
+@pytest.fixture
+def dataset(made_street: Path, tmp_path: Path) -> Dataset:
+    return mirror.open(shutil.copytree(made_street, tmp_path / "dataset"))
 
 
 @pytest.fixture

@@ -49,6 +49,7 @@ from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
+from tests.baselines.conftest import made_street  # noqa: F401 - a fixture
 
 STEPS = 40
 
@@ -60,10 +61,11 @@ def _threads():
     torch.set_num_threads(before)
 
 
-@pytest.fixture
-def dataset(street: Dataset) -> Dataset:  # noqa: F811
+@pytest.fixture(scope="module")
+def initialised(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:  # noqa: F811
     """The street with points of its training traversals, a wall on either side, and a depth map of each."""
-    train = street.where(split="novel", role="train")
+    made = mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("initialised") / "dataset"))
+    train = made.where(split="novel", role="train")
     poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
     x, y, z = (column.to_numpy() for column in poses.columns)
     rng = np.random.default_rng(0)
@@ -78,16 +80,30 @@ def dataset(street: Dataset) -> Dataset:  # noqa: F811
             }
             for number in range(150)
         ]  # fmt: skip
-        layout = Layout(Path(street.root))
+        layout = Layout(Path(made.root))
         LayerWriter(layout, traversal, "points", "made", "1").finish(POINTS, rows, {})
-        image = street.where(traversal=traversal).frames()[0].images["front_wide"]
+        image = made.where(traversal=traversal).frames()[0].images["front_wide"]
         depth = LayerWriter(layout, traversal, "depth", "made", "1")
         lens = {"width_px": 6, "height_px": 4, "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0}
         key = {"camera": "front_wide", "timestamp_ns": image.timestamp_ns}
         flat = depth.file("map.png", encode_depth(np.full((4, 6), 9.0)))
         depth.finish(DEPTH, [{**key, **lens, **flat}], {})
-    build_index(Path(street.root))
-    return mirror.open(street.root)
+    build_index(Path(made.root))
+    return mirror.open(made.root)
+
+
+@pytest.fixture
+def dataset(initialised: Dataset, tmp_path: Path) -> Dataset:
+    """A copy, which tests may change."""
+    return mirror.open(shutil.copytree(initialised.root, tmp_path / "dataset"))
+
+
+@pytest.fixture(scope="module")
+def model(initialised: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model of three steps, which tests do not change."""
+    folder = tmp_path_factory.mktemp("trained") / "model"
+    assert main([str(word) for word in reconstruct(initialised, folder, "--steps", 3)]) == ExitCode.DONE
+    return folder
 
 
 def point(number: int) -> dict[str, Any]:
@@ -436,10 +452,9 @@ def test_layers_that_were_chosen_stay_chosen_when_others_are_made(
     ],
 )
 def test_a_run_of_other_settings_is_refused(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...], message: str
+    initialised: Dataset, model: Path, capsys: pytest.CaptureFixture[str], more: tuple[object, ...], message: str
 ) -> None:
-    words = ("reconstruct", dataset.root, "--split", "novel", "--out", tmp_path / "model", "--threads", 1)
-    said(capsys, *words, "--width", 48, "--steps", 3)
+    words = ("reconstruct", initialised.root, "--split", "novel", "--out", model, "--threads", 1)
     width = () if "--width" in more else ("--width", 48)
     assert message in said(capsys, *words, *width, *more, code=ExitCode.COULD_NOT_RUN)["problem"]
 
@@ -626,16 +641,16 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
     ],
 )
 def test_a_rendering_that_cannot_be_is_refused_and_leaves_nothing(
-    dataset: Dataset,
+    initialised: Dataset,
+    model: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     more: tuple[str, ...],
     place: str,
     message: str,
 ) -> None:
-    model, out = tmp_path / "model", tmp_path / "out"
-    said(capsys, *reconstruct(dataset, model, "--steps", 2))
-    words = ("render", dataset.root, model, *more, "--out", out)
+    out = tmp_path / "out"
+    words = ("render", initialised.root, model, *more, "--out", out)
     error = said(capsys, *words, code=ExitCode.COULD_NOT_RUN)
     assert message in error["problem"] and (error["place"] or "").startswith(place or "")
     assert not out.exists()

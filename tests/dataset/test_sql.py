@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,7 +18,7 @@ from mirror.dataset.query.catalog import TABLES
 from mirror.dataset.sql import has_spatial_functions
 from mirror.errors import UsageError
 from tests.export.street import make_street
-from tests.interruptions import hear_again
+from tests.interruptions import MIRROR, interrupt
 
 pytest.importorskip("duckdb", reason="the extra sql is not installed")
 
@@ -156,14 +153,9 @@ def test_the_verb_prints_and_writes(street: Dataset, tmp_path: Path, capsys: pyt
 
 def test_a_long_query_can_be_interrupted(street: Dataset) -> None:
     query = "SELECT sum(a.range * b.range) FROM range(10000000) a, range(10000000) b"
-    words = [sys.executable, "-m", "mirror.cli.main", "sql", street.root, query]
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, preexec_fn=hear_again)
-    time.sleep(4.0)
-    os.kill(process.pid, signal.SIGINT)
-    start = time.monotonic()
-    _, said = process.communicate(timeout=20)
-    assert process.returncode == 130, said
-    assert time.monotonic() - start < 5.0
+    ended = interrupt([*MIRROR, "sql", street.root, query], 1.5)
+    assert ended.hit
+    ended.require_stopped()
 
 
 OTHERS = """

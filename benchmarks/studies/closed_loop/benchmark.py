@@ -44,16 +44,17 @@ def main(argv: Sequence[str]) -> int:
 
     from benchmarks.studies.closed_loop.declaration import load_declaration
     from benchmarks.studies.closed_loop.records import Records
-    from benchmarks.studies.closed_loop.report import PAGE, describe_stages, format_report, update_page
-    from benchmarks.studies.closed_loop.stages import run_stages
+    from benchmarks.studies.closed_loop.report import PAGE, format_report, update_page
+    from benchmarks.studies.closed_loop.stages import is_finished, list_stages, run_stages
     from benchmarks.studies.closed_loop.study import Study
+    from benchmarks.studies.stages import describe_stages
     from mirror.progress import progress_bar
 
     declaration = load_declaration()
     study = Study(arguments.out / declaration.hash[:12], declaration, Records(arguments.outcomes, declaration.hash))
     print(f"declaration {declaration.hash}")
     if arguments.what == "list":
-        print("\n".join(describe_stages(study)))
+        print("\n".join(describe_stages((stage, is_finished(study, stage)) for stage in list_stages(study))))
         return ExitCode.DONE
     if arguments.what == "report":
         text = format_report(study)

@@ -56,15 +56,6 @@ def update_page(study: Study, page: Path = PAGE) -> None:
     replace_section(page, BEGIN, END, format_report(study))
 
 
-def describe_stages(study: Study) -> Sequence[str]:
-    """One line for each stage: its budget, and whether it is finished."""
-    lines = []
-    for stage in list_stages(study):
-        state = "done" if is_finished(study, stage) else "not run"
-        lines.append(f"{stage.name:24} {stage.core_minutes:5.1f} core-minutes  {state}")
-    return lines
-
-
 def _cost(study: Study) -> Iterator[str]:
     figures = study.records.stages.get(PILOT)
     if figures is None:

@@ -43,15 +43,17 @@ def main(argv: Sequence[str]) -> int:
     from benchmarks.studies.generation.declaration import load_declaration
     from benchmarks.studies.generation.make_clips import make_clips
     from benchmarks.studies.generation.published import STAGE, load_networks, measure_published
-    from benchmarks.studies.generation.report import PAGE, describe_stages, format_report, update_page, write_sheets
+    from benchmarks.studies.generation.report import PAGE, format_report, update_page, write_sheets
     from benchmarks.studies.generation.stages import list_stages
     from benchmarks.studies.generation.study import Study, run_stages
+    from benchmarks.studies.stages import describe_stages
     from mirror.progress import progress_bar
 
     study = Study(arguments.out, load_declaration(), make_clips)
     print(f"declaration {study.declaration.hash}")
     if arguments.what == "list":
-        print("\n".join(describe_stages(study)))
+        stages = list_stages(study.declaration)
+        print("\n".join(describe_stages((stage, study.figures(stage.name) is not None) for stage in stages)))
         return ExitCode.DONE
     if arguments.what == "report":
         text = format_report(study)

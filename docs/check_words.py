@@ -50,9 +50,6 @@ ALLOWED = {
         "docs/schema.md",
         "baselines/mirror_baselines/mean_color/submission.py",
         "baselines/mirror_baselines/nearest_frame/submission.py",
-        # The option `mirror check --pictures`, and the old name of an option of a benchmark.
-        "docs/recordings.md",
-        "benchmarks/synth_detectors/benchmark.py",
     ),
     "picture": (
         # Texts in tables, manifests and PNG files.

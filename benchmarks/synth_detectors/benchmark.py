@@ -68,7 +68,7 @@ def _recalls(name: str, result: DetectionResult, edges_px: Sequence[float]) -> I
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks synth_detectors")
-    parser.add_argument("--images", "--pictures", type=int, default=40, help="number of images of each condition")
+    parser.add_argument("--images", type=int, default=40, help="number of images of each condition")
     parser.add_argument("--width", type=int, default=960, help="width of an image, px")
     parser.add_argument("--faces", type=Path, default=face_weights(), help="yunet_n_dynamic.onnx")
     parser.add_argument("--plates", type=Path, default=os.environ.get("MIRROR_PLATES"), help="clp_det.onnx")

@@ -38,6 +38,7 @@ from typing import Any, Final
 from benchmarks.mutants.mutations import Mutant, compiles, mutant_name, mutants
 from benchmarks.report import OUT
 from mirror.errors import ExitCode
+from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ROOMS: Final = {
@@ -127,8 +128,7 @@ class _Run:
     def __init__(self, state: Path) -> None:
         self.clean, self.work = state / "clean", state / "work"
         self._state, self._record = state, state / "tests.json"
-        lines = _OUTCOMES.read_text().splitlines() if _OUTCOMES.exists() else []
-        self.outcomes: dict[str, dict[str, Any]] = {one["mutant"]: one for one in map(json.loads, lines)}
+        self.outcomes = {one["mutant"]: one for one in read_lines(_OUTCOMES, decode_object)}
         self._tests: dict[str, list[dict[str, Any]]] = {}
 
     def hours(self) -> float:
@@ -204,8 +204,7 @@ class _Run:
         outcome = {"mutant": mutant.name, "file": mutant.file, "killed": code != 0, "cpu_s": round(_cpu_s() - begin, 1)}
         outcome |= {"by": by[:200] if code else None}
         self.outcomes[mutant.name] = outcome
-        with _OUTCOMES.open("a") as out:
-            out.write(json.dumps(outcome) + "\n")
+        append_line(_OUTCOMES, json.dumps(outcome))
         print("killed  " if code else "SURVIVED", mutant.file, mutant.name, flush=True)
 
     def _pytest(self, tree: Path, room: str, plan: Mapping[str, Any]) -> tuple[int, str]:

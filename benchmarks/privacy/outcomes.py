@@ -19,6 +19,7 @@ from mirror.geometry.poses import Poses
 from mirror.privacy.detectors.protocol import Detector
 from mirror.privacy.regions import Kind, Region, merged
 from mirror.schema.documents import Document
+from mirror.schema.json_lines import append_line, read_lines
 from mirror.schema.strict_json import decode_json
 from mirror.synth.writing.boxes import world_SE3_boxes
 
@@ -123,18 +124,13 @@ def settings_digest(detectors: Sequence[Detector]) -> str:
 
 def read_outcomes(path: Path, settings: str) -> list[Outcome]:
     """The complete lines of a file that were made with these settings; a line that was cut off is left out."""
-    lines = path.read_bytes().rpartition(b"\n")[0].splitlines() if path.is_file() else []
-    outcomes = [Outcome.model_validate(decode_json(line)) for line in lines]
+    outcomes = read_lines(path, lambda line: Outcome.model_validate(decode_json(line)))
     return [one for one in outcomes if one.settings == settings]
 
 
 def append_outcome(path: Path, outcome: Outcome) -> None:
-    """Add an image to a file; a line that an interruption cut off is ended first."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.is_file() and (text := path.read_bytes()) and not text.endswith(b"\n"):
-        path.write_bytes(text.rpartition(b"\n")[0] + b"\n" if b"\n" in text else b"")
-    with path.open("ab") as file:
-        file.write(f"{outcome.model_dump_json()}\n".encode())
+    """Add an image to a file."""
+    append_line(path, outcome.model_dump_json())
 
 
 def _noted(targets: Sequence[Target]) -> tuple[Thing, ...]:

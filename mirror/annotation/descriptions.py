@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Final, Protocol, get_args
+from typing import Final, Protocol, get_args
 
 from mirror.annotation.detections import AnnotationError
 from mirror.annotation.frame_program import FrameProgram, program_settings
@@ -24,8 +24,7 @@ from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.light import Light
 from mirror.recordings.weather import WEATHER
-from mirror.schema.files import unwritable_error
-from mirror.schema.strict_json import decode_json
+from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 GROUP: Final = "mirror.describers"
 FORMAT: Final = "mirror-descriptions/1"
@@ -233,32 +232,27 @@ def describe_frames(
     header = {"format": FORMAT, "describer": describer.fingerprint}
     known: set[tuple[str, int]] = set()
     if out.exists():
-        found = _complete_lines(out)
+        found = read_lines(out, decode_object)
         if not found or found[0] != header:
             raise UsageError(
                 "not a file of descriptions by this describer", file=out, expected=f"{FORMAT}, {describer.fingerprint}",
                 remedy="name another file with --out",
             )  # fmt: skip
         known = {(row["traversal_id"], row["timestamp_ns"]) for row in found[1:]}
+    else:
+        append_line(out, json.dumps(header))
     report = DescriptionReport(str(out))
     frames = dataset.frames()
     progress.start("frames", len(frames))
-    try:
-        with out.open("a") as file:
-            if not file.tell():
-                file.write(json.dumps(header) + "\n")
-            for frame in frames:
-                if (frame.traversal_id, frame.timestamp_ns) in known:
-                    report.kept += 1
-                elif (description := _describe(frame, describer, report, progress)) is not None:
-                    row = {"traversal_id": frame.traversal_id, "frame_index": frame.frame_index}
-                    row |= {"timestamp_ns": frame.timestamp_ns, **asdict(description)}
-                    file.write(json.dumps(row) + "\n")
-                    file.flush()
-                    report.frames += 1
-                progress.advance(1)
-    except OSError as error:
-        raise unwritable_error(out, error) from error
+    for frame in frames:
+        if (frame.traversal_id, frame.timestamp_ns) in known:
+            report.kept += 1
+        elif (description := _describe(frame, describer, report, progress)) is not None:
+            row = {"traversal_id": frame.traversal_id, "frame_index": frame.frame_index}
+            row |= {"timestamp_ns": frame.timestamp_ns, **asdict(description)}
+            append_line(out, json.dumps(row))
+            report.frames += 1
+        progress.advance(1)
     return report
 
 
@@ -281,25 +275,10 @@ def read_descriptions(path: Path) -> dict[tuple[str, int], Description]:
     """
     if not path.is_file():
         raise DatasetError("no such file", file=path, expected="a file of `mirror annotate describe`")
-    rows = _complete_lines(path)
+    rows = read_lines(path, decode_object)
     if not rows or rows[0].get("format") != FORMAT:
         raise DatasetError("not a file of descriptions", file=path, expected=FORMAT)
     return {
         (row["traversal_id"], row["frame_index"]): Description(row["text"], row["light"], row["weather"])
         for row in rows[1:]
     }
-
-
-def _complete_lines(path: Path) -> list[dict[str, Any]]:
-    """The rows of a file; a line that a killed process left incomplete is dropped."""
-    text = path.read_text()
-    complete = text[: text.rfind("\n") + 1]
-    try:
-        rows = [decode_json(line) for line in complete.splitlines()]
-    except ValueError as error:
-        raise DatasetError(f"broken ({error})", file=path, expected="lines of JSON") from error
-    if complete != text:
-        path.write_text(complete)
-    if not all(isinstance(row, dict) for row in rows):
-        raise DatasetError("a line that is no object", file=path, expected="lines of JSON objects")
-    return rows

@@ -133,15 +133,12 @@ def _annotate_traversal(
     """The rows of all frames by time; None: a frame failed."""
     journal = Journal(path)
     complete = True
-    try:
-        for frame in view.frames():
-            if frame.timestamp_ns in journal.rows:
-                report.resumed += 1
-            else:
-                complete = _annotate_frame(frame, annotator, journal, report, progress) and complete
-            progress.advance(1)
-    finally:
-        journal.close()
+    for frame in view.frames():
+        if frame.timestamp_ns in journal.rows:
+            report.resumed += 1
+        else:
+            complete = _annotate_frame(frame, annotator, journal, report, progress) and complete
+        progress.advance(1)
     return journal.rows if complete else None
 
 

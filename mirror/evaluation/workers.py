@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,7 +17,7 @@ from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.pools import process_pool
-from mirror.schema.files import unwritable_error
+from mirror.schema.json_lines import append_line, decode_object, read_lines
 from mirror.version import __version__
 
 _CHUNK: Final = 8
@@ -55,19 +54,14 @@ class ScoreLog:
 
     Args:
         path: file of the log.
+
+    Raises:
+        DatasetError: a line is broken.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.known: dict[str, tuple[str, dict[str, Any]]] = {}
-        if path.is_file():
-            for line in path.read_bytes().splitlines():
-                try:
-                    row = json.loads(line)
-                    self.known[row["name"]] = (row["key"], row["values"])
-                except (ValueError, KeyError, TypeError):
-                    # An interruption cut this line off.
-                    continue
+        self.known: dict[str, tuple[str, dict[str, Any]]] = dict(read_lines(path, _decode_values))
 
     def add(self, name: str, key: str, values: Values) -> None:
         """Append a line.
@@ -75,14 +69,12 @@ class ScoreLog:
         Raises:
             DatasetError: the file cannot be written.
         """
-        line = json.dumps({"name": name, "key": key, "values": dict(values)}) + "\n"
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("ab") as file:
-                # A new line is started if an interruption cut the last one off.
-                file.write(line.encode() if _ends_with_newline(self._path) else b"\n" + line.encode())
-        except OSError as error:
-            raise unwritable_error(self._path, error) from error
+        append_line(self._path, json.dumps({"name": name, "key": key, "values": dict(values)}))
+
+
+def _decode_values(line: bytes) -> tuple[str, tuple[str, dict[str, Any]]]:
+    row = decode_object(line)
+    return row["name"], (row["key"], row["values"])
 
 
 def score_jobs(
@@ -208,12 +200,3 @@ def _score_chunk(jobs: Sequence[Job], inputs: ScoringInputs) -> list[_JobOutcome
         except MirrorError as error:
             done.append(_JobOutcome(job.name, "", None, str(error)))
     return done
-
-
-def _ends_with_newline(path: Path) -> bool:
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        if not size:
-            return True
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ from mirror.privacy.operators import Redaction
 from mirror.privacy.options import SkipRules
 from mirror.privacy.regions import Region
 from mirror.schema.documents import Document
-from mirror.schema.files import unwritable_error
+from mirror.schema.json_lines import append_line, read_lines
 from mirror.schema.strict_json import decode_json
 
 ImageKey = tuple[str, int]
@@ -82,28 +81,17 @@ class Detected(Document):
 class DetectionLog:
     """The detections of a traversal so far: a file with a line an image, to which lines are appended.
 
-    A line that a killed process left unfinished is dropped.
-
     Args:
         path: the file.
+
+    Raises:
+        DatasetError: a line is broken.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.done: dict[ImageKey, Detected] = {}
-        try:
-            complete = path.read_bytes().rpartition(b"\n")[0] if path.is_file() else b""
-            for line in complete.splitlines():
-                try:
-                    detected = Detected.model_validate(decode_json(line))
-                except ValueError:
-                    # An interruption cut the line off: the image is searched again.
-                    continue
-                self.done[detected.key] = detected
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(b"".join(f"{one.model_dump_json()}\n".encode() for one in self.done.values()))
-        except OSError as error:
-            raise unwritable_error(path, error) from error
+        found = read_lines(path, lambda line: Detected.model_validate(decode_json(line)))
+        self.done: dict[ImageKey, Detected] = {detected.key: detected for detected in found}
 
     def append(self, detected: Detected) -> None:
         """Add an image; it is on disk when this returns.
@@ -111,13 +99,7 @@ class DetectionLog:
         Raises:
             DatasetError: the disk is full.
         """
-        try:
-            with self._path.open("ab") as file:
-                file.write(f"{detected.model_dump_json()}\n".encode())
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise unwritable_error(self._path, error) from error
+        append_line(self._path, detected.model_dump_json(), sync=True)
         self.done[detected.key] = detected
 
 

@@ -19,6 +19,7 @@ from benchmarks.studies.annotation.streets import assign_drives, open_streets, r
 from hybridworldsim.petr.tiny.network import TinyPetr
 from hybridworldsim.petr.tiny.samples import Sample
 from mirror.progress import ProgressReporter
+from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 _SCORES: Final = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
 OUTCOMES: Final = Path(__file__).with_name("outcomes.jsonl")
@@ -202,13 +203,11 @@ def _points(declaration: Declaration, arguments: argparse.Namespace) -> None:
 
 
 def _rows(declaration: Declaration) -> list[dict[str, Any]]:
-    rows = [json.loads(line) for line in OUTCOMES.read_text().splitlines()] if OUTCOMES.exists() else []
-    return [row for row in rows if row["declaration"] == declaration.hash]
+    return [row for row in read_lines(OUTCOMES, decode_object) if row["declaration"] == declaration.hash]
 
 
 def _append(declaration: Declaration, row: dict[str, Any]) -> None:
-    with OUTCOMES.open("a") as file:
-        file.write(json.dumps({"declaration": declaration.hash, **row}, sort_keys=True) + "\n")
+    append_line(OUTCOMES, json.dumps({"declaration": declaration.hash, **row}, sort_keys=True))
 
 
 def _show(declaration: Declaration) -> None:

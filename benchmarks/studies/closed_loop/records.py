@@ -7,13 +7,13 @@ processes that run different stages can share it. The last line of a stage or of
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import UsageError
+from mirror.schema.json_lines import LineReader, append_line, decode_object
 
 Figures = dict[str, Any]
 
@@ -52,7 +52,7 @@ class Records:
         self.stages: dict[str, Figures] = {}
         self.core_s = 0.0
         self.rollouts: dict[RolloutKey, Figures] = {}
-        self._bytes, self._lines = 0, 0
+        self._reader = LineReader(file, decode_object)
         self.refresh()
 
     def refresh(self) -> None:
@@ -62,7 +62,7 @@ class Records:
             UsageError: a line is of another declaration.
             DatasetError: a line is no record.
         """
-        for number, line in self._read():
+        for number, line in self._reader.read():
             if line.get("declaration") != self._declaration:
                 raise UsageError(
                     f"made under the declaration {str(line.get('declaration'))[:12]}, not {self._declaration[:12]}",
@@ -79,15 +79,7 @@ class Records:
         self._append({**vars(key), **row})
 
     def _append(self, line: Mapping[str, Any]) -> None:
-        document = {"declaration": self._declaration, **line}
-        self.file.parent.mkdir(parents=True, exist_ok=True)
-        data = (json.dumps(document, allow_nan=False) + "\n").encode()
-        # One write of a whole line, so that an interruption leaves no part of one.
-        handle = os.open(self.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(handle, data)
-        finally:
-            os.close(handle)
+        append_line(self.file, json.dumps({"declaration": self._declaration, **line}, allow_nan=False))
         self.refresh()
 
     def _take(self, line: Figures) -> None:
@@ -98,20 +90,3 @@ class Records:
             names = RolloutKey.__dataclass_fields__
             key = RolloutKey(**{name: line[name] for name in names})
             self.rollouts[key] = {name: value for name, value in line.items() if name not in names}
-
-    def _read(self) -> Iterator[tuple[int, Figures]]:
-        if not self.file.is_file():
-            return
-        with self.file.open("rb") as file:
-            file.seek(self._bytes)
-            data = file.read()
-        for text in data.splitlines(keepends=True):
-            if not text.endswith(b"\n"):
-                # Another process is writing this line.
-                return
-            self._bytes, self._lines = self._bytes + len(text), self._lines + 1
-            try:
-                line = json.loads(text)
-            except json.JSONDecodeError as error:
-                raise DatasetError("not JSON", file=self.file, place=f"line {self._lines}") from error
-            yield self._lines, line

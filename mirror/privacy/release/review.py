@@ -7,7 +7,6 @@ One image after the other is shown with the outlines of its regions. Keys: ``n``
 from __future__ import annotations
 
 import json
-import os
 import secrets
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -26,7 +25,8 @@ from mirror.html import style_sheet
 from mirror.privacy.log import LOG, ImageRecord, Review, read_log
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, ReviewedImage, choose_sample, read_reviews
 from mirror.privacy.run import WORK
-from mirror.schema.files import read_table, unwritable_error
+from mirror.schema.files import read_table
+from mirror.schema.json_lines import append_line
 from mirror.schema.strict_json import decode_json
 from mirror.schema.tables import IMAGES
 
@@ -88,14 +88,7 @@ class ReviewSession:
         reviewed = ReviewedImage(
             out_sha256=out_sha256, review=Review.model_validate({"verdict": verdict, "reviewer": self._reviewer})
         )
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("ab") as file:
-                file.write(f"{reviewed.model_dump_json()}\n".encode())
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise unwritable_error(self._path, error) from error
+        append_line(self._path, reviewed.model_dump_json(), sync=True)
         self.reviews[out_sha256] = reviewed.review
 
     def image(self, out_sha256: str) -> bytes | None:

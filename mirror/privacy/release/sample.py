@@ -10,6 +10,7 @@ from typing import Final
 
 from mirror.privacy.log import ImageRecord, Review
 from mirror.schema.documents import Document
+from mirror.schema.json_lines import read_lines
 from mirror.schema.strict_json import decode_json
 
 REVIEWS: Final = "reviews.jsonl"
@@ -69,14 +70,13 @@ def miss_bound(misses: int, images: int) -> float:
 
 
 def read_reviews(path: Path) -> dict[str, Review]:
-    """Reviews by the hash of the redacted image; empty: there is no file. An unfinished last line is dropped."""
-    if not path.is_file():
-        return {}
-    found: dict[str, Review] = {}
-    for line in path.read_bytes().rpartition(b"\n")[0].splitlines():
-        reviewed = ReviewedImage.model_validate(decode_json(line))
-        found[reviewed.out_sha256] = reviewed.review
-    return found
+    """Reviews by the hash of the redacted image; empty: there is no file.
+
+    Raises:
+        DatasetError: a line is broken.
+    """
+    found = read_lines(path, lambda line: ReviewedImage.model_validate(decode_json(line)))
+    return {reviewed.out_sha256: reviewed.review for reviewed in found}
 
 
 def with_reviews(records: Sequence[ImageRecord], reviews: Mapping[str, Review]) -> list[ImageRecord]:

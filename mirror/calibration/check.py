@@ -115,12 +115,13 @@ class CalibrationCheck:
     history: StageHistory
 
     def exit_code(self) -> ExitCode:
-        """1: an error above the limit was found; 3: some traversals or images could not be read; else 0."""
+        """1: an error above the limit; 3: some data could not be read; 2: no camera could be checked; else 0."""
         if any(one.status == "fail" for item in self.traversals for one in item.cameras):
             return ExitCode.FINDINGS
         if any(item.status == "failed" or item.unread for item in self.traversals):
             return ExitCode.PARTLY_DONE
-        return ExitCode.DONE
+        # A script that asks for 0 must not take a dataset of which nothing is known for a good one.
+        return ExitCode.DONE if self.statistics.samples else ExitCode.COULD_NOT_RUN
 
     def to_dict(self) -> dict[str, Any]:
         """The check as plain values, for JSON."""

@@ -186,4 +186,4 @@ def explain(estimate: CameraEstimate, conditions: Conditions) -> str | None:
 def _poor_images(camera: str, conditions: Conditions) -> str:
     if conditions.brightness.get(camera, 255.0) < _DARK:
         return "night"
-    return "no texture" if conditions.corners.get(camera, 0.0) < _FEW_CORNERS else "too few match between images"
+    return "no texture" if conditions.corners.get(camera, 0.0) < _FEW_CORNERS else "few points match between images"

@@ -73,7 +73,8 @@ class Check:
     """Estimate the calibration errors of all cameras from images, and compare the calibration stages.
 
     Writes report.html and calibration.json. An interrupted check continues. Nothing in the dataset is changed.
-    Exit codes: 0 no error above 0.3 degrees was found, 1 some, 2 could not run, 3 some data could not be read.
+    Exit codes: 0 no error above 0.3 degrees was found, 1 some, 2 could not run or no camera could be checked, 3 some
+    data could not be read.
     """
 
     dataset: tyro.conf.Positional[str]
@@ -164,8 +165,8 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
         )
         for one in item.cameras:
             angle = "--" if one.angle_deg is None else f"{one.angle_deg:.3f}"
-            axes = one.unobservable_axes()
-            note = f"; {', '.join(axes)} unobservable: {one.reason}" if axes else ""
+            axes = "" if one.status == "unobservable" else f"; {', '.join(one.unobservable_axes())} unobservable"
+            note = f"{axes}: {one.reason}" if one.reason else ""
             console.print(f"  {one.camera:<13} {one.stage:<8} {angle:>6} degrees  {one.status}{note}")
         for message in item.unread:
             console.print(f"  could not read: {message}")

@@ -76,8 +76,10 @@ def _verdict(found: FleetStatistics) -> str:
     why = {
         "pass": f"at least 99.7 % of the traversals are below {LIMIT_DEG:g} degrees",
         "fail": f"fewer than 99.7 % of the traversals are below {LIMIT_DEG:g} degrees",
-        "too few": f"a pass needs {found.needed} independent traversals without a failure",
+        "too few": f"too few traversals for a verdict: a pass needs {found.needed} without a failure",
     }[found.verdict]
+    if not found.samples:
+        why = f"no camera could be checked: the tables below give the reasons; {why}"
     tiles = {
         "traversals below 0.3 deg": f"{found.samples_below} of {found.samples}",
         "bounds of that share": f"{found.share_lower:.1%} to {found.share_upper:.1%}",
@@ -95,6 +97,8 @@ def _verdict(found: FleetStatistics) -> str:
 def _histogram(angles: Sequence[float | None]) -> str:
     """A histogram of the errors with the limit as a line."""
     values = np.array([angle for angle in angles if angle is not None])
+    if not len(values):
+        return _figure("Errors of the cameras: no estimate", "")
     top = max(2.0 * LIMIT_DEG, float(values.max(initial=0.0)) * 1.05)
     counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
     most, width = max(int(counts.max(initial=0)), 1), (_WIDTH - _LEFT) / _BINS

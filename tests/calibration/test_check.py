@@ -79,6 +79,8 @@ def test_an_interrupted_check_continues(dataset: Dataset, tmp_path: Path, monkey
     # Other settings have other files.
     other = check_calibration(dataset.where(traversal=dataset.traversals()[1]), choice=FrameChoice(), work=tmp_path)
     assert other.traversals[0].status == "not checked"
+    # Of a dataset in which no camera could be checked nothing is known: that is no success.
+    assert other.exit_code() == ExitCode.COULD_NOT_RUN
 
 
 def test_unreadable_images_are_reported(dataset: Dataset, tmp_path: Path) -> None:

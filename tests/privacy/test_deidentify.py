@@ -140,7 +140,7 @@ def test_an_unreadable_image_is_named_and_the_others_are_kept(tmp_path: Path) ->
 def test_a_run_that_was_killed_is_resumed_to_the_same_bytes(tmp_path: Path, deidentified: Path) -> None:
     root = tmp_path / "dataset"
     make_dataset(root)
-    words = ["--detector", "faces", "--detector", "plates", "--plate-region", "XX", "--workers", "1", "--no-cameras"]
+    words = ["--detector", "faces", "--detector", "plates", "--plate-region", "XX", "--workers", "2", "--no-cameras"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, os.environ.get("PYTHONPATH", "")])}
     process = subprocess.Popen(
         [sys.executable, "-m", "mirror.cli.main", "deidentify", str(root), *words], env=environment

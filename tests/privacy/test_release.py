@@ -9,6 +9,7 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from PIL import Image
 
 import mirror
 from mirror.cli.main import main
-from mirror.dataset.layout import Layout, complete_manifest
+from mirror.dataset.layout import Layout, complete_manifest, seal
+from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits import make_split
 from mirror.integrity import check
 from mirror.privacy.log import Review, encode_log, read_log
@@ -27,8 +29,11 @@ from mirror.privacy.release.review import ReviewSession, review_server
 from mirror.privacy.release.sample import choose_sample, miss_bound
 from mirror.privacy.release.vault import Vault
 from mirror.schema.documents import NovelTraversal
-from mirror.schema.files import read_json, write_json
-from tests.dataset.builders import Builder, write_reconstruction
+from mirror.schema.files import read_json, read_table, write_json
+from mirror.schema.road_map import write_road_map
+from mirror.schema.tables import IMAGES
+from tests.dataset.builders import Builder, encode_rows, write_reconstruction
+from tests.metrics.safety.streets import two_way_street
 from tests.privacy.conftest import FACE, RED, marked, write_image
 from tests.privacy.images import jpeg
 
@@ -51,6 +56,9 @@ def released(deidentified: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     name = opened.traversals()[0]
     stamp = opened.where(traversal=name).table("images", ["timestamp_ns"]).column(0)[0].as_py()
     write_reconstruction(builder, name, "front_wide", stamp)
+    write_road_map(builder.layout.road_map("a") / MAP_FILE, replace(two_way_street(), scene_id="a"))
+    map_bytes = (builder.layout.road_map("a") / MAP_FILE).read_bytes()
+    seal(builder.layout.road_map("a"), {MAP_FILE: map_bytes}, derived_from={})
     vault = ("--vault", str(folder / "vault"), "--retain-days", "30")
     assert build(dataset, folder / "release", "--sample", "0", "--clock", "day", *vault) == 0
     return folder / "release"
@@ -96,6 +104,7 @@ def test_a_release_is_a_dataset_of_redacted_images_without_traces_of_the_origina
     said = (released / "DATASHEET.md").read_text()
     for sentence in ("begins at midnight UTC", "were not trimmed", "have pseudonyms of this release"):
         assert sentence in said
+    assert not (released / "maps").exists() and "road maps that were left out: 1." in said
 
 
 def _layers(root: Path) -> list[tuple[str, str, str]]:
@@ -169,6 +178,27 @@ def plant_miss(root: Path) -> None:
     (root / "redaction_log.jsonl").write_bytes(encode_log(changed))
 
 
+def plant_raw_image(root: Path) -> None:
+    path = sorted(root.glob("traversals/*/recorded/images.parquet"))[0]
+    rows = read_table(path, IMAGES).to_pylist()
+    path.write_bytes(encode_rows([{**rows[0], "privacy": "raw"}, *rows[1:]], IMAGES))
+
+
+def plant_redaction_layer(root: Path) -> None:
+    dataset = root.parent / "dataset"
+    source = next(dataset.glob("traversals/a.d0.*/layers/redaction"))
+    shutil.copytree(source, next(root.glob("traversals/*")) / "layers" / "redaction")
+
+
+def plant_fingerprint(root: Path) -> None:
+    path = next(root.glob("drives/*/drive.json"))
+    path.write_text(path.read_text().replace('"fingerprint": "' + "0" * 64, '"fingerprint": "' + "1" * 64))
+
+
+def plant_broken_poses(root: Path) -> None:
+    next(root.glob("traversals/*/recorded/ego_poses.parquet")).write_bytes(b"PAR1")
+
+
 def _rewrite(root: Path, change: Callable[[bytes, np.ndarray], bytes]) -> None:
     path = sorted(root.glob("traversals/*/recorded/rear_left/*.jpg"))[0]
     data = path.read_bytes()
@@ -186,6 +216,10 @@ def _rewrite(root: Path, change: Callable[[bytes, np.ndarray], bytes]) -> None:
         (plant_video, "REL001"),
         (plant_model, "REL007"),
         (plant_stale_layer, "REL006"),
+        (plant_raw_image, "REL004"),
+        (plant_redaction_layer, "REL005"),
+        (plant_fingerprint, "REL005"),
+        (plant_broken_poses, "REL014"),
         (plant_path, "REL008"),
         (plant_withdrawn, "REL011"),
         (plant_miss, "REL009"),

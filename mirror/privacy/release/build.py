@@ -16,7 +16,7 @@ import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.index import build_index
-from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.layout import Layout, complete_manifest, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.splits.split import hash_manifests
@@ -216,6 +216,7 @@ def _write_documents(
         trimmed=trimmed,
         pseudonyms="kept" if options.keep_ids else "renewed",
         plate_region=options.plate_region,
+        road_maps_left_out=_count_road_maps(source),
     )
     write_documents(target, release, records, options.licence)
     return release
@@ -228,6 +229,14 @@ def write_documents(target: Layout, release: Release, records: Sequence[ImageRec
     write_bytes(target.root / DATASHEET, datasheet(release, records, len(traversals)).encode())
     write_bytes(target.root / LICENCE, licence_text(release, licence).encode())
     write_json(target.root / DOCUMENT, release)
+
+
+def _count_road_maps(layout: Layout) -> int:
+    """Number of recorded road maps of a dataset.
+
+    A release has none of them: their licence is that of their source, and in China their publication needs a permit.
+    """
+    return sum(complete_manifest(layout.road_map(name)) is not None for name in _opened(layout).scenes())
 
 
 def _renamed_split(split: SplitDocument, traversals: Mapping[str, str], manifests: Mapping[str, str]) -> SplitDocument:

@@ -47,6 +47,7 @@ class Release(Document):
         trimmed: number of traversals that were left out for it.
         pseudonyms: `renewed`: vehicles and drives have ids of this release; `kept`: those of the dataset.
         plate_region: region of the number plates, where it is known.
+        road_maps_left_out: number of recorded road maps of the dataset; a release has none of them.
         tombstones: what was withdrawn.
     """
 
@@ -63,4 +64,5 @@ class Release(Document):
     trimmed: int = 0
     pseudonyms: Literal["renewed", "kept"] = "renewed"
     plate_region: str | None = None
+    road_maps_left_out: int = 0
     tombstones: tuple[Tombstone, ...] = ()

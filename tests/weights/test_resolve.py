@@ -55,6 +55,11 @@ def test_missing_file_is_refused(known):
         assert part in text
 
 
+def test_weights_of_a_detector_are_given_with_the_option_of_its_verbs():
+    text = describe_sources(KNOWN["yunet"])
+    assert "--detector yunet=FILE" in text and "--weights" not in text and "--download-weights" not in text
+
+
 @pytest.mark.parametrize("content", [b"weightz", b"short"])
 def test_file_with_another_hash_is_refused(known, tmp_path, content):
     given = put(tmp_path, content)

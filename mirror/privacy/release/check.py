@@ -121,9 +121,14 @@ def check_release(
     if originals is not None or vault is not None:
         rules += 1
         findings += _originals(view, originals, vault)
-    if vault is not None and is_expired(read_json(vault / VAULT, Vault)):
-        title, remedy = "A vault is kept longer than it says.", "delete it, or state a reason and another date in it"
-        findings.append(Finding(_RETENTION, title, remedy, str(vault), "its date of retention has passed"))
+    if vault is not None:
+        rules += 1
+        if is_expired(read_json(vault / VAULT, Vault)):
+            title, remedy = (
+                "A vault is kept longer than it says.",
+                "delete it, or state a reason and another date in it",
+            )
+            findings.append(Finding(_RETENTION, title, remedy, str(vault), "its date of retention has passed"))
     if detectors:
         rules += 1
         bar.start("images searched again", len(view.images))

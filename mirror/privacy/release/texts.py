@@ -26,7 +26,6 @@ def datasheet(release: Release, records: Sequence[ImageRecord], traversals: int)
     skipped: Counter[str] = Counter()
     for record in records:
         skipped.update(record.skipped)
-    bound = miss_bound(release.missed, release.sample)
     redacted = sum(bool(record.regions) for record in records)
     lines = [
         f"# {release.name}, version {release.version}",
@@ -73,8 +72,7 @@ def datasheet(release: Release, records: Sequence[ImageRecord], traversals: int)
         "",
         "## Review",
         "",
-        f"Persons reviewed {release.sample:,} images, chosen by hash, and found {release.missed} with a missed region:",
-        f"with 95 % confidence at most {100.0 * bound:.2f} % of the images have one.",
+        *_review_lines(release),
         "",
         "## Limits",
         "",
@@ -92,6 +90,16 @@ def datasheet(release: Release, records: Sequence[ImageRecord], traversals: int)
         "",
     ]
     return "\n".join(lines)
+
+
+def _review_lines(release: Release) -> list[str]:
+    if not release.sample:
+        return ["No image was reviewed by a person: nothing states how many images still show a face or plate."]
+    bound = miss_bound(release.missed, release.sample)
+    return [
+        f"Persons reviewed {release.sample:,} images, chosen by hash, and found {release.missed} with a missed region:",
+        f"with 95 % confidence at most {100.0 * bound:.2f} % of the images have one.",
+    ]
 
 
 def licence_text(release: Release, licence: str) -> str:

@@ -6,6 +6,7 @@ import fcntl
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from hypothesis import settings
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
+    from mirror.synth import SynthReport
 
 # The first example of a test may compile a kernel, and machines that run tests are loaded. The examples are the same in
 # each run: one commit passes or fails, wherever it is tested. HYPOTHESIS_PROFILE=explore draws others.
@@ -45,26 +47,41 @@ def real_data() -> Path:
     return folder
 
 
+@contextmanager
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder that all workers of one run share, for one of them at a time."""
+    folder = tmp_path_factory.getbasetemp()
+    # The folder of a worker lies in that of the run.
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "shared"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield folder
+
+
 @pytest.fixture(scope="session")
-def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def tiny_recordings(tmp_path_factory: pytest.TempPathFactory) -> SynthReport:
+    """The recordings of a synthetic street, written by two threads. Tests do not change them."""
+    import mirror.synth
+
+    with shared_folder(tmp_path_factory) as folder:
+        # Complete recordings are kept.
+        return mirror.synth.write_recordings(folder / "tiny", "tiny", 0, workers=2)
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tiny_recordings: SynthReport, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two traversals of a synthetic street; split ``novel`` holds one of them out. Tests do not change it."""
     import mirror
-    import mirror.synth
     from mirror.dataset.splits import make_split
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import read_rois
     from mirror.ingest.run import ingest_recordings
     from mirror.schema.documents import NovelTraversal
 
-    folder = tmp_path_factory.getbasetemp()
-    # Workers of one run share it: the folder of a worker lies in that of the run.
-    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "tiny_dataset"
-    folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with shared_folder(tmp_path_factory) as folder:
         if not (folder / "dataset" / "splits" / "novel.json").exists():
-            recordings = mirror.synth.write_recordings(folder / "tiny", "tiny", 0).recordings
             rois = read_rois(folder / "tiny" / "rois.geojson")
-            assert not ingest_recordings(recordings, rois, folder / "dataset", IngestOptions()).failures
+            assert not ingest_recordings(tiny_recordings.recordings, rois, folder / "dataset", IngestOptions()).failures
             make_split(folder / "dataset", "novel", NovelTraversal(train=1, held_out=1))
     return mirror.open(folder / "dataset")

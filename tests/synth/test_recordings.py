@@ -31,8 +31,8 @@ Recorded = tuple[Path, SynthDrive]
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> SynthReport:
-    return mirror.synth.write_recordings(tmp_path_factory.mktemp("synth") / "tiny", workers=2)
+def tiny(tiny_recordings: SynthReport) -> SynthReport:
+    return tiny_recordings
 
 
 @pytest.fixture(scope="module")

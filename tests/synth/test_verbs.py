@@ -1,8 +1,11 @@
 """Tests of the commands ``mirror synth`` and ``mirror demo``."""
 
+import contextlib
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,41 +19,53 @@ from mirror.synth import Effects
 from mirror.synth.fleet.drives import make_drives
 from tests.leaderboard.results import result
 
+PLAIN = ("--preset", "tiny", "--errors", "none", "--without", "noise,traffic,vignetting")
 
-def test_synth_recordings_can_be_ingested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "fleet"
-    assert main(["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json"]) == 0
-    output = json.loads(capsys.readouterr().out)
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """One traversal without some effects and without errors, and what the verb printed."""
+    out = tmp_path_factory.mktemp("verbs") / "fleet"
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["synth", "--out", str(out), *PLAIN, "--traversals", "1", "--json"]) == 0
+    return out, json.loads(printed.getvalue())
+
+
+def test_synth_recordings_can_be_ingested(
+    written: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, output = written
     assert [Path(path).parent for path in output["recordings"]] == [out, out]
     words = ["ingest", *output["recordings"], "--rois", output["rois"], "--dry-run", "--json"]
     assert main(words) == 0
     drives = json.loads(capsys.readouterr().out)["drives"]
     assert sorted(drive["accepted"] for drive in drives.values()) == [0, 1]
-    assert main(["synth", "--out", str(out), "--preset", "tiny"]) == 2
+    assert main(["synth", "--out", str(out), *PLAIN]) == 2
     assert "recordings of other arguments: traversals differ" in capsys.readouterr().err
 
 
-def test_without_switches_effects_off_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "plain"
-    words = ["synth", "--out", str(out), "--preset", "tiny", "--traversals", "1", "--json", "--errors", "none"]
-    assert main([*words, "--without", "noise,traffic,vignetting"]) == 0
+def test_without_switches_effects_off_by_name(
+    written: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _ = written
+    words = ["synth", "--out"]
     drive = make_drives("tiny", 0, traversals=1)[1][0]
     effects = Effects(noise=False, traffic=False, vignetting=False)
     shown = replace(drive, condition=replace(drive.condition, effects=effects))
     images = sorted((out / drive.drive_id / "images" / "front_wide").iterdir())
-    written = cv2.imread(str(images[0]))
+    image = cv2.imread(str(images[0]))
     stamp = int(images[0].stem)
-    apart = [np.abs(written - one.render("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
+    apart = [np.abs(image - one.render("front_wide", stamp).bgr.astype(int)).mean() for one in (shown, drive)]
     assert apart[0] < 0.75 * apart[1]
-    assert main([*words[:2], str(tmp_path / "other"), "--without", "noise,fog"]) == 2
+    assert main([*words, str(tmp_path / "other"), "--without", "noise,fog"]) == 2
     output = capsys.readouterr().err
     assert "no effect 'fog'" in output
     assert "motion_blur" in output
     assert not (tmp_path / "other").exists()
-    assert main([*words[:2], str(tmp_path / "other"), "--preset", "paper", "--without", "noise"]) == 2
+    assert main([*words, str(tmp_path / "other"), "--preset", "paper", "--without", "noise"]) == 2
     assert "take another preset" in capsys.readouterr().err
     for seed in ("-1", "99999999999999999999"):
-        assert main([*words[:2], str(tmp_path / "other"), "--seed", seed]) == 2
+        assert main([*words, str(tmp_path / "other"), "--seed", seed]) == 2
         assert f"seed {seed}" in capsys.readouterr().err
 
 

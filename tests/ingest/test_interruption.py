@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from mirror.cli.main import main
 from mirror.dataset.layout import Layout
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
@@ -45,10 +46,13 @@ def whole(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def command(fleet: Path, out: Path, *more: str) -> list[str]:
+def words(fleet: Path, out: Path) -> list[str]:
     recordings = [str(path) for path in sorted(fleet.glob("drive_*"))]
-    rois = ["--rois", str(fleet / "rois.geojson")]
-    return [sys.executable, "-m", "mirror.cli.main", "ingest", *recordings, *rois, "--out", str(out), *more]
+    return ["ingest", *recordings, "--rois", str(fleet / "rois.geojson"), "--out", str(out), "--copy"]
+
+
+def command(fleet: Path, out: Path) -> list[str]:
+    return [sys.executable, "-m", "mirror.cli.main", *words(fleet, out)]
 
 
 def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(
@@ -57,14 +61,14 @@ def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(
     out = tmp_path / "killed"
     interrupted = 0
     for files in (1, 60, 200, 400):
-        running = subprocess.Popen(command(fleet, out, "--copy"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        running = subprocess.Popen(command(fleet, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         while running.poll() is None and _files(out) < files:
             time.sleep(0.01)
         interrupted += running.poll() is None
         running.kill()
         running.wait()
     assert interrupted >= 2
-    subprocess.run(command(fleet, out, "--copy"), check=True, capture_output=True)
+    assert main(words(fleet, out)) == 0
     assert tree(out) == tree(whole)
 
 
@@ -81,24 +85,22 @@ def test_a_full_disk_is_an_error_with_a_remedy_and_the_next_run_goes_on(fleet: P
     # The signal that would end the process becomes the error that a full disk gives.
     limit += "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
     limit += "sys.argv = ['mirror', *sys.argv[1:]]; runpy.run_module('mirror.cli.main', run_name='__main__')"
-    words = command(fleet, out, "--copy")
-    run = subprocess.run([sys.executable, "-c", limit, *words[3:]], capture_output=True, text=True, check=False)
+    run = subprocess.run([sys.executable, "-c", limit, *words(fleet, out)], capture_output=True, text=True, check=False)
     assert run.returncode == 2
     assert "cannot be written" in run.stderr
     assert "free space" in run.stderr
     kept = {name: digest for name, digest in tree(out).items() if name in before}
     assert kept == before
-    subprocess.run(words, check=True, capture_output=True)
+    assert main(words(fleet, out)) == 0
     assert len(Layout(out).drive_ids()) == 6
-    subprocess.run(command(fleet, tmp_path / "e", "--copy"), check=True, capture_output=True)
+    assert main(words(fleet, tmp_path / "e")) == 0
     assert tree(out) == tree(tmp_path / "e")
 
 
-def test_an_unwritable_place_is_an_error(fleet: Path, tmp_path: Path) -> None:
+def test_an_unwritable_place_is_an_error(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("not a folder")
-    run = subprocess.run(command(fleet, tmp_path / "file" / "d"), capture_output=True, text=True, check=False)
-    assert run.returncode == 2
-    assert "cannot be written" in run.stderr
+    assert main(words(fleet, tmp_path / "file" / "d")) == 2
+    assert "cannot be written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4, 0.8])
@@ -107,9 +109,7 @@ def test_ctrl_c_ends_it_at_once_and_the_same_command_goes_on(
 ) -> None:
     out = tmp_path / "stopped"
     files = int(share * _files(whole))
-    running = subprocess.Popen(
-        command(fleet, out, "--copy"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
+    running = subprocess.Popen(command(fleet, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     while running.poll() is None and _files(out) < files:
         time.sleep(0.002)
     running.send_signal(signal.SIGINT)
@@ -121,32 +121,32 @@ def test_ctrl_c_ends_it_at_once_and_the_same_command_goes_on(
         assert "Traceback" not in error
         assert "run the same command again" in error
     assert not (out / ".lock").exists()
-    subprocess.run(command(fleet, out, "--copy"), check=True, capture_output=True)
+    assert main(words(fleet, out)) == 0
     assert tree(out) == tree(whole)
 
 
-def test_a_failed_ingest_leaves_nothing_at_all(fleet: Path, tmp_path: Path) -> None:
+def test_a_failed_ingest_leaves_nothing_at_all(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    words = [sys.executable, "-m", "mirror.cli.main", "ingest", str(tmp_path / "empty"), "--roi", "1,2", "--out"]
-    run = subprocess.run([*words, str(tmp_path / "a" / "b")], capture_output=True, text=True, check=False)
-    assert run.returncode == 2
+    words = ["ingest", str(tmp_path / "empty"), "--roi", "1,2", "--out"]
+    assert main([*words, str(tmp_path / "a" / "b")]) == 2
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]
     # Also where it ends at the first error, and in a folder that was there.
     (tmp_path / "there").mkdir()
-    run = subprocess.run([*words, str(tmp_path / "there"), "--fail-fast"], capture_output=True, text=True, check=False)
-    assert run.returncode == 2
+    assert main([*words, str(tmp_path / "there"), "--fail-fast"]) == 2
     assert list((tmp_path / "there").iterdir()) == []
 
 
-def test_a_folder_that_is_something_else_is_left_alone(fleet: Path, tmp_path: Path) -> None:
+def test_a_folder_that_is_something_else_is_left_alone(
+    fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ingest_recordings(sorted(fleet.glob("drive_*"))[:1], SCENES, tmp_path / "dataset")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "main.tex").write_text("")
     before = tree(tmp_path), tree(fleet)
     outs = [fleet, fleet / "drive_0", fleet / "drive_5" / "new", tmp_path / "thesis", tmp_path / "dataset" / "deeper"]
     for out in outs:
-        run = subprocess.run(command(fleet, out), capture_output=True, text=True, check=False)
-        assert run.returncode == 2
-        assert str(out) in run.stderr
-        assert "--out" in run.stderr
+        assert main(words(fleet, out)) == 2
+        said = capsys.readouterr().err
+        assert str(out) in said
+        assert "--out" in said
     assert (tree(tmp_path), tree(fleet)) == before

@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -23,7 +24,13 @@ from hybridworldsim.petr.tiny.model_file import read_model, write_model  # noqa:
 from hybridworldsim.petr.tiny.network import STRIDE, TinyPetr  # noqa: E402
 from hybridworldsim.petr.tiny.run import train_on_samples  # noqa: E402
 from hybridworldsim.petr.tiny.samples import CameraInput, Sample, TargetBoxes, camera_input, read_sample  # noqa: E402
-from hybridworldsim.petr.tiny.settings import CLASSES, NetworkSettings, TrainingSettings, training_settings  # noqa: E402
+from hybridworldsim.petr.tiny.settings import (  # noqa: E402
+    CLASS_OF,
+    CLASSES,
+    NetworkSettings,
+    TrainingSettings,
+    training_settings,
+)
 from hybridworldsim.petr.tiny.trainer import TinyTrainer, batch_boxes  # noqa: E402
 from mirror.annotation.detections import AnnotationError  # noqa: E402
 from mirror.annotation.protocol import TrainingTask  # noqa: E402
@@ -31,6 +38,7 @@ from mirror.cli.main import main  # noqa: E402
 from mirror.dataset.dataset import Dataset  # noqa: E402
 from mirror.errors import UsageError  # noqa: E402
 from mirror.progress import NullProgress  # noqa: E402
+from mirror.schema.scenario import AgentCategory  # noqa: E402
 
 SETTINGS = NetworkSettings()
 SMALL = NetworkSettings(
@@ -103,6 +111,11 @@ def exact_output(samples: list[Sample], box: int, camera: int) -> tuple[DenseOut
         "pitch": pitch,
     }
     return DenseOutput(**{name: value[None].double() for name, value in values.items()}), (row, column)
+
+
+def test_every_road_user_of_a_scenario_has_a_class() -> None:
+    assert set(CLASS_OF.values()) == set(CLASSES)
+    assert {*get_args(AgentCategory), "bicycle"} <= set(CLASS_OF)
 
 
 def test_cells_decode_to_the_boxes_that_they_describe(samples: list[Sample]) -> None:

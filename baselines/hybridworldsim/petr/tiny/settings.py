@@ -10,7 +10,7 @@ from typing import Any, Final
 from mirror.errors import UsageError
 
 CLASSES: Final = ("car", "truck", "motorcycle", "pedestrian")
-"""Classes of the tiny network. It takes vans as cars, buses as trucks, and bicycles as motorcycles."""
+"""Classes of the tiny network. It takes vans as cars, buses as trucks, and bicycles and cyclists as motorcycles."""
 
 CLASS_OF: Final[Mapping[str, str]] = {
     "car": "car",
@@ -19,6 +19,7 @@ CLASS_OF: Final[Mapping[str, str]] = {
     "bus": "truck",
     "motorcycle": "motorcycle",
     "bicycle": "motorcycle",
+    "cyclist": "motorcycle",
     "pedestrian": "pedestrian",
 }
 """The class of each category of boxes; boxes of other categories are left out."""

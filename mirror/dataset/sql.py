@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
     from mirror.dataset.dataset import Dataset
 
-_EXPECTED: Final = "one SELECT statement (WITH, DESCRIBE and SUMMARIZE count as one)"
+_EXPECTED: Final = "one SELECT statement (WITH, DESCRIBE, SUMMARIZE and EXPLAIN count as one)"
+_WORDS: Final = {"LOAD": "INSTALL or LOAD"}
+"""Words of statements to which DuckDB gives one type."""
 
 
 def run_sql(dataset: Dataset, query: str) -> pa.Table:
@@ -65,7 +67,7 @@ def _require_select(connection: duckdb.DuckDBPyConnection, query: str) -> None:
     kinds = [str(statement.type).rpartition(".")[2] for statement in connection.extract_statements(query)]
     if kinds not in (["SELECT"], ["EXPLAIN"]):
         raise UsageError(
-            f"the query has {' and '.join(kinds) or 'no statement'}",
+            f"the query has {' and '.join(_WORDS.get(kind, kind) for kind in kinds) or 'no statement'}",
             place="the query",
             expected=_EXPECTED,
         )

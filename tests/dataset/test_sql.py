@@ -84,6 +84,12 @@ def test_no_query_leaves_the_tables(street: Dataset, query: str, tmp_path: Path)
     assert {path: path.read_bytes() for path in Path(street.root).rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize("query", ["INSTALL httpfs", "load httpfs"])
+def test_extensions_are_refused_by_the_word_that_was_written(street: Dataset, query: str) -> None:
+    with pytest.raises(UsageError, match="has INSTALL or LOAD"):
+        street.sql(query)
+
+
 def test_the_configuration_is_locked(street: Dataset) -> None:
     settings = street.sql(
         "SELECT name, value FROM duckdb_settings() WHERE name IN ('enable_external_access', 'lock_configuration',"

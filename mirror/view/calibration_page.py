@@ -46,6 +46,8 @@ def write_calibration_page(check: CalibrationCheck, out: Path) -> None:
         _over_days(check.traversals),
         "</div>",
         "<h2>Errors by camera</h2>",
+        '<p class="dim">About each axis the error and its standard deviation. In brackets: the axis is unobservable, '
+        "because its standard deviation is above 0.1 degrees.</p>",
         _camera_table(check),
         "<h2>Traversals</h2>",
         _traversal_table(check.traversals),
@@ -99,9 +101,12 @@ def _histogram(angles: Sequence[float | None]) -> str:
     values = np.array([angle for angle in angles if angle is not None])
     if not len(values):
         return _figure("Errors of the cameras: no estimate", "")
-    top = max(2.0 * LIMIT_DEG, float(values.max(initial=0.0)) * 1.05)
-    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
-    most, width = max(int(counts.max(initial=0)), 1), (_WIDTH - _LEFT) / _BINS
+    top = max(2.0 * LIMIT_DEG, float(values.max()) * 1.05)
+    # The limit is an edge of bins, so that no bar has errors of both sides.
+    step = LIMIT_DEG / max(round(_BINS * LIMIT_DEG / top), 1)
+    edges = step * np.arange(np.ceil(top / step) + 1)
+    top, counts = float(edges[-1]), np.histogram(values, bins=edges)[0]
+    most, width = int(counts.max()), (_WIDTH - _LEFT) / len(counts)
     bars = []
     for number, count in enumerate(counts.tolist()):
         height = (_HEIGHT - _BOTTOM - 10) * count / most
@@ -175,12 +180,12 @@ def _camera_table(check: CalibrationCheck) -> str:
     for item in check.traversals:
         for one in item.cameras:
             axes = [
-                f"{error:+.3f} ± {sigma:.3f}" if known else f"unobservable (± {sigma:.2f})"
+                f"{error:+.3f} ± {sigma:.3f}" if known else f"(± {sigma:.2f})"
                 for error, sigma, known in zip(one.error_deg, one.sigma_deg, one.observable)
             ]
             angle = "--" if one.angle_deg is None else f"{one.angle_deg:.3f}"
             rows.append(
-                [escape(item.traversal_id), escape(one.camera), one.stage, angle, *axes, one.status,
+                [escape(item.traversal_id), escape(one.camera), one.stage, angle, one.status, *axes,
                  escape(one.reason or ""), f"{one.tracks:,}"]
             )  # fmt: skip
     head = (
@@ -188,10 +193,10 @@ def _camera_table(check: CalibrationCheck) -> str:
         "camera",
         "stage",
         "n:angle (deg)",
+        "status",
         "n:roll",
         "n:pitch",
         "n:yaw",
-        "status",
         "reason",
         "n:tracks",
     )

@@ -100,9 +100,9 @@ def roll_out_clip(
     for frame in range(first, len(clip)):
         generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
         generated &= clip.present[frame]
-        background = _encode(codec, clip.background[frame], device)[None, None]
+        kept = None if generated.all() else _encode(codec, clip.background[frame], device)[None, None]
         of_frame = _conditions(source, frame, network, _layout(source, frame, style))
-        result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=background)
+        result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=kept)
         images = clip.background[frame].copy()
         if generated.any():
             with torch.no_grad():

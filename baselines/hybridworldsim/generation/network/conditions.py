@@ -97,7 +97,7 @@ class PreparedConditions:
         pooled: (B * T * V, pooled_channels).
         camera: (B * T * V, 1 or rows * columns, width), or None without a camera condition.
         features: features of the adapters, for the first layers; each (B * T * V, rows * columns, width).
-        present: as in `Conditions`.
+        present: as in `Conditions`; None if all views exist.
         adjacent: as in `Conditions`.
         view_index: (V,).
     """

@@ -158,22 +158,28 @@ class JointBlock(nn.Module):
         self.ff_context = None if last else FeedForward(width)
 
     def forward(self, image: Tensor, text: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
-        """Image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width)."""
+        """Image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width).
+
+        Without text (M = 0) the text's half of the block is not computed: it has no effect on the image.
+        """
         shift, scale, gate, shift_ff, scale_ff, gate_ff, *dual = self.norm1(condition)
         plain = normalise(image)
-        if self.last:
+        entered: Tensor | None = None
+        text_gates: list[Tensor] = []
+        if text.shape[1] and self.last:
             # Stable Diffusion 3 has the scale first here.
             text_scale, text_shift = self.norm1_context(condition)
-            text_gates = None
-        else:
+            entered = normalise(text) * (1 + text_scale) + text_shift
+        elif text.shape[1]:
             text_shift, text_scale, *text_gates = self.norm1_context(condition)
-        mixed, text_mixed = self.attn(plain * (1 + scale) + shift, normalise(text) * (1 + text_scale) + text_shift)
+            entered = normalise(text) * (1 + text_scale) + text_shift
+        mixed, text_mixed = self.attn(plain * (1 + scale) + shift, entered)
         image = image + gate * mixed
         if self.attn2 is not None:
             shift_2, scale_2, gate_2 = dual
             image = image + gate_2 * self.attn2(plain * (1 + scale_2) + shift_2)[0]
         image = image + gate_ff * self.ff(normalise(image) * (1 + scale_ff) + shift_ff)
-        if text_gates is None or self.ff_context is None:
+        if not text_gates or text_mixed is None or self.ff_context is None:
             return image, text
         text_gate, text_shift_ff, text_scale_ff, text_gate_ff = text_gates
         text = text + text_gate * text_mixed

@@ -114,14 +114,17 @@ class Transformer(nn.Module):
             UsageError: as `encode_images`.
         """
         text = self.context_embedder(conditions.text.flatten(0, 2))
-        index = conditions.view_index
+        index, present = conditions.view_index, conditions.present
+        if present is not None and bool(present.all()):
+            # Attention without a mask is faster.
+            present = None
         return PreparedConditions(
             conditions.shape,
             text,
             conditions.pooled.flatten(0, 2),
             self._embed_cameras(conditions),
             self.encode_images(conditions) if features is None else features,
-            conditions.present,
+            present,
             conditions.adjacent,
             torch.arange(conditions.shape[2], device=text.device) if index is None else index,
         )

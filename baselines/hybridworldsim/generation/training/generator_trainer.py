@@ -166,11 +166,16 @@ class GeneratorTrainer:
         self.network = (Transformer(settings.network) if network is None else network).to(device)
         self.network.recompute = settings.recompute
         self._optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.learning_rate, betas=(0.9, 0.99), weight_decay=settings.weight_decay
+            self.network.parameters(),
+            lr=settings.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=settings.weight_decay,
+            fused=True,
         )
         self._averaged = {name: one.detach().clone() for name, one in self.network.named_parameters()}
         loss = self._make_loss()
-        self._loss = nn.parallel.DistributedDataParallel(loss) if processes > 1 else loss
+        # Without text the parameters of its tokens have no part in the loss.
+        self._loss = nn.parallel.DistributedDataParallel(loss, find_unused_parameters=True) if processes > 1 else loss
 
     def _make_loss(self) -> nn.Module:
         """The loss of a batch, level, reference level and noise, as a module that holds the network."""

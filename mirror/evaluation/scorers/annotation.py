@@ -19,7 +19,8 @@ from mirror.geometry.poses import Poses
 from mirror.metrics.detection.boxes import DetectionBoxes, in_range
 from mirror.metrics.detection.config import DETECTION_CVPR_2019, DetectionConfig
 from mirror.metrics.detection.nuscenes import NuScenesDetection, nuscenes_detection
-from mirror.protocols.document import Detection, Protocol
+from mirror.protocols.document import Protocol
+from mirror.protocols.metrics import Detection
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document

@@ -20,7 +20,8 @@ from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.kid import kid
-from mirror.protocols.document import Fid, Fvd, Kid, Metric, Protocol, metric_name
+from mirror.protocols.document import Protocol
+from mirror.protocols.metrics import Fid, Fvd, Kid, Metric, metric_name
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 

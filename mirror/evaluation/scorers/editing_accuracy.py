@@ -19,7 +19,8 @@ from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
-from mirror.protocols.document import EditIou, Protocol, metric_name
+from mirror.protocols.document import Protocol
+from mirror.protocols.metrics import EditIou, metric_name
 from mirror.protocols.views.plan import Plan, render_path
 from mirror.protocols.views.view import Edit, RenderView, to_pose
 

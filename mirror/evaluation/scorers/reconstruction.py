@@ -14,7 +14,7 @@ from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Va
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.score import EMPTY_MASK, Score
-from mirror.protocols.document import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, PsnrInvariant, Ssim, metric_name
+from mirror.protocols.metrics import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, PsnrInvariant, Ssim, metric_name
 from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from mirror.evaluation.scorers.speed import frames_per_second
 from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.methods.registry import installed_method
-from mirror.protocols.document import metric_name
+from mirror.protocols.metrics import metric_name
 from mirror.protocols.views.plan import Plan
 
 _UNITS: Final[Mapping[str, tuple[str, str]]] = {

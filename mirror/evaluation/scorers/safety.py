@@ -13,7 +13,8 @@ from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.scorer import Values
 from mirror.metrics.safety import FIGURES, read_state_log, score_rollout
 from mirror.metrics.score import Score
-from mirror.protocols.document import DrivableArea, LeastTtc, Protocol
+from mirror.protocols.document import Protocol
+from mirror.protocols.metrics import DrivableArea, LeastTtc
 from mirror.protocols.views.view import RenderView
 from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout

@@ -1,0 +1,171 @@
+"""The metrics that a protocol can name, each with its options; `mirror.metrics` and the scorers compute them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from mirror.schema.documents import Document
+
+
+class Psnr(Document):
+    """Peak signal-to-noise ratio of the scored pixels, peak 255. Identical images are infinite and counted apart."""
+
+    metric: Literal["psnr"]
+
+
+class PsnrAffine(Document):
+    """PSNR after each channel got its own gain (0 or more) and offset by least squares."""
+
+    metric: Literal["psnr_affine"]
+
+
+class PsnrInvariant(Document):
+    """PSNR that no recolouring of the render changes; it ranks novel groups."""
+
+    metric: Literal["psnr_invariant"]
+
+
+class PsnrCc(Document):
+    """PSNR after the quadratic colour warp of MTGS (PSNR* in the paper); ``iterations`` fits on unclipped pixels."""
+
+    metric: Literal["psnr_cc"]
+    iterations: int = Field(default=5, ge=1)
+
+
+class Ssim(Document):
+    """Structural similarity; ``preset`` sets window and border, ``mask`` sets how masked pixels are treated."""
+
+    metric: Literal["ssim"]
+    preset: Literal["gaussian11", "uniform7", "torchmetrics", "3dgs"]
+    mask: Literal["map", "erode", "normalised"]
+
+
+class Lpips(Document):
+    """Learned perceptual similarity. Unscored pixels are black in both images, or left out of the mean of the map."""
+
+    metric: Literal["lpips"]
+    net: Literal["alex", "vgg", "squeeze"]
+    mask: Literal["zero-fill", "map"]
+
+
+class Fid(Document):
+    """Frechet distance of Inception features; ``mode`` of resizing; warns if there are < ``warn_below`` images."""
+
+    metric: Literal["fid"]
+    mode: Literal["clean", "tf1"]
+    warn_below: int = Field(default=2048, ge=2)
+
+
+class Kid(Document):
+    """Kernel distance of Inception features (unbiased estimator)."""
+
+    metric: Literal["kid"]
+    mode: Literal["clean", "tf1"]
+
+
+class Fvd(Document):
+    """Frechet distance of I3D features of clips of ``frames`` images, each resized or cropped to 224 x 224."""
+
+    metric: Literal["fvd"]
+    frames: int = Field(ge=9)
+    crop: Literal["squeeze", "centre"]
+    ddof: Literal[0, 1]
+
+
+class EditIou(Document):
+    """Intersection over union of an edited region and its target box.
+
+    ``hull``: the region and the convex hull of the projected box. ``box``: the tight upright rectangles of both.
+    ``ceiling``: the region and the hull's rectangle, divided by the IoU of the hull and that rectangle, because no
+    vehicle fills its rectangle.
+    """
+
+    metric: Literal["edit_iou"]
+    variant: Literal["hull", "box", "ceiling"]
+
+
+class Detection(Document):
+    """nuScenes detection metrics: AP over centre distances, true-positive errors, NDS.
+
+    Attributes:
+        metric: always ``nuscenes_detection``.
+        absent: treatment of classes without a true box: ``present`` leaves them out, ``devkit`` counts them as 0.
+        class_range_m: classes, each with the largest distance from the ego at which its boxes are scored.
+        max_boxes_per_frame: submissions with more boxes in a frame are refused.
+    """
+
+    metric: Literal["nuscenes_detection"]
+    absent: Literal["present", "devkit"]
+    class_range_m: dict[str, float]
+    max_boxes_per_frame: int = Field(default=500, ge=1, le=10_000)
+
+
+class ReportedFigure(Document):
+    """A figure that the submission's manifest states. It is measured again if the method is installed."""
+
+    metric: Literal["frames_per_second", "model_bytes_per_100m", "training_s", "peak_memory_bytes"]
+
+
+class SafetyFigure(Document):
+    """A figure of a rollout's safety (docs/safety.md)."""
+
+    metric: Literal[
+        "pdms",
+        "epdms",
+        "collisions",
+        "at_fault_collisions",
+        "impact_speed",
+        "ttc_nuplan_within_bound",
+        "ttc_navsim_within_bound",
+        "drivable_margin",
+        "off_road",
+        "wrong_lane",
+        "red_lights",
+        "comfort",
+        "progress_share",
+    ]
+
+
+class LeastTtc(Document):
+    """Least time to collision of a rollout, at most ``horizon_s``."""
+
+    metric: Literal["least_ttc"]
+    horizon_s: float = Field(gt=0, le=60)
+
+
+class DrivableArea(Document):
+    """Share of rollouts in which no corner of the ego is farther than ``tolerance_m`` outside the drivable area."""
+
+    metric: Literal["drivable_area"]
+    tolerance_m: float = Field(ge=0, le=10)
+
+
+Metric = Annotated[
+    Psnr
+    | PsnrInvariant
+    | PsnrAffine
+    | PsnrCc
+    | Ssim
+    | Lpips
+    | Fid
+    | Kid
+    | Fvd
+    | EditIou
+    | Detection
+    | ReportedFigure
+    | SafetyFigure
+    | LeastTtc
+    | DrivableArea,
+    Field(discriminator="metric"),
+]
+
+
+def metric_name(metric: Metric) -> str:
+    """The name of a metric's figure: the metric, with its variant or network if it has several."""
+    if isinstance(metric, EditIou):
+        return f"edit_iou_{metric.variant}"
+    if isinstance(metric, Lpips):
+        return f"lpips_{metric.net}"
+    return metric.metric

@@ -158,7 +158,7 @@ def main(argv: Sequence[str]) -> int:
     names = [f"{light}-{weather}" for light, weather in CONDITIONS]
     parser.add_argument("--lights", nargs="+", choices=names, default=[], help="only these; default: all")
     parser.add_argument("--images", type=int, default=40, help="number of images of each light")
-    parser.add_argument("--near", type=int, default=130, help="number of images of near cars of each light")
+    parser.add_argument("--near", type=int, default=200, help="number of images of near cars of each light")
     parser.add_argument("--plates", type=int, default=200, help="number of plates that are attacked")
     parser.add_argument("--faces", type=Path, default=face_weights(), help="yunet_n_dynamic.onnx")
     options = parser.parse_args(argv)

@@ -16,12 +16,16 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.errors import ExitCode
 from mirror.geometry import Poses
+from mirror.schema.files import read_table
+from mirror.schema.tables import EGO_POSES
 from mirror.view.calibration_page import write_calibration_page
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
 from tests.dataset.builders import Builder, Pass
 
 ERROR_DEG = np.array([0.0, 0.35, -0.45])
 CHOICE = FrameChoice(frames=12, step_m=2.0)
+SCALE = 1.005
+"""Recorded positions relative to those of the layer `survey@1`: a drift of 0.5 %."""
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +36,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     moving = Pass("a", frames=22, heading_deg=90.0, speed_mps=20.0, images={"front_wide": b"x" * 400_000}, codec="png")
     still = Pass("a", frames=14, entry_ns=moving.entry_ns + 10**12, speed_mps=0.0,
                  images={"front_wide": b"x"}, codec="png")  # fmt: skip
-    builder.drive("d", [moving, still])
+    for name in builder.drive("d", [moving, still]):
+        rows = read_table(builder.layout.recorded(name) / "ego_poses.parquet", EGO_POSES).to_pylist()
+        surveyed = [{**row, **{axis: row[axis] / SCALE for axis in ("tx_m", "ty_m")}} for row in rows]
+        builder.layer(name, "poses", "survey@1", EGO_POSES, surveyed)
     # The recorded mounting is the nominal one; the images show one that is turned by the inverse of the error.
     error = Poses.exp(np.concatenate([np.radians(-ERROR_DEG), np.zeros(3)])[None])
     true = Poses((error @ Poses(NOMINAL.rotation, np.zeros((1, 3)))).rotation, NOMINAL.translation)
@@ -48,7 +55,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def check(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> CalibrationCheck:
-    return check_calibration(dataset, choice=CHOICE, work=tmp_path_factory.mktemp("work"))
+    work = tmp_path_factory.mktemp("work")
+    return check_calibration(dataset, choice=CHOICE, reference_poses="survey@1", work=work)
 
 
 def test_the_error_of_the_recorded_mounting_is_found(check: CalibrationCheck) -> None:
@@ -61,6 +69,15 @@ def test_the_error_of_the_recorded_mounting_is_found(check: CalibrationCheck) ->
     assert one.angle_deg == pytest.approx(np.linalg.norm(ERROR_DEG[1:]), abs=0.06)
     assert one.status == "fail"
     assert check.exit_code() == ExitCode.FINDINGS
+
+
+def test_the_drift_of_the_recorded_poses_is_that_of_their_scale(check: CalibrationCheck, tmp_path: Path) -> None:
+    drift = check.traversals[0].drift_percent
+    # The way is 44 m long, and the poses go on for 1 s at both ends.
+    assert list(drift) == ["10", "20", "50"]
+    assert list(drift.values()) == pytest.approx([0.5] * 3, abs=1e-6)
+    write_calibration_page(check, tmp_path / "page.html")
+    assert "the paper states 0.3 %" in (tmp_path / "page.html").read_text()
 
 
 def test_a_standing_vehicle_is_not_checked(check: CalibrationCheck) -> None:

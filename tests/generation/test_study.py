@@ -22,20 +22,47 @@ from benchmarks.studies.generation.judges import (
     segment,
     segmenter_loss,
 )
-from benchmarks.studies.generation.make_clips import ROUTES, TEST_SEEDS, planned_drives
+from benchmarks.studies.generation.make_clips import ROUTES, TEST_SEEDS, busy_share, planned_drives
 from benchmarks.studies.generation.street_clips import StreetRecorder, StreetRig, busy_drive
 from hybridworldsim.generation.clips.clip import ABSENT, CATEGORIES, Clip
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
+from mirror.arrays import Float64
 
 
 @pytest.fixture(scope="module")
-def street_clip() -> Clip:
-    """Two frames of a small synthetic street."""
-    drive = busy_drive("tiny", "guangzhou-urban-01", 3, 0.3, "test-drive")
-    recorder = StreetRecorder(drive, StreetRig())
+def recorder() -> StreetRecorder:
+    """A drive through a small synthetic street."""
+    return StreetRecorder(busy_drive("tiny", "guangzhou-urban-01", 3, 0.3, "test-drive"), StreetRig())
+
+
+@pytest.fixture(scope="module")
+def times_s(recorder: StreetRecorder) -> Float64:
+    """Two instants of the drive."""
     times_s = recorder.times_s
-    return recorder.record("test-clip", times_s[[len(times_s) // 2, len(times_s) // 2 + 5]])
+    return times_s[[len(times_s) // 2, len(times_s) // 2 + 5]]
+
+
+@pytest.fixture(scope="module")
+def street_clip(recorder: StreetRecorder, times_s: Float64) -> Clip:
+    """The frames at these instants."""
+    return recorder.record("test-clip", times_s)
+
+
+def test_masks_without_backgrounds_are_those_of_the_clip(
+    recorder: StreetRecorder, times_s: Float64, street_clip: Clip
+) -> None:
+    assert street_clip.tracks is not None
+    np.testing.assert_array_equal(recorder.tracks(times_s), street_clip.tracks)
+
+
+def test_busy_frames_show_a_road_user_with_enough_pixels() -> None:
+    tracks = np.full((4, 2, 20, 20), ABSENT, np.int16)
+    tracks[0, 1, :6, :10] = 3
+    tracks[1, 0, :6, :9] = 3
+    tracks[2, 0, :5, :10] = 1
+    tracks[2, 1, :5, :10] = 2
+    assert busy_share(tracks) == 0.25
 
 
 def test_images_differ_from_their_background_where_road_users_and_their_shadows_are(street_clip: Clip) -> None:

@@ -30,6 +30,7 @@ from benchmarks.studies.generation.make_clips import (
 )
 from benchmarks.studies.generation.published import FVD_FRAMES, STAGE, load_networks, measure_published
 from benchmarks.studies.generation.report import BEGIN, END, PAGE, format_report, update_page, write_sheets
+from benchmarks.studies.generation.rollouts import predict_next
 from benchmarks.studies.generation.scoring import background_db, identity, score_clip
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study, run_stages
@@ -162,8 +163,20 @@ def test_every_stage_leaves_figures_and_the_report_has_every_bar(study: Study) -
         assert study.figures(stage.name) is not None
     own = study.figures("score-on-0")
     assert own is not None and np.isfinite([own["db"], own["iou"], own["classified"]]).all()
+    off = study.figures("score-off-0")
+    # The street of these clips stands still: a copy of the frame before is exact.
+    assert off is not None and np.isfinite(off["next_db"]) and off["before_db"] == float("inf")
     truth = study.figures("truth")
     assert truth is not None and truth["db"] == float("inf") and truth["correlation"] == pytest.approx(1.0)
+
+
+def test_next_frames_are_those_of_rollouts_that_begin_there(study: Study) -> None:
+    clip, model = study.test[0], study.model("on-0")
+    made = predict_next(model, study.autoencoder, [clip], [T, T + 3], 1)[clip.clip_id]
+    with np.load(study.folder / "rollouts" / "on-0" / f"{clip.clip_id}.npz") as stored:
+        assert (made[0] == stored["images"][0]).all()
+        # Later frames of a rollout follow its own output.
+        assert (made[1] != stored["images"][3]).any()
 
 
 def test_finished_stages_are_not_run_again(study: Study) -> None:
@@ -312,12 +325,15 @@ def test_identity_falls_where_brightness_is_lost() -> None:
     rng = np.random.default_rng(0)
     track, frame = np.repeat(np.arange(40), 60), np.tile(np.arange(60), 40)
     true = np.repeat(rng.uniform(20, 200, 40), 60)
-    kept = {"track": track, "frame": frame, "own": true + rng.normal(0, 2, len(true)), "true": true}
+    kept = {"track": track, "frame": frame, "own": true + rng.normal(0, 2, len(true)), "true": true, "seen": track < 20}
     lost = {**kept, "own": np.where(frame < 25, kept["own"], rng.uniform(20, 200, len(true)))}
     assert identity([kept], 50, 20)["kept"] == pytest.approx(1.0, abs=0.01)
     assert identity([kept], 50, 20)["correlation"] > 0.99
     assert identity([lost], 50, 20)["kept"] < 0.3
     assert identity([kept], 50, 20)["horizon_frames"] == 50
+    # Road users that no seed shows have another brightness: those that one shows are counted apart.
+    guessed = {**kept, "own": np.where(kept["seen"], kept["own"], rng.permutation(true))}
+    assert identity([guessed], 50, 20)["correlation"] < 0.7 < 0.99 < identity([guessed], 50, 20)["seen_correlation"]
     # Fewer than twenty tracks are long: the longest horizon that twenty have.
     short = {name: values[(track < 5) | (frame < 30)] for name, values in kept.items()}
     assert identity([short], 50, 20)["horizon_frames"] == 30
@@ -352,8 +368,9 @@ def test_edits_are_scored_between_ignored_and_followed() -> None:
     clip = make_street_clip("clip", 0, 9)
     (edit,) = plan_edits([clip], T, 3, 2, 1.0, 20, 3.0)
     assert (edit.track, len(edit.clip)) == (7, T + 3)
-    # The seeds do not show the vehicle unmoved.
+    # The seeds do not show the vehicle unmoved, and have no box where it was.
     assert (edit.clip.images[:T] == edit.clip.background[:T]).all()
+    assert edit.clip.boxes.frame.tolist() == [T, T + 1, T + 2]
     ignored = edit.clip.images[T:]
     followed = edit.clip.background[T:].copy()
     followed[:, 0, 9:24, 4:24] = 0

@@ -30,7 +30,7 @@ class Edit:
     """A vehicle that is moved to its left in a stretch of a clip.
 
     Attributes:
-        clip: the stretch; its first T frames are seeds, in which the background replaces the vehicle.
+        clip: the stretch; its first T frames are seeds, in which the background replaces the vehicle and it has no box.
         track: number of the vehicle.
         dy_m: metres to its left.
     """
@@ -152,13 +152,17 @@ _NAMES: Final = ("found", "floor", "ceiling")
 
 
 def _without(clip: Clip, track: int, references: int) -> Clip:
-    """The clip with the background in place of a vehicle in the seeds."""
+    """The clip without a vehicle in the seeds: neither its pixels nor its boxes.
+
+    A box around empty street would tell the network that this road user looks like the street.
+    """
     if clip.tracks is None:
         return clip
     images = clip.images.copy()
     mask = clip.tracks[:references] == track
     images[:references][mask] = clip.background[:references][mask]
-    return replace(clip, images=images)
+    kept = (clip.boxes.track != track) | (clip.boxes.frame >= references)
+    return replace(clip, images=images, boxes=clip.boxes[kept])
 
 
 def _hulls(clip: Clip, frame: int, track: int) -> tuple[Bool, Bool]:

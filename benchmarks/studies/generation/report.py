@@ -82,6 +82,7 @@ def write_sheets(study: Study, out: Path) -> list[Path]:
 
 def _list_rows(study: Study) -> Iterator[_Row]:
     bars, seed = study.declaration.bars, study.declaration.training["seeds"][0]
+    least = int(study.declaration.scoring["least_samples"])
     judges, own, off = (study.shown(name) for name in ("judges", f"score-on-{seed}", f"score-off-{seed}"))
     noise, edits, steps = (study.shown(name) for name in ("score-noise", "edits", "score-distilled"))
     copy, vehicles = (study.shown(name) for name in ("background", "vehicles"))
@@ -99,14 +100,21 @@ def _list_rows(study: Study) -> Iterator[_Row]:
     yield _at_most(
         "drift of the background, last ten frames less first ten, dB", bars["background_drift_db"], own, "drift_db"
     )
-    yield _at_least("background without conditioning on it, dB (else void)", bars["off_background_db"], off, "db")
+    yield _at_least(
+        "background without conditioning on it, next frame from recorded ones, dB (else void)",
+        bars["off_background_db"],
+        off,
+        "next_db",
+        _beside(off, "before_db", "the frame before copied") + _beside(off, "db", "rollout"),
+    )
     for kind, name in (("image", f"image distance, on / off{seeds}"), ("motion", f"motion distance, on / off{seeds}")):
         bar = bars[f"{kind}_ratio"]
         if study.is_void():
             yield (name, f"upper end <= {bar:g}", "-", "void")
         else:
-            yield _ratio(name, bar, conditioning if conditioning is None else conditioning.get(kind), upper=True)
-    yield _ratio("crop distance, generated / empty background", bars["crop_ratio"], vehicles, most=1.0)
+            found = conditioning if conditioning is None else conditioning.get(kind)
+            yield _ratio(name, bar, found, least, upper=True)
+    yield _ratio("crop distance, generated / empty background", bars["crop_ratio"], vehicles, least, most=1.0)
     yield _at_least(
         "class of generated crops named",
         bars["classified"],
@@ -128,18 +136,21 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         bars["identity"],
         own,
         "correlation",
-        _beside(noise, "correlation", "with noise on references"),
+        _beside(own, "seen_correlation", "shown by the seeds")
+        + _beside(noise, "correlation", "with noise on references"),
     )
     yield _at_least(
         "identity kept at the end of a track",
         bars["identity_kept"],
         own,
         "kept",
-        _beside(noise, "kept", "with noise on references"),
+        _beside(own, "seen_kept", "shown by the seeds") + _beside(noise, "kept", "with noise on references"),
     )
     for kind in ("image", "crop"):
         one = None if steps is None else steps.get(kind)
-        yield _ratio(f"{kind} distance, distilled / best teacher", bars["distilled"], one, most=bars["distilled_upper"])
+        yield _ratio(
+            f"{kind} distance, distilled / best teacher", bars["distilled"], one, least, most=bars["distilled_upper"]
+        )
     for model, distances in (study.shown(STAGE) or {}).items():
         shown = ", ".join(f"{name.upper()} {value:.3g}" for name, value in distances.items())
         yield (f"{model}: FID and FVD", "-", shown, "-")
@@ -163,13 +174,14 @@ def _single(name: str, bar: str, figures: dict[str, Any] | None, key: str, is_me
 
 
 def _ratio(
-    name: str, bar: float, figures: dict[str, Any] | None, *, upper: bool = False, most: float | None = None
+    name: str, bar: float, figures: dict[str, Any] | None, least: int, *, upper: bool = False, most: float | None = None
 ) -> _Row:
+    """The row of a ratio of distances; it needs at least as many samples as declared."""
     text = f"upper end <= {bar:g}" if upper else f"<= {bar:g}" + ("" if most is None else f", upper end <= {most:g}")
     if figures is None or figures.get("void"):
         return (name, text, "-", "not run" if figures is None else "void")
     value, high = figures["value"], figures["high"]
-    met = high <= bar if upper else value <= bar and (most is None or high <= most)
+    met = figures["n"] >= least and (high <= bar if upper else value <= bar and (most is None or high <= most))
     shown = f"{value:.3g} ({figures['low']:.3g} to {high:.3g}; n {figures['n']:,})"
     return (name, text, shown, "yes" if met else "no")
 

@@ -34,6 +34,39 @@ def shorten(clip: Clip, first: int, last: int) -> Clip:
     )
 
 
+def predict_next(
+    generator: Path, autoencoder: Path, clips: Sequence[Clip], frames: Sequence[int], steps: int
+) -> dict[str, UInt8]:
+    """Generate single frames of clips, each from the recorded frames before it.
+
+    Args:
+        generator: file of the generator.
+        autoencoder: file of its autoencoder.
+        clips: the clips.
+        frames: numbers of the frames, T or higher.
+        steps: steps of the sampler.
+
+    Returns:
+        Images (len(frames), V, H, W, 3) by clip.
+    """
+    network, references = read_generator(generator)
+    codec = read_autoencoder(autoencoder)
+    options = ClipRolloutOptions(SamplerSettings(steps), keep_empty_views=False)
+    found = {}
+    for clip in clips:
+        windows = [shorten(clip, frame - references, frame + 1) for frame in frames]
+        made = [
+            next(
+                roll_out_clip(
+                    network, codec, one, OWN_STYLE, references, references, options, offset=frame - references
+                )
+            )
+            for one, frame in zip(windows, frames)
+        ]
+        found[clip.clip_id] = np.stack([one.images for one in made])
+    return found
+
+
 def roll_out_all(
     generator: Path,
     autoencoder: Path,

@@ -39,7 +39,7 @@ def score_clip(
         between two consecutive frames. ``crop`` (K, D), ``crop_class``, ``crop_found`` (K,): crops of judged boxes.
         ``square``, ``copy``, ``count`` (F - first,): squared errors outside the masks, of the images and of the
         background copied, and numbers of values. ``iou``: masks of views with enough pixels. ``track``, ``frame``,
-        ``own``, ``true`` (Q,): mean brightness of a road user in both.
+        ``own``, ``true`` (Q,): mean brightness of a road user in both; ``seen``: whether a seed shows it.
     """
     if clip.tracks is None:
         raise ValueError(f"{clip.clip_id} has no tracks")
@@ -52,11 +52,7 @@ def score_clip(
         "image": all_features[shown],
         "motion": (all_features[1:] - all_features[:-1])[pairs],
     }
-    outside = (clip.tracks[first:] == ABSENT) & shown[..., None, None]
-    for name, given in (("square", images), ("copy", clip.background[first:])):
-        error = ((given.astype(np.float64) - clip.images[first:]) / 255.0) ** 2
-        found[name] = (error * outside[..., None]).sum(axis=(1, 2, 3, 4))
-    found["count"] = 3 * outside.sum(axis=(1, 2, 3))
+    found |= score_background(clip, frames, images, {"copy": clip.background[first:]})
     found |= _score_crops(clip, first, images, features, judges)
     found |= _compare_brightness(clip, first, images)
     if judges is not None:
@@ -65,27 +61,67 @@ def score_clip(
     return found
 
 
+def score_background(
+    clip: Clip, frames: Sequence[int], images: UInt8, others: Mapping[str, UInt8]
+) -> dict[str, AnyArray]:
+    """Squared errors outside the masks of road users, in views that show a box.
+
+    Args:
+        clip: the clip, with tracks.
+        frames: numbers of the scored frames.
+        images: (len(frames), V, H, W, 3) generated images.
+        others: further images of the same frames, by name.
+
+    Returns:
+        ``square``, ``count`` (len(frames),): sums of squared errors of the generated images, and numbers of values; for
+        each of the others its squared errors under its name.
+    """
+    if clip.tracks is None:
+        raise ValueError(f"{clip.clip_id} has no tracks")
+    rows = list(frames)
+    shown = np.stack([views_with_boxes(clip, frame) for frame in rows]) & clip.present[rows]
+    outside = (clip.tracks[rows] == ABSENT) & shown[..., None, None]
+    found: dict[str, AnyArray] = {"count": 3 * outside.sum(axis=(1, 2, 3))}
+    for name, given in {"square": images, **others}.items():
+        error = ((given.astype(np.float64) - clip.images[rows]) / 255.0) ** 2
+        found[name] = (error * outside[..., None]).sum(axis=(1, 2, 3, 4))
+    return found
+
+
+def outside_db(scores: Sequence[Scores], name: str, frames: slice = slice(None)) -> float:
+    """PSNR of all pixels that `score_background` counted, in some of the frames."""
+    total, count = (math.fsum(float(one[key][frames].sum()) for one in scores) for key in (name, "count"))
+    return -10.0 * math.log10(total / count) if total > 0.0 else math.inf
+
+
 def background_db(scores: Sequence[Scores]) -> dict[str, float]:
     """PSNR outside the masks, that of the background copied, and how the difference changes to the end.
 
     ``drift`` is the loss against the copy in the last ten frames, less that in the first ten, in dB.
     """
-    whole, start, end = slice(None), slice(0, 10), slice(-10, None)
-
-    def db(name: str, where: slice) -> float:
-        total, count = (math.fsum(float(one[key][where].sum()) for one in scores) for key in (name, "count"))
-        return -10.0 * math.log10(total / count) if total > 0.0 else math.inf
-
-    loss = [db("copy", where) - db("square", where) for where in (start, end)]
-    return {"db": db("square", whole), "copy_db": db("copy", whole), "drift_db": loss[1] - loss[0]}
+    start, end = slice(0, 10), slice(-10, None)
+    loss = [outside_db(scores, "copy", where) - outside_db(scores, "square", where) for where in (start, end)]
+    return {
+        "db": outside_db(scores, "square"),
+        "copy_db": outside_db(scores, "copy"),
+        "drift_db": loss[1] - loss[0],
+    }
 
 
 def identity(scores: Sequence[Scores], long_frames: int, least_tracks: int) -> dict[str, float]:
     """Correlation of the brightness of road users with the truth, and how much of it is left at a track's end.
 
     The end is the last five frames of tracks that are seen over ``long_frames`` frames; if fewer than
-    ``least_tracks`` are, over the longest span that as many tracks have.
+    ``least_tracks`` are, over the longest span that as many tracks have. Figures that begin with ``seen_`` are of the
+    road users that the seeds show: nothing tells a model the colour of the others.
     """
+    names = ("track", "frame", "own", "true")
+    seen = [{name: one[name][one["seen"]] for name in names} for one in scores]
+    own = _identity(seen, long_frames, least_tracks)
+    return _identity(scores, long_frames, least_tracks) | {f"seen_{name}": value for name, value in own.items()}
+
+
+def _identity(scores: Sequence[Scores], long_frames: int, least_tracks: int) -> dict[str, float]:
     spans = [np.array([np.ptp(one["frame"][one["track"] == track]) + 1 for track in _tracks(one)]) for one in scores]
     sorted_spans = np.sort(np.concatenate([np.zeros(0), *spans]))[::-1]
     longest = sorted_spans[min(least_tracks, len(sorted_spans)) - 1] if len(sorted_spans) else 0
@@ -119,6 +155,7 @@ def _score_crops(
 def _compare_brightness(clip: Clip, first: int, images: UInt8) -> dict[str, AnyArray]:
     """Mean luma of each road user with enough pixels, in the images and in the truth."""
     rows: list[tuple[int, int, float, float]] = []
+    seen = np.unique(clip.tracks[:first]) if clip.tracks is not None else np.zeros(0, np.int64)
     if clip.tracks is not None:
         for frame in range(first, len(clip)):
             numbers, counts = np.unique(clip.tracks[frame], return_counts=True)
@@ -128,7 +165,8 @@ def _compare_brightness(clip: Clip, first: int, images: UInt8) -> dict[str, AnyA
                 rows.append((track, frame, float(own[mask].mean()), float(true[mask].mean())))
     columns = list(zip(*rows)) if rows else [(), (), (), ()]
     names = ("track", "frame", "own", "true")
-    return {name: np.array(column, np.float64) for name, column in zip(names, columns)}
+    found: dict[str, AnyArray] = {name: np.array(column, np.float64) for name, column in zip(names, columns)}
+    return {**found, "seen": np.isin(found["track"], seen)}
 
 
 def _tracks(scores: Scores) -> Int64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
@@ -17,7 +18,7 @@ from mirror.synth.fleet.presets import PRESETS
 from mirror.synth.light.condition import Effects
 from mirror.synth.model import Model
 from mirror.synth.render.lens import make_lens
-from mirror.synth.render.scene import Scene
+from mirror.synth.render.scene import RenderedImage, Scene
 from mirror.synth.writing.boxes import world_SE3_boxes
 
 VIEWS: Final = ("front_left", "front", "front_right")
@@ -122,6 +123,18 @@ class StreetRecorder:
         """``world_SE3_ego`` at (N,) times."""
         return self.drive.truth.poses(times_s)
 
+    def tracks(self, times_s: Float64) -> AnyArray:
+        """Number of the road user in each pixel (F, V, H, W) at (F,) times, `ABSENT` elsewhere."""
+        egos = self.ego(times_s)
+        return np.stack(
+            [
+                np.stack(
+                    [rendered.view.object for rendered in self._with_traffic(float(time_s), egos[place : place + 1])]
+                )
+                for place, time_s in enumerate(times_s)
+            ]
+        ).astype(np.int16)
+
     def record(self, clip_id: str, times_s: Float64) -> Clip:
         """Render the frames at (F,) times."""
         egos = self.ego(times_s)
@@ -152,12 +165,10 @@ class StreetRecorder:
 
     def _frame(self, time_s: float, ego: Poses) -> tuple[UInt8, UInt8, AnyArray, list[_Box]]:
         """Images, backgrounds and tracks of the views at one time, and the boxes of its visible road users."""
-        with_traffic = self.street.around(time_s, ego.translation[0])
         without = self._empty.around(time_s, ego.translation[0])
         images, backgrounds, tracks = [], [], []
-        for view in range(len(VIEWS)):
+        for view, rendered in enumerate(self._with_traffic(time_s, ego)):
             pose = ego @ self._ego_SE3_camera[view : view + 1]
-            rendered = self.street.render(with_traffic, self._lens, pose)
             images.append(rendered.bgr[..., ::-1])
             tracks.append(rendered.view.object.astype(np.int16))
             backgrounds.append(self._empty.render(without, self._lens, pose).bgr[..., ::-1])
@@ -166,6 +177,12 @@ class StreetRecorder:
             np.stack(images), np.stack(backgrounds), np.stack(tracks),
             self._boxes(time_s, ego, shown[shown != ABSENT].tolist()),
         )  # fmt: skip
+
+    def _with_traffic(self, time_s: float, ego: Poses) -> Iterator[RenderedImage]:
+        """The street with its road users, view by view."""
+        instant = self.street.around(time_s, ego.translation[0])
+        for view in range(len(VIEWS)):
+            yield self.street.render(instant, self._lens, ego @ self._ego_SE3_camera[view : view + 1])
 
     def _boxes(self, time_s: float, ego: Poses, numbers: list[int]) -> list[_Box]:
         """Track, class, pose and size of the visible road users that are near."""

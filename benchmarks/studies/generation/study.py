@@ -141,9 +141,12 @@ class Study:
         return sum(float(self._read(path)["core_s"]) for path in sorted((self.folder / "figures").glob("*.json")))
 
     def is_void(self) -> bool:
-        """Whether the comparison of conditioning is void: the off model does not beat a copy of the last frame."""
+        """Whether the comparison of conditioning is void: the off model does not beat a copy of the last frame.
+
+        The frames are generated from recorded ones, as the copy is.
+        """
         figures = self.shown(f"score-off-{self.declaration.training['seeds'][0]}")
-        return figures is not None and figures["db"] <= self.declaration.bars["off_background_db"]
+        return figures is not None and figures["next_db"] <= self.declaration.bars["off_background_db"]
 
     def _read(self, path: Path) -> dict[str, Any]:
         document: dict[str, Any] = json.loads(path.read_text())

@@ -1,7 +1,8 @@
 """Rig refinement on the synthetic street: images of a turn, features, matches, and the adjustment of ours and pycolmap.
 
 Several traversals are drives of one vehicle type over the same turn with other traffic, each with recorded poses and
-mountings of its own, as `mirror calibrate refine` sees them; their images are matched with each other too.
+mountings of its own, as `mirror calibrate refine` sees them; their images are matched with each other too. A row with
+exact lenses shows what the errors of the recorded lenses cost: an error of a principal point acts like a rotation.
 
 Both adjust the same tracks from the same triangulated points. pycolmap has no priors of lenses and poses: its lenses
 stay as recorded, and its poses are free. It has no f-theta lenses, so it is not run on the hatchback, and its rig is
@@ -25,7 +26,7 @@ from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.adjustment import Adjustment, adjust_rigs, rotations
 from mirror.calibration.refinement.features import Features, find_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks, match_pair
-from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs
+from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
 from mirror.calibration.refinement.run import DEFAULT_CHOICE
 from mirror.calibration.refinement.triangulation import triangulate
 from mirror.calibration.sampling import stack_poses
@@ -40,6 +41,7 @@ _WORST_DEG: Final = 0.06
 _ADJUST_S: Final = 15.0
 _LOSS_PX: Final = 0.3
 _PEER_DRAWS: Final = 2
+_EXACT_LENSES: Final = RefinementPrior(focal_share=1e-7, centre_share=1e-7)
 _SEED_OF_VISIT: Final = 1000
 """Added to the seed of the recorded errors for each further traversal."""
 
@@ -111,6 +113,11 @@ def recorded_rigs(drives: Sequence[DriveTracks], draw: int) -> MovingRigs:
         np.concatenate([rig.time_s - rig.time_s[0] for rig in rigs]),
         np.repeat(np.arange(len(rigs)), frames),
     )
+
+
+def with_exact_lenses(rigs: MovingRigs, drives: Sequence[DriveTracks]) -> MovingRigs:
+    """The rigs with the true lenses."""
+    return replace(rigs, cameras=[camera for item in drives for camera in item.drive.vehicle.cameras.values()])
 
 
 def true_rotations(drives: Sequence[DriveTracks]) -> Float64:
@@ -232,6 +239,7 @@ def refine_rows(
             true = true_rotations(matched.drives)
             relative: list[Float64] = []
             whole: list[Float64] = []
+            exact: list[Float64] = []
             before: list[Float64] = []
             times: list[float] = []
             others: list[Float64] = []
@@ -244,6 +252,9 @@ def refine_rows(
                 turns = matrix_from_quaternion(adjusted.ego_SE3_camera.rotation)
                 for found, into in zip(angles_deg(turns, true, traversals), (relative, whole)):
                     into.append(found)
+                with_lenses = adjust_rigs(with_exact_lenses(rigs, matched.drives), matched.tracks, _EXACT_LENSES)
+                exact_turns = matrix_from_quaternion(with_lenses.ego_SE3_camera.rotation)
+                exact.append(angles_deg(exact_turns, true, traversals)[0])
                 start_turns = matrix_from_quaternion(rigs.ego_SE3_camera.rotation)
                 before.append(angles_deg(start_turns, true, traversals)[0])
                 cover.append(is_covered(adjusted, true).ravel())
@@ -273,6 +284,9 @@ def refine_rows(
             angle = np.sqrt(np.mean(np.square(whole), axis=0))
             yield Row(f"{light}, {vehicle}: rms angle to the vehicle, median (deg)", size, float(np.median(angle)),
                       float(angle.max()), unit="deg worst")  # fmt: skip
+            exact_rms = np.sqrt(np.mean(np.square(exact), axis=0))
+            yield Row(f"{light}, {vehicle}: with exact lenses, rms angle to the reference camera, median (deg)", size,
+                      float(np.median(exact_rms)), float(exact_rms.max()), unit="deg worst")  # fmt: skip
             yield Row(f"{light}, {vehicle}: features and matches", size,
                       1e3 * (matched.features_s + matched.matches_s))  # fmt: skip
     for light, of_rigs in every.items():

@@ -44,8 +44,7 @@ class Arguments:
         tyro.conf.UseAppendAction,
         help_text(metavar="NAME[=FILE][@REGIONS]", default="centerface and clp_det"),
     ] = ()
-    """A detector, with the file of its weights, and the regions whose plates it finds where you know them. Several of a
-    kind are joined; --list-detectors lists them."""
+    """A detector, its weights, and the regions of its plates. Several of a kind are joined; see --list-detectors."""
     list_detectors: bool = False
     """List the installed detectors and do nothing else."""
     traversal: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="ID", default="all")] = ()

@@ -118,7 +118,7 @@ def test_older_protocol_is_marked(tmp_path: Path) -> None:
     )
     assert "an older version" not in new
     assert "an older version" in old
-    assert ", older version</span>" in old and ", older version</span>" not in new
+    assert '<figure class="plot">' in new and '<figure class="plot">' not in old
 
 
 def test_page_without_entries(tmp_path: Path) -> None:

@@ -36,10 +36,13 @@ class _Point:
 def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     """Plot the boards of one protocol; empty if no entry has both a render time and a value.
 
+    Boards of an older version of the protocol are left out.
+
     Args:
         boards: boards of one protocol; each has its colour, since values of different data are not comparable.
         entries: all entries: the render time of a method may be in another of its entries.
     """
+    boards = [board for board in boards if not board.is_older]
     columns = dict.fromkeys(board.ranked_by for board in boards)
     column = next((column for column in columns if _list_points(boards, column, entries)), None)
     if column is None:
@@ -49,7 +52,7 @@ def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"
     x, y = _log_axis([point.seconds for point in points]), _linear_axis([point.value for point in points])
     elements = [*_format_grid(x, y), *_format_points(points, x, y, measure.digits)]
-    titles = dict.fromkeys((point.hue, _name_board(boards[point.hue])) for point in points)
+    titles = dict.fromkeys((point.hue, boards[point.hue].title) for point in points)
     legend = "".join(f'<span><i class="dot h{hue % _HUES}"></i>{escape(title)}</span>' for hue, title in titles)
     kinds = {point.kind for point in points}
     shapes = "".join(f"<span>{shape} {kind}</span>" for kind, shape in _SHAPES.items() if kind in kinds)
@@ -91,10 +94,6 @@ class _Axis:
     def fraction(self, value: float) -> float:
         position = math.log10(value) if self.logarithmic else value
         return (position - self.low) / (self.high - self.low)
-
-
-def _name_board(board: Board) -> str:
-    return f"{board.title}, older version" if board.is_older else board.title
 
 
 def _list_points(boards: Sequence[Board], column: Column, entries: Sequence[Entry]) -> list[_Point]:

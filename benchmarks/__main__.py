@@ -13,18 +13,22 @@ from mirror.errors import ExitCode
 from mirror.stops import run_process
 
 _HERE: Final = Path(__file__).parent
-_MACHINERY: Final = ("__main__", "report", "studies")
+_NO_BENCHMARKS: Final = ("__main__", "report", "studies")
 _STUDIES: Final = "studies"
 FORMER_NAMES: Final = {"reconstruction": "static_reconstruction"}
 """Names that are still accepted, and what they are called now."""
 
 
 def modules() -> dict[str, str]:
-    """The module of each benchmark, by the benchmark's name; a package has its `main` in its module `benchmark`."""
+    """The module of each benchmark, by the benchmark's name; a package has its `main` in its module `benchmark`.
+
+    Every study is a package; the modules beside them are what studies share.
+    """
     found = {}
     for prefix, folder in (("benchmarks", _HERE), (f"benchmarks.{_STUDIES}", _HERE / _STUDIES)):
         for module in pkgutil.iter_modules([str(folder)]):
-            if module.name not in _MACHINERY and not module.name.startswith("_"):
+            is_benchmark = module.ispkg if folder.name == _STUDIES else module.name not in _NO_BENCHMARKS
+            if is_benchmark and not module.name.startswith("_"):
                 found[module.name] = f"{prefix}.{module.name}"
     return dict(sorted(found.items()))
 

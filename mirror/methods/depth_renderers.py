@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
+from mirror.arrays import Float32
 from mirror.protocols.views.view import RenderView
 
 
@@ -38,16 +38,16 @@ class DepthRenderer(Protocol):
 
 @runtime_checkable
 class CoverRenderer(Protocol):
-    """A renderer that also gives what the model before some depths covers."""
+    """A renderer that also gives what the model before a depth covers."""
 
-    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[DepthRendering, Any]:
-        """Render a view with its depth, and the share of each pixel that the model before K depths covers.
+    def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[DepthRendering, Any]:
+        """Render a view with its depth, and the share of each pixel that the model before a depth covers.
 
         Args:
             view: the view.
-            limits_m: K depths (camera z), at least one.
+            limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
 
         Returns:
-            What `DepthRenderer.render` returns; and the shares (H, W, K), 0 to 1, a float tensor of torch.
+            What `DepthRenderer.render` returns; and the shares (H, W), 0 to 1, a float tensor of torch.
         """
         ...

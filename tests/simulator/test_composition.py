@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from hybridworldsim.simulator.agents.bodies import body_of_size, draw_body
 from hybridworldsim.simulator.agents.states import Agent, AgentStates
@@ -15,7 +14,6 @@ from hybridworldsim.simulator.renderers.compositing import (
     CELL_M,
     add_contact_shadows,
     compose,
-    depth_levels,
     free_space,
     hiding_depth,
 )
@@ -63,20 +61,6 @@ def test_mist_hides_an_agent_only_where_it_covers_most() -> None:
     for street_m in (8.0, 30.0):
         assert composed(street_m, agent_m=10.0, covered=0.7)[1].all()
         assert not composed(street_m, agent_m=10.0, covered=0.8)[1].any()
-
-
-def test_depths_are_rounded_down_to_a_few_levels() -> None:
-    depths = np.random.default_rng(0).uniform(2.0, 60.0, (30, 40)).astype(np.float32)
-    depths[:5] -= 62.0
-    levels, number = depth_levels(depths)
-    assert 12 < len(levels) <= 24 and ((number < 0) == (depths <= 0.0)).all()
-    near = depths > 0.0
-    ratio = depths[near] / np.array(levels)[number[near]]
-    # From 2 m to 60 m there are 59 steps of 6 %: levels are three of them apart.
-    assert ratio.min() >= 1.0 - 1e-6 and ratio.max() <= 1.06**3 + 1e-6
-    few = np.full((2, 3), 10.0, np.float32)
-    assert depth_levels(few)[0][0] == pytest.approx(10.0, rel=0.06) and len(depth_levels(few)[0]) == 1
-    assert depth_levels(np.zeros((2, 3), np.float32))[0] == ()
 
 
 def test_nothing_hides_an_agent_where_the_street_is_empty() -> None:
@@ -152,6 +136,23 @@ def test_agents_are_drawn_within_their_boxes() -> None:
     assert drawn.rgb[drawn.alpha > 0.5].std() > 5.0
     behind = ego_pose(street, snapshot) @ cameras["rear"].ego_SE3_camera
     assert layer.draw(instant, cameras["rear"].camera, behind) is None
+
+
+def test_thin_parts_have_the_place_of_their_agent() -> None:
+    """Rays through the centres of these pixels pass between the spokes of a bicycle."""
+    street, body = straight_street(), draw_body("cyclist", "two", 0)
+    agent = Agent("two", "cyclist", body.size_m, body)
+    states = AgentStates(
+        np.array([66.0]), np.array([-1.0]), np.array([1.3]), np.zeros(1), np.zeros(1), np.zeros(1), np.ones(1, np.bool_)
+    )
+    snapshot = Snapshot(0, 0.0, 0, street.vehicle, EgoState(50.0, -1.75, 0.0, 8.0), (agent,), states, {})
+    place = rig_cameras(street, ("front_wide",), 480)["front_wide"]
+    layer = AgentLayer(street, Condition(instant_of("2025-06-21", "day", 0.0, 45.0), "day", "clear"), (agent,))
+    drawn = layer.draw(layer.at(snapshot), place.camera, ego_pose(street, snapshot) @ place.ego_SE3_camera)
+    assert drawn is not None
+    seen = drawn.alpha > 0.0
+    assert (np.isfinite(drawn.depth_m) == seen).all() and (drawn.number[seen] == 0).all()
+    assert np.abs(drawn.depth_m[seen] - 14.5).max() < 1.5
 
 
 def test_a_body_is_chosen_by_category_and_size() -> None:

@@ -13,8 +13,10 @@ from hybridworldsim.model.parts import split_street
 from hybridworldsim.model.splats import concatenate_splats
 from hybridworldsim.model.street import Street
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
+from tests.rasterizer.covers import assert_covers_are
 from tests.street.streets import SOURCES, shifted, street, view
 
 A = Block((0, 0), (0.0, 0.0, 0.0), 40.0, 10.0)
@@ -67,21 +69,26 @@ def test_a_single_block_renders_unchanged() -> None:
 
 
 def test_covers_are_the_opacity_of_what_lies_before_a_far_plane() -> None:
-    composition, seen, limits = Composition([(A, street())]), view(-15.0), (4.0, 12.0, 40.0)
+    composition, seen = Composition([(A, street())]), view(-15.0)
     decoded = composition.decode(seen, select_latents)
-    plain, output = composition.draw(seen, decoded), composition.draw(seen, decoded, limits)
-    torch.testing.assert_close((output.rgb, output.depth_m), (plain.rgb, plain.depth_m), atol=1e-6, rtol=1e-6)
+    output = composition.draw(seen, decoded)
     splats, point = concatenate_splats(decoded.splats), to_viewpoint(seen, decoded.origin_m)
-    assert output.before is not None and plain.before is None
-    for number, limit in enumerate(limits):
+    shape, expected, covers = (point.height_px, point.width_px), [], []
+    for limit in (4.0, 12.0, 40.0):
         _, alphas, _ = rasterization(
             splats.means, splats.quats, splats.scales, splats.opacities, splats.colours,
             point.viewmat[None], point.K[None], point.width_px, point.height_px, near_plane=0.2, far_plane=limit,
         )  # fmt: skip
-        # Beyond a transmittance of 1e-4 nothing is blended.
-        torch.testing.assert_close(output.before[..., number], alphas[0, ..., 0], atol=2e-4, rtol=0.0)
-    means = output.before.mean(dim=(0, 1))
+        expected.append(alphas[0, ..., 0])
+        covers.append(covered_before(output.meta, np.full(shape, limit, np.float32)))
+    assert_covers_are(torch.stack(covers), torch.stack(expected))
+    means = torch.stack(covers).mean(dim=(1, 2))
     assert 0.05 < means[0] < means[1] - 0.05 < means[2] <= output.alpha.mean() + 1e-6
+    # Each pixel has a limit of its own, or none.
+    chosen = np.random.default_rng(0).integers(-1, 3, shape)
+    mixed = covered_before(output.meta, np.array([4.0, 12.0, 40.0, 0.0], np.float32)[chosen])
+    picked = torch.stack([*covers, torch.zeros(shape)])[torch.from_numpy(chosen), *np.indices(shape)]
+    assert torch.equal(mixed, picked)
 
 
 def test_identical_blocks_render_as_one() -> None:

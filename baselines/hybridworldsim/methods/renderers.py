@@ -19,7 +19,7 @@ from hybridworldsim.training.run.parameters import read_parameters, set_paramete
 from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import CoverTrainableMethod, Rendering, TrainableMethod
 from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import Float32, Float64, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.protocols.views.view import RenderView
@@ -110,12 +110,12 @@ class NearestBlockRenderer:
 class NearestBlockCoverRenderer(NearestBlockRenderer):
     """A `NearestBlockRenderer` of a method that states what covers each pixel."""
 
-    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
-        """Render a view, and the share (H, W, K) of each pixel that the street before K depths covers.
+    def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
+        """Render a view, and the share (H, W) of each pixel that the street before a depth covers.
 
         Args:
             view: the view.
-            limits_m: K depths (camera z), at least one.
+            limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
 
         Raises:
             UsageError: the nearest block's method does not state what covers a pixel.
@@ -123,7 +123,7 @@ class NearestBlockCoverRenderer(NearestBlockRenderer):
         trainer, viewpoint = self.choose(view)
         if not isinstance(trainer, CoverTrainableMethod):
             raise UsageError(f"a {type(trainer).__name__}", expected="a CoverTrainableMethod")
-        return trainer.render_covers(viewpoint, limits_m)
+        return trainer.render_covers(viewpoint, limit_m)
 
 
 def render_nearest(blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> NearestBlockRenderer:

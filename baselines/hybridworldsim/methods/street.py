@@ -22,12 +22,13 @@ from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.trainer import StreetTrainer
+from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
 from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
-from mirror.arrays import UInt8
+from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.ply_export import PlyExport, PlyExportOptions
@@ -126,17 +127,17 @@ class StreetRenderer:
         output, counts = self._composition.render(view, self.latents(view))
         return Rendering(output.rgb, output.alpha, output.depth_m, counts)
 
-    def render_covers(self, view: RenderView, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
-        """Render a view, and the share (H, W, K) of each pixel that the street before K depths covers.
+    def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
+        """Render a view, and the share (H, W) of each pixel that the street before a depth covers.
 
         Args:
             view: the view.
-            limits_m: K depths (camera z), at least one.
+            limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
         """
-        output, counts = self._composition.render(view, self.latents(view), limits_m)
-        if output.before is None:
-            raise UsageError("no depth was given", place="limits_m", expected="at least one")
-        return Rendering(output.rgb, output.alpha, output.depth_m, counts), output.before
+        output, counts = self._composition.render(view, self.latents(view))
+        # A view that sees no node has no Gaussians.
+        before = covered_before(output.meta, limit_m) if output.parts else torch.zeros_like(output.alpha)
+        return Rendering(output.rgb, output.alpha, output.depth_m, counts), before
 
     def latents(self, view: RenderView) -> Callable[[AppearanceLatents], tuple[Tensor, Tensor]]:
         """Return a function that selects the latents of a view's colours and content from a block's appearance."""

@@ -41,15 +41,12 @@ class Composition:
         self._split = split_street(blocks)
         self._parts = [_RenderablePart(part) for part in self._split.parts]
 
-    def render(
-        self, view: RenderView, select_latents: LatentSelector, limits_m: Sequence[float] = ()
-    ) -> tuple[RenderOutput, Mapping[str, int]]:
+    def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
         """Render a view.
 
         Args:
             view: a pinhole view in the world.
             select_latents: selects the latents that a block is rendered with.
-            limits_m: depths; see `hybridworldsim.model.street.render`.
 
         Returns:
             The image; and counts of blocks, of nodes, and of Gaussians that are held, decoded and drawn.
@@ -66,7 +63,7 @@ class Composition:
             "decoded": sum(splats.decoded_count for splats in decoded.splats),
             "drawn": sum(len(splats) for splats in decoded.splats),
         }
-        return self.draw(view, decoded, limits_m), counts
+        return self.draw(view, decoded), counts
 
     @torch.inference_mode()
     def decode(self, view: RenderView, select_latents: LatentSelector) -> Decoded:
@@ -81,11 +78,11 @@ class Composition:
         return Decoded(np.array(home.origin_m), tuple(shown))
 
     @torch.inference_mode()
-    def draw(self, view: RenderView, decoded: Decoded, limits_m: Sequence[float] = ()) -> RenderOutput:
+    def draw(self, view: RenderView, decoded: Decoded) -> RenderOutput:
         """Draw decoded Gaussians in a view, which need not be the one that they were decoded for."""
         if not decoded.splats:
-            return _empty_render(view, len(limits_m))
-        return render(to_viewpoint(view, decoded.origin_m), decoded.splats, limits_m=limits_m)
+            return _empty_render(view)
+        return render(to_viewpoint(view, decoded.origin_m), decoded.splats)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +134,11 @@ class _RenderablePart:
         return shown
 
 
-def _empty_render(view: RenderView, limits: int) -> RenderOutput:
+def _empty_render(view: RenderView) -> RenderOutput:
     """A black image with no parts, for a view that sees no node."""
     rows, columns = view.height_px, view.width_px
     black, nothing = torch.zeros(rows, columns, 3), torch.zeros(rows, columns)
-    return RenderOutput(black, nothing, nothing.clone(), (), {}, torch.zeros(rows, columns, limits) if limits else None)
+    return RenderOutput(black, nothing, nothing.clone(), (), {})
 
 
 def _bounding_sphere(means: Tensor, log_scales: Tensor) -> Tensor:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import torch
 from torch import Tensor, nn
 
 from hybridworldsim.model.appearance import AppearanceLatents
@@ -14,7 +12,6 @@ from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
 from hybridworldsim.model.splats import Splats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.covers import nearer_than
 from hybridworldsim.training.viewpoint import Viewpoint
 
 
@@ -36,7 +33,6 @@ class RenderOutput:
         depth_m: (H, W) expected depth.
         parts: decoded Gaussians of each node, in the order of the nodes.
         meta: intermediate results of the rasterizer.
-        before: (H, W, K) share of each pixel that Gaussians before K limits cover; None: no limits were given.
     """
 
     rgb: Tensor
@@ -44,7 +40,6 @@ class RenderOutput:
     depth_m: Tensor
     parts: tuple[Splats, ...]
     meta: dict[str, Any]
-    before: Tensor | None = None
 
 
 class Street(nn.Module):
@@ -101,27 +96,21 @@ class Street(nn.Module):
         return render(viewpoint, parts, track_gradients=track_gradients)
 
 
-def render(
-    viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False, limits_m: Sequence[float] = ()
-) -> RenderOutput:
+def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False) -> RenderOutput:
     """Rasterize the decoded Gaussians of nodes; see `Street.forward`.
 
     Args:
         viewpoint: the camera.
         parts: the decoded Gaussians.
         track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
-        limits_m: K depths (camera z), before which the share that Gaussians cover is wanted.
     """
     splats = concatenate_splats(parts)
-    colours = splats.colours
-    if limits_m:
-        colours = torch.cat([colours, nearer_than(splats.means, viewpoint.viewmat, limits_m)], dim=1)
     images, alphas, meta = rasterization(
         splats.means,
         splats.quats,
         splats.scales,
         splats.opacities,
-        colours,
+        splats.colours,
         viewpoint.viewmat[None],
         viewpoint.K[None],
         viewpoint.width_px,
@@ -131,5 +120,4 @@ def render(
         absgrad=track_gradients,
         nonfinite="cull",
     )
-    before = images[0, ..., 3:-1] if limits_m else None
-    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., -1], parts, meta, before)
+    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)

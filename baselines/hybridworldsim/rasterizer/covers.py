@@ -1,26 +1,115 @@
-"""What Gaussians before a depth cover of each pixel: channels that are blended as colours are."""
+"""What Gaussians before a depth cover of each pixel."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping
+from typing import Any, Final
 
+import numpy as np
+import torch
 from torch import Tensor
 
+from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, DEFAULT_PRESET, TRANSMITTANCE_STOP, get_preset
+from mirror.arrays import Float32, Int32
 
-def nearer_than(means: Tensor, viewmat: Tensor, limits_m: Sequence[float]) -> Tensor:
-    """Mark the Gaussians with a centre before some depths.
+_NUMBERS: Final = ("means2d", "conics", "depths", "opacities")
+_ROUNDING: Final = 1e-6
 
-    Gaussians are blended from front to back: the blended marks are the share of a pixel that those before a depth
-    cover.
+
+def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
+    """Compute what the Gaussians of an image cover of each pixel before a depth.
+
+    It is the alpha of an image of the Gaussians with a nearer centre, if that image blended the Gaussian that ends a
+    pixel too (`TRANSMITTANCE_STOP`). The light that comes through Gaussians is the product of what each lets through: they
+    need no order, and only those before a limit are visited.
 
     Args:
-        means: (N, 3) centres.
-        viewmat: (4, 4) camera_SE3_world.
-        limits_m: K depths (camera z).
+        meta: what `rasterization` returned for one image, with packed tensors, as gsplat names them.
+        limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
 
     Returns:
-        (N, K) 1 where the centre is nearer, else 0.
+        (H, W) shares, 0 to 1.
     """
-    towards = viewmat[2].to(means.dtype)
-    depth = means @ towards[:3] + towards[3]
-    return (depth[:, None] < means.new_tensor(limits_m)).to(means.dtype)
+    means2d, conics, depths, opacities = (
+        np.ascontiguousarray(meta[name].detach().cpu().numpy(), np.float32) for name in _NUMBERS
+    )
+    limit = np.ascontiguousarray(limit_m, np.float32)
+    wanted = limit > 0.0
+    through = np.ones(limit.shape, np.float32)
+    if wanted.any():
+        columns = np.stack([wanted.argmax(axis=1), limit.shape[1] - wanted[:, ::-1].argmax(axis=1)], axis=1)
+        columns[~wanted.any(axis=1)] = 0
+        preset = get_preset(DEFAULT_PRESET)
+        let_through(
+            means2d, conics, depths, opacities, preset.alpha_max, limit, limit.max(axis=1), columns.astype(np.int32),
+            through,
+        )  # fmt: skip
+    return torch.from_numpy(1.0 - through)
+
+
+@kernel()
+def let_through(
+    means2d: Float32,
+    conics: Float32,
+    depths: Float32,
+    opacities: Float32,
+    alpha_max: float,
+    limit_m: Float32,
+    row_limit_m: Float32,
+    columns: Int32,
+    through: Float32,
+) -> None:
+    """Multiply the light of each pixel by what the Gaussians before its limit let through.
+
+    Args:
+        means2d: (M, 2) pixels.
+        conics: (M, 3) inverses of the covariances, pixels^-2.
+        depths: (M,) camera z, metres.
+        opacities: (M,).
+        alpha_max: upper bound of alpha.
+        limit_m: (H, W) limits.
+        row_limit_m: (H,) greatest limit of each row.
+        columns: (H, 2) first column with a limit of each row, and one past the last; both are 0 where there is none.
+        through: (H, W) light of each pixel; updated.
+    """
+    height, width = limit_m.shape
+    least, stop = np.float32(ALPHA_MIN), np.float32(TRANSMITTANCE_STOP)
+    top, bottom, farthest = height, 0, np.float32(0.0)
+    for row in range(height):
+        if columns[row, 1] > 0:
+            top, bottom = min(top, row), row + 1
+            farthest = max(farthest, row_limit_m[row])
+    for number in range(len(depths)):
+        depth, opacity = depths[number], opacities[number]
+        if not depth < farthest or not opacity > least:
+            continue
+        a, b, c = conics[number, 0], conics[number, 1], conics[number, 2]
+        x, y = means2d[number, 0], means2d[number, 1]
+        # Where alpha is at least its minimum: an ellipse of this level, whose bounds follow from the covariance.
+        level = np.float32(2.0) * math.log(opacity / least)
+        # Numbers are rounded: without the last term the bounds of a very long ellipse may be too narrow.
+        spread = float(a) * float(c) * (1.0 - _ROUNDING) - float(b) * float(b)
+        reach = np.float32(math.sqrt(level * a / spread)) if spread > 0.0 else np.float32(np.inf)
+        first = max(math.ceil(max(y - reach, np.float32(-1.0)) - 0.5), top)
+        last = min(math.floor(min(y + reach, np.float32(height + 1)) - 0.5), bottom - 1)
+        for row in range(first, last + 1):
+            if not depth < row_limit_m[row]:
+                continue
+            dy = np.float32(row) + np.float32(0.5) - y
+            # On a row the ellipse ends where a dx^2 + 2 b dx dy + c dy^2 = level.
+            middle = -b * dy / a
+            square = middle * middle - (c * dy * dy - level) / a
+            if not square >= 0.0:
+                continue
+            half = math.sqrt(square)
+            left = max(math.ceil(max(x + middle - half, np.float32(-1.0)) - 0.5), columns[row, 0])
+            right = min(math.floor(min(x + middle + half, np.float32(width + 1)) - 0.5), columns[row, 1] - 1)
+            for column in range(left, right + 1):
+                light = through[row, column]
+                if depth < limit_m[row, column] and light > stop:
+                    dx = np.float32(column) + np.float32(0.5) - x
+                    power = np.float32(-0.5) * (a * dx * dx + c * dy * dy) - b * dx * dy
+                    alpha = min(opacity * math.exp(power), np.float32(alpha_max))
+                    through[row, column] = light * (np.float32(1.0) - alpha)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
+from mirror.arrays import Float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +82,11 @@ class TrainableMethod(Protocol):
 class CoverTrainableMethod(TrainableMethod, Protocol):
     """A model that also states what covers each pixel before some depths."""
 
-    def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
-        """Render as `render` does, with the share (H, W, K) of each pixel that Gaussians before K depths cover.
+    def render_covers(self, viewpoint: Viewpoint, limit_m: Float32) -> tuple[Rendering, Tensor]:
+        """Render as `render` does, with the share (H, W) of each pixel that Gaussians before a depth cover.
 
         Args:
             viewpoint: the camera, with a training source.
-            limits_m: K depths (camera z), at least one.
+            limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
         """
         ...

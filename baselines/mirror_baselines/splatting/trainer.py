@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,13 +11,12 @@ from torch import Tensor
 from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.covers import nearer_than
-from hybridworldsim.rasterizer.cpu.spherical_harmonics import spherical_harmonics as sum_harmonics
-from hybridworldsim.rasterizer.harmonics import compute_directions, to_colours
+from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint
+from mirror.arrays import Float32
 from mirror_baselines.splatting.appearance import FinishedImage
 from mirror_baselines.splatting.density import DensityControl
 from mirror_baselines.splatting.losses import image_losses, surface_losses
@@ -34,7 +33,6 @@ class RenderOutput:
         finished: colours.
         alpha: (H, W).
         depth_m: (H, W) expected depth.
-        before: (H, W, K) share of each pixel that Gaussians before K depths cover.
         rows: (M,) int64 rows of the tables that may be visible.
         geometry: copies of these rows of each table of geometry, leaves that may require gradients.
         spherical_harmonics: (M, K, 3) coefficients of these rows, likewise.
@@ -44,7 +42,6 @@ class RenderOutput:
     finished: FinishedImage
     alpha: Tensor
     depth_m: Tensor
-    before: Tensor
     rows: Tensor
     geometry: dict[str, Tensor]
     spherical_harmonics: Tensor
@@ -109,39 +106,33 @@ class SplattingTrainer:
         return self._to_rendering(self._render(viewpoint, learning=False))
 
     @torch.no_grad()
-    def render_covers(self, viewpoint: Viewpoint, limits_m: Sequence[float]) -> tuple[Rendering, Tensor]:
+    def render_covers(self, viewpoint: Viewpoint, limit_m: Float32) -> tuple[Rendering, Tensor]:
         """See `CoverTrainableMethod`."""
-        output = self._render(viewpoint, learning=False, limits_m=limits_m)
-        return self._to_rendering(output), output.before
+        output = self._render(viewpoint, learning=False)
+        return self._to_rendering(output), covered_before(output.meta, limit_m)
 
     def _to_rendering(self, output: RenderOutput) -> Rendering:
         counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
         return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
 
-    def _render(self, viewpoint: Viewpoint, *, learning: bool, limits_m: Sequence[float] = ()) -> RenderOutput:
+    def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
         model = self.model
-        rows, degree = model.visible_ids(viewpoint), int(model.sh_degree)
+        rows = model.visible_ids(viewpoint)
         geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
         for leaf in (*geometry.values(), spherical_harmonics):
             leaf.requires_grad_(learning)
-        colours = spherical_harmonics
-        if limits_m:
-            # Colours with further channels are plain numbers.
-            directions = compute_directions(geometry["means"], viewpoint.viewmat)
-            colours = to_colours(sum_harmonics(degree, directions, spherical_harmonics))
-            colours = torch.cat([colours, nearer_than(geometry["means"], viewpoint.viewmat, limits_m)], dim=1)
         images, alphas, meta = rasterization(
             geometry["means"],
             geometry["quats"],
             geometry["scales"].exp(),
             geometry["opacities"].sigmoid(),
-            colours,
+            spherical_harmonics,
             viewpoint.viewmat[None],
             viewpoint.K[None],
             viewpoint.width_px,
             viewpoint.height_px,
             near_plane=self.settings.near_m,
-            sh_degree=None if limits_m else degree,
+            sh_degree=int(model.sh_degree),
             render_mode="RGB+ED",
             rasterize_mode="antialiased" if self.settings.antialiased else "classic",
             absgrad=self.settings.densification.absolute,
@@ -150,9 +141,7 @@ class SplattingTrainer:
         meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
         alpha = alphas[0, ..., 0]
         finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
-        return RenderOutput(
-            finished, alpha, images[0, ..., -1], images[0, ..., 3:-1], rows, geometry, spherical_harmonics, meta
-        )
+        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, spherical_harmonics, meta)
 
     def state(self) -> dict[str, Tensor]:
         """See `TrainableMethod`."""

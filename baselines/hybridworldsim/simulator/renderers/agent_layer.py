@@ -24,7 +24,7 @@ from mirror.synth.render.coverage import SKY
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
 from mirror.synth.render.scene import Instant, Scene
-from mirror.synth.render.view import rasterize_view
+from mirror.synth.render.view import RasterizedView, rasterize_view
 from mirror.synth.roads.markings import MARK
 
 _EFFECTS: Final = replace(Effects(), exposure=False, noise=False, vignetting=False, bloom=False, motion_blur=False)
@@ -38,7 +38,7 @@ class AgentImage:
     Attributes:
         rgb: (H, W, 3) colours where an agent is.
         alpha: (H, W) share of a pixel that agents cover.
-        depth_m: (H, W) camera z of the agents; infinite where there is none.
+        depth_m: (H, W) camera z of the agents; infinite where there is none, and only there.
         number: (H, W) number of the agent; -1 where there is none.
     """
 
@@ -93,7 +93,20 @@ class AgentLayer:
             depth = np.where(edge, near, depth)
             around = cv2.dilate(number.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
             number = np.where(edge, around, number)
+            _place_thin_parts(view, rotation, depth, number)
         return AgentImage(np.ascontiguousarray(bgr[..., ::-1]), alpha, depth, number)
+
+
+def _place_thin_parts(view: RasterizedView, rotation: Float64, depth: Float32, number: Int32) -> None:
+    """Give the pixels of parts that no ray through a centre hits, such as spokes, the place of their surface."""
+    pixel, surface = view.which.T
+    rows = np.flatnonzero((surface != SKY) & ~np.isfinite(depth.reshape(-1)[pixel]))
+    # Of several surfaces in a pixel, the one that covers most of it is written last.
+    rows = rows[np.argsort(view.share[rows, 0], kind="stable")]
+    scene, chosen = view.scene, surface[rows]
+    centres = scene.spheres[chosen, :3] - view.origin
+    depth.reshape(-1)[pixel[rows]] = centres @ rotation[:, 2]
+    number.reshape(-1)[pixel[rows]] = np.concatenate([scene.faces["object"], scene.rounds["object"]])[chosen]
 
 
 class _EmptyPlace:

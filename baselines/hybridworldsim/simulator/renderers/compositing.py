@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from hybridworldsim.simulator.renderers.agent_layer import AgentImage
-from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
+from mirror.arrays import Bool, Float32, Float64, UInt8
 
 TOLERANCE_M: Final = 0.4
 TOLERANCE_SHARE: Final = 0.03
@@ -36,8 +36,6 @@ _REACH_M: Final = 0.9
 _HEIGHT_M: Final = 0.45
 _FARTHEST_M: Final = 70.0
 _NEAR_M: Final = 0.2
-_LEVEL: Final = 1.06
-_MOST_LEVELS: Final = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,25 +67,6 @@ def hiding_depth(agents: AgentImage) -> Float32:
     """The camera z (H, W) before which the street hides the agents; 0 or less: nothing can."""
     own = np.where(agents.alpha > 0.0, agents.depth_m, 0.0)
     return ((own - TOLERANCE_M) / (1.0 + TOLERANCE_SHARE)).astype(np.float32)
-
-
-def depth_levels(limit_m: Float32) -> tuple[tuple[float, ...], Int32]:
-    """Round the depths of an image down to a few levels.
-
-    Args:
-        limit_m: (H, W) depths; 0 or less: none.
-
-    Returns:
-        At most 24 depths, in steps of 6 % or, where that makes too many, of the least power of it that does not; and
-        the number (H, W) of the level of each pixel; -1: none.
-    """
-    known = limit_m > 0.0
-    exponent, step = np.log(limit_m[known].astype(np.float64)) / math.log(_LEVEL), 1
-    while len(steps := np.unique(np.floor(exponent / step))) > _MOST_LEVELS:
-        step += 1
-    number = np.full(limit_m.shape, -1, np.int32)
-    number[known] = np.searchsorted(steps, np.floor(exponent / step))
-    return tuple((_LEVEL ** (step * steps)).tolist()), number
 
 
 def compose(

@@ -16,7 +16,6 @@ from hybridworldsim.simulator.renderers.agent_layer import AgentLayer
 from hybridworldsim.simulator.renderers.compositing import (
     add_contact_shadows,
     compose,
-    depth_levels,
     free_space,
     hiding_depth,
 )
@@ -193,10 +192,8 @@ class ReconstructedRenderer(Renderer):
             world_SE3_camera=to_pose_numbers(place.world_SE3_camera),
         )  # fmt: skip
         renderer, covers = self._model.renderer, None
-        none = np.zeros((camera.height_px, camera.width_px), np.float32)
-        levels, number = depth_levels(none if limit_m is None else limit_m)
-        if levels and isinstance(renderer, CoverRenderer):
-            rendering, covers = renderer.render_covers(view, levels)
+        if limit_m is not None and isinstance(renderer, CoverRenderer):
+            rendering, covers = renderer.render_covers(view, limit_m)
         else:
             rendering = renderer.render(view)
         rgb = rendering.rgb.detach().clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
@@ -205,8 +202,7 @@ class ReconstructedRenderer(Renderer):
         depth = np.where(rendering.alpha.detach().cpu().numpy() > 0.5, depth, 0.0).astype(np.float32)
         covered: Float32 = np.zeros(depth.shape, np.float32)
         if covers is not None:
-            chosen = np.take_along_axis(covers.detach().cpu().numpy(), np.maximum(number, 0)[..., None], axis=2)
-            covered = np.where(number >= 0, chosen[..., 0], 0.0).astype(np.float32)
+            covered = covers.detach().cpu().numpy().astype(np.float32)
         elif limit_m is not None:
             # Only the mean depth is known.
             covered = ((depth > 0.0) & (depth < limit_m)).astype(np.float32)

@@ -187,6 +187,12 @@ def test_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp
     # As a submission, an unchanged template has no renders and an incomplete manifest.
     report = check_submission(open_untrusted(tmp_path / "open"), plan)
     assert report.counts() == {"manifest": 1, "missing": len(plan.views)}
+    # The two fields that the README names are all that is missing in the manifest.
+    manifest = json.loads((tmp_path / "open" / "manifest.json").read_text())
+    manifest["method"]["name"], manifest["appearance"]["policy"] = "mine", "nearest-traversal"
+    (tmp_path / "open" / "manifest.json").write_text(json.dumps(manifest))
+    assert "nearest-traversal" in (tmp_path / "open" / "README.md").read_text()
+    assert check_submission(open_untrusted(tmp_path / "open"), plan).counts() == {"missing": len(plan.views)}
 
 
 def test_commands(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

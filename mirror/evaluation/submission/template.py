@@ -5,11 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
-from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime, SubmissionManifest
+from mirror.evaluation.submission.manifest import (
+    FORMAT_VERSION,
+    MANIFEST,
+    Appearance,
+    Method,
+    Runtime,
+    SubmissionManifest,
+)
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views.plan import Plan
@@ -27,7 +34,8 @@ _README: Final = """# Submission to {protocol}, split {split}
 the first pixel at 0.5; OpenCV axes: x right, y down, z forward) and world_SE3_camera as qw qx qy qz tx ty tz in metres.
 Renders are PNG, sRGB, 8 bit RGB, without alpha. `mask` is an image whose scored pixels are 255; if it is null, all
 pixels are scored.
-Fill in manifest.json: method.name and appearance.policy; then: mirror submission check DATASET THIS_FOLDER
+Fill in manifest.json: method.name, and appearance.policy, which is one of {policies}.
+Then: mirror submission check DATASET THIS_FOLDER
 """
 
 
@@ -88,11 +96,12 @@ def write_template(
     protocol = plan.protocol
     views = {"format": "mirror-views", "version": "1.0", **_identify(plan), "blind": blind, "views": rows}
     write_bytes(out / VIEWS, (json.dumps(views, indent=1) + "\n").encode())
-    readme = _README.format(protocol=protocol.name, split=plan.split, count=len(expected))
+    policies = ", ".join(get_args(Appearance.model_fields["policy"].annotation))
+    readme = _README.format(protocol=protocol.name, split=plan.split, count=len(expected), policies=policies)
     write_bytes(out / README, readme.encode())
     blank = {"name": "", "version": "1", "authors": "", "url": "", "licence": "", "trained_on": ""}
     appearance = {"policy": "", "description": ""}
-    manifest = {"format": "mirror-submission", "version": "1.0", **_identify(plan)}
+    manifest = {"format": "mirror-submission", "version": FORMAT_VERSION, **_identify(plan)}
     write_json(out / MANIFEST, {**manifest, "method": blank, "appearance": appearance, "runtime": None, "notes": ""})
     finish_render_folder(out)
     return len(expected)

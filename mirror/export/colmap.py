@@ -82,7 +82,8 @@ def write_sparse_model(scene: ExportScene, folder: Path, lens_of: LensMap) -> Wr
         model.add_points(scene.points.position_m, scene.points.rgb)
     folder.mkdir(parents=True, exist_ok=True)
     model.reconstruction.write_binary(str(folder))
-    note = f"{rigid} of {len(traversals)} traversals have rigs; the cameras of the others are exposed at other instants"
+    apart = f"{len(traversals) - rigid} of {len(traversals)} traversals"
+    note = f"each camera of {apart} is a rig of its own, because the cameras are exposed at different instants"
     return Written(
         tuple(sorted(folder.glob("*.bin"))),
         points=0 if scene.points is None else len(scene.points),

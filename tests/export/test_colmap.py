@@ -58,7 +58,7 @@ def test_points_are_imaged_at_the_same_pixels(street: Dataset, tmp_path: Path) -
     model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))
     assert model.num_rigs() == model.num_cameras() == 5
     assert model.num_frames() == model.num_images() == written.images == 50
-    assert "0 of 2 traversals have rigs" in written.notes[0]
+    assert "each camera of 2 of 2 traversals is a rig of its own" in written.notes[0]
 
 
 def test_rigs_of_cameras_that_are_exposed_together(tmp_path: Path) -> None:

@@ -32,8 +32,8 @@ def rules_page() -> str:
         "- What a rule reads: " + "; ".join(f"**{cost.name.lower()}**: {text}" for cost, text in _COSTS.items()) + ".",
         "- `--rule ID` runs only that rule, whatever it reads; `--skip ID` leaves one out. Both may be repeated, and"
         " take the letters of a group.",
-        "- Exit codes: 0 no findings that count, 1 findings, 2 could not run (no dataset, no such rule, or a file that"
-        " cannot be read and that no rule was asked to report).",
+        "- Exit codes: 0 no finding of level error (with `--strict`: nor of level warning), 1 findings, 2 could not"
+        " run: no dataset, no such rule, or a file is unreadable and the rules that report such files were left out.",
         "- A rule that cannot be evaluated on the data is reported as an error of that rule, and the others go on.",
         "- A finding names the file, the first or worst place in it (rows count from 0), and how many rows are meant.",
         "",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,20 +16,29 @@ import torch
 
 import mirror
 from hybridworldsim.generation.command import main
+from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import run as run_module
-from hybridworldsim.generation.scenes.backgrounds import open_background
+from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, make_scene_clip
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
+from hybridworldsim.generation.scenes.submission import render_plan
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.index import build_index
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError, ExitCode, UsageError
-from mirror.geometry import project_boxes
+from mirror.geometry import Poses, project_boxes
+from mirror.methods.model_document import DOCUMENT, Reconstruction
 from mirror.metrics import psnr
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
+from mirror.protocols.views.view import RenderView
+from mirror.schema.files import write_json
+from mirror.schema.tables import CALIBRATIONS
 from tests.generation.clips import write_clips
 
 SIZE = (16, 24)
@@ -297,3 +308,77 @@ def test_a_submission_to_the_protocol_of_edits(
         image.shape == (view.height_px, view.width_px, 3)
         for view, image in zip(plan.views, found.values(), strict=True)
     )
+
+
+LAYER = "refined@1"
+TURN = Poses.exp(np.array([[0.0, 0.05, 0.02, 0.0, 0.0, 0.1]]))
+
+
+@pytest.fixture
+def refined(tiny_dataset: Dataset, tmp_path: Path) -> Dataset:
+    """The dataset with other calibrations of its held-out traversal: turned by 6 degrees, moved by 5 cm, and zoomed."""
+    shutil.copytree(tiny_dataset.root, tmp_path / "dataset", copy_function=os.link)
+    layout = Layout(tmp_path / "dataset")
+    (held_out,) = tiny_dataset.where(split="novel", role="held_out").traversals()
+    rows = []
+    for used in tiny_dataset.where(traversal=held_out).frames()[0].calibrations:
+        pose = {name: float(value[0]) for name, value in (used.ego_SE3_camera @ TURN).to_columns().items()}
+        lens = {"fx_px": 1.01 * used.model.fx_px, "fy_px": 1.01 * used.model.fy_px}
+        rows.append({**used.row, **pose, **lens, "stage": "refined"})
+    LayerWriter(layout, held_out, "calibrations", "refined", "1").finish(CALIBRATIONS, rows, {})
+    build_index(layout.root)
+    return mirror.open(layout.root)
+
+
+def test_backgrounds_are_seen_from_the_calibrations_of_the_models_training(
+    refined: Dataset, models: Path, tmp_path: Path
+) -> None:
+    """As `mirror render` has it: at the layer's mountings and through its lenses, in the raster of the protocol."""
+    whole = plan_views(refined, load_protocol("generation"), "novel")
+    numbers = sorted({view.frame_index for view in whole.views})[::20]
+    plan = replace(whole, views=tuple(view for view in whole.views if view.frame_index in numbers))
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    generator, options = run_module.open_generator(*files), ClipRolloutOptions()
+    asked: dict[str, dict[str, RenderView]] = {"recorded": {}, LAYER: {}}
+    for layer, views in asked.items():
+
+        def grey(view: RenderView, views: dict[str, RenderView] = views) -> np.ndarray:
+            views[view.path] = view
+            return np.full((view.height_px, view.width_px, 3), 90, np.uint8)
+
+        made = list(render_plan(refined, plan, generator, grey, SIZE, options, plan.views, layer))
+        assert all(image.shape == (view.height_px, view.width_px, 3) for (view,), image in made)
+    # Another camera shows other boxes: not the same views keep their background.
+    both = asked["recorded"].keys() & asked[LAYER].keys()
+    assert {path.split("/")[0] for path in both} == {"frames", "renders"}
+    for path in sorted(both):
+        before, view = asked["recorded"][path], asked[LAYER][path]
+        step = before.pose.inverse() @ view.pose
+        np.testing.assert_allclose(step.matrix(), TURN.matrix(), atol=1e-9)
+        assert (view.width_px, view.height_px) == (before.width_px, before.height_px)
+        # The pinhole that is nearest to a zoomed fisheye is zoomed a little more at its border.
+        assert 1.005 < view.fx_px / before.fx_px < 1.02
+    # Boxes are seen from there too.
+    recorded = rig(refined, plan.views[0].traversal_id)
+    frames = refined.with_layers(calibrations=LAYER).where(traversal=plan.views[0].traversal_id).frames()
+    moved = recorded.at_calibrations(frames)
+    np.testing.assert_allclose(
+        (recorded.ego_SE3_camera.inverse() @ moved.ego_SE3_camera).matrix(),
+        np.tile(TURN.matrix(), (2, 1, 1)),
+        atol=1e-9,
+    )
+    zoom = moved.intrinsics[:, 0, 0] / recorded.intrinsics[:, 0, 0]
+    assert (zoom > 1.005).all() and (zoom < 1.02).all()
+
+
+def test_a_scene_is_generated_with_the_calibrations_of_its_background(
+    refined: Dataset, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = Reconstruction(method="a", scene="b", split="novel", trained={}, calibrations=LAYER)
+    write_json(tmp_path / "model" / DOCUMENT, document)
+    assert calibrations_of(str(tmp_path / "model")) == LAYER
+    assert calibrations_of("exact:tiny") == calibrations_of("files:there") == "recorded"
+    monkeypatch.setattr(run_module, "calibrations_of", lambda text: LAYER)
+    held_out = refined.where(split="novel", role="held_out").traversals()[0]
+    wanted = request(models, refined, held_out, frames=1, edits=())
+    assert generate_scene(refined, wanted, tmp_path / "out").inputs["calibrations"] == LAYER

@@ -9,19 +9,23 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
+from hybridworldsim.generation.devices import exhausted_memory_named
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator
 from hybridworldsim.generation.network.configuration import AdapterConfig, TransformerConfig
+from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import Weighting
 from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
+from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
@@ -70,7 +74,7 @@ def test_a_finished_run_is_not_changed_and_another_one_is_refused(clips: Path, t
         train_on_clips(clips, trained, replace(OPTIONS, seed=1), NullProgress())
 
 
-def test_the_run_holds_model_curves_and_samples(trained: Path) -> None:
+def test_the_run_holds_models_and_curves(trained: Path) -> None:
     network, references = read_generator(trained / "generator/model.safetensors")
     assert network.config == NETWORK
     assert references == T
@@ -106,6 +110,39 @@ def test_a_batch_may_be_computed_in_parts() -> None:
         assert float((one - other).detach().abs().max()) <= 2.1e-5
     with pytest.raises(UsageError, match="a batch of 4 in 3 parts"):
         GeneratorSettings(NETWORK, T, batch=4, accumulate=3)
+
+
+def test_the_model_is_the_average_of_its_steps() -> None:
+    windows = ClipWindows([make_clip()], TinyAutoencoder(CODEC), NETWORK, OWN_STYLE, T)
+    trainer = GeneratorTrainer(GeneratorSettings(NETWORK, T, batch=1, warmup=1, ema=0.25), windows, 10)
+    wanted = [one.detach().clone() for one in trainer.network.parameters()]
+    for number, decay in enumerate((1 / 10, 2 / 11, 0.25, 0.25)):
+        trainer.step(number)
+        wanted = [decay * one + (1 - decay) * new.detach() for one, new in zip(wanted, trainer.network.parameters())]
+    for found, one in zip(trainer.averaged_network().parameters(), wanted):
+        torch.testing.assert_close(found, one, rtol=1e-5, atol=1e-7)
+
+
+def test_half_precision_is_that_of_the_computation_only() -> None:
+    windows = ClipWindows([make_clip()], TinyAutoencoder(CODEC), NETWORK, OWN_STYLE, T)
+    settings = GeneratorSettings(NETWORK, T, batch=2)
+    trainers = [GeneratorTrainer(replace(settings, precision=name), windows, 10) for name in ("float32", "bf16")]
+    full, half = (trainer.step(0)["velocity"] for trainer in trainers)
+    assert full != half == pytest.approx(full, rel=0.02)
+    assert {one.dtype for one in trainers[1].network.parameters()} == {torch.float32}
+
+
+def test_a_sheet_shows_truth_background_and_sample(tmp_path: Path) -> None:
+    clip, codec = make_clip(), TinyAutoencoder(CODEC)
+    windows = ClipWindows([clip], codec, NETWORK, OWN_STYLE, T)
+    network = Transformer(NETWORK).eval().requires_grad_(False)
+    write_samples(tmp_path, "00000001", lambda: network, windows, codec, count=2, steps=1)
+    (height, width), views = clip.size_px, len(clip.views)
+    sheet = cv2.imread(str(tmp_path / "00000001.png"))[::2, ::2, ::-1]
+    assert sheet.shape == (2 * height, 3 * views * width, 3)
+    # The second row is of the last window.
+    background = np.concatenate(list(clip.background[-1]), axis=1)
+    np.testing.assert_array_equal(sheet[height:, views * width : 2 * views * width], background)
 
 
 def test_absent_views_do_not_count() -> None:
@@ -174,6 +211,23 @@ def test_exhausted_memory_is_named(clips: Path, trained: Path, tmp_path: Path) -
     with pytest.raises(DatasetError, match="too little memory"):
         train_on_clips(clips, tmp_path / "run", options, NullProgress())
     assert not (tmp_path / "run" / "generator" / "model.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    "error", [torch.OutOfMemoryError("CUDA out of memory"), MemoryError(), RuntimeError("DefaultCPUAllocator: no")]
+)
+def test_exhausted_memory_is_told_from_other_errors(error: Exception) -> None:
+    with pytest.raises(DatasetError, match="too little memory") as caught, exhausted_memory_named("cuda:1", "less"):
+        raise error
+    assert (caught.value.place, caught.value.remedy) == ("cuda:1", "less")
+    with pytest.raises(RuntimeError, match="shapes"), exhausted_memory_named("cpu", "less"):
+        raise RuntimeError("shapes differ")
+
+
+def test_a_device_that_does_not_exist_is_named_before_anything_is_written(clips: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no device 'banana'") as caught:
+        train_on_clips(clips, tmp_path / "run", replace(OPTIONS, device="banana"), NullProgress())
+    assert caught.value.place == "--device" and not (tmp_path / "run").exists()
 
 
 def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path) -> None:

@@ -4,4 +4,6 @@ from __future__ import annotations
 
 from mirror.command import Command
 
-COMMAND = Command("reconstruction", "train a generator of traffic on clips", "hybridworldsim.generation.command")
+COMMAND = Command(
+    "reconstruction", "generate traffic over a street; train and distil generators", "hybridworldsim.generation.command"
+)

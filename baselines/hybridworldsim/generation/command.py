@@ -279,6 +279,7 @@ def _scene(argv: Sequence[str]) -> int:
         raise UsageError("the protocol decides it", place="--edit", expected="no such option beside --split")
 
     import mirror
+    from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
     from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
     from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
     from mirror.annotation.box_layer import with_box_layer
@@ -289,7 +290,8 @@ def _scene(argv: Sequence[str]) -> int:
     )
     generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
     if arguments.split is not None:
-        return _write_submission(arguments, dataset, generator, autoencoder, rollout)
+        with exhausted_memory_named(arguments.device, GENERATION_REMEDY):
+            return _write_submission(arguments, dataset, generator, autoencoder, rollout)
 
     from hybridworldsim.generation.scenes.run import SceneRequest, describe, generate_scene
     from mirror.progress import progress_bar
@@ -311,7 +313,7 @@ def _scene(argv: Sequence[str]) -> int:
         threads=arguments.threads,
         device=arguments.device,
     )
-    with progress_bar(quiet=arguments.json) as bar:
+    with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
         document = generate_scene(dataset, request, arguments.out, bar)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **document.model_dump()}))
@@ -326,7 +328,7 @@ def _write_submission(
 ) -> int:
     import torch
 
-    from hybridworldsim.generation.scenes.backgrounds import open_background
+    from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
     from hybridworldsim.generation.scenes.run import open_generator
     from hybridworldsim.generation.scenes.submission import render_plan
     from mirror.evaluation.submission.manifest import Appearance, Method
@@ -334,12 +336,15 @@ def _write_submission(
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
+    from mirror.protocols.views.recalibration import recalibrate_views
     from mirror.weights.resolve import file_sha256
 
     torch.set_num_threads(arguments.threads)
     model, size = open_generator(generator, autoencoder, arguments.device), _size(arguments.size)
     plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
-    background, identity = open_background(arguments.background, dataset, arguments.appearance, plan.views)
+    calibrations = calibrations_of(arguments.background)
+    views = recalibrate_views(dataset, plan.views, calibrations)
+    background, identity = open_background(arguments.background, dataset, arguments.appearance, views)
     inputs = (
         *(file_sha256(generator), file_sha256(autoencoder), identity, repr(rollout), arguments.size),
         *(() if dataset.layers.boxes is None else (dataset.layers.boxes,)),
@@ -348,7 +353,9 @@ def _write_submission(
         count = write_submission(
             dataset,
             plan,
-            lambda _, requested: render_plan(dataset, plan, model, background, size, rollout, requested.views),
+            lambda _, requested: render_plan(
+                dataset, plan, model, background, size, rollout, requested.views, calibrations
+            ),
             Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
             Appearance(policy="other", description=f"of the background: {arguments.appearance}"),
             arguments.out,

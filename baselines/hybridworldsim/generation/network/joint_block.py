@@ -59,7 +59,7 @@ class HeadNorm(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(..., channels) to (..., channels)."""
-        return nn.functional.rms_norm(x, self.weight.shape, self.weight, self.epsilon)
+        return nn.functional.rms_norm(x, self.weight.shape, self.weight.to(x.dtype), self.epsilon)
 
 
 def split_heads(x: Tensor, heads: int) -> Tensor:

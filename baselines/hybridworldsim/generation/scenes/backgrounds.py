@@ -55,6 +55,23 @@ def open_background(
     return _open_model(Path(text), dataset, appearance, views)
 
 
+def calibrations_of(text: str) -> str:
+    """The layer of calibrations that a source of backgrounds was made with: that of a model's training.
+
+    Args:
+        text: as in `open_background`.
+
+    Raises:
+        DatasetError: there is no such model.
+    """
+    from mirror.methods.model_document import read_reconstruction
+
+    kind, colon, _ = text.partition(":")
+    if kind in ("exact", "files") and colon:
+        return "recorded"
+    return read_reconstruction(Path(text)).calibrations
+
+
 def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView]) -> tuple[Background, str]:
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split

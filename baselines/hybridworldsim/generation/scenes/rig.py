@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -16,6 +16,7 @@ from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import full_camera
+from mirror.protocols.views.recalibration import lens_in_raster
 from mirror.protocols.views.view import RenderView
 
 GROUP: Final = "generated"
@@ -31,6 +32,8 @@ class SceneRig:
         ego_SE3_camera: V poses.
         size_px: height and width of the generator's images.
         pixels: how lenses are undistorted.
+        recalibrated: V lenses of another layer of calibrations, through which the rasters are seen; None: the recorded
+            ones.
     """
 
     cameras: tuple[str, ...]
@@ -38,6 +41,7 @@ class SceneRig:
     ego_SE3_camera: Poses
     size_px: tuple[int, int]
     pixels: Pixels
+    recalibrated: tuple[Camera, ...] | None = None
 
     @cached_property
     def rasters(self) -> tuple[ImageRaster, ...]:
@@ -46,15 +50,33 @@ class SceneRig:
         full = [full_camera(lens, self.pixels) for lens in self.lenses]
         return tuple(ImageRaster(lens, one, one.resized(width, height)) for lens, one in zip(self.lenses, full))
 
+    @cached_property
+    def full(self) -> tuple[Camera, ...]:
+        """The lenses of the rasters before they are scaled, by camera."""
+        full = [raster.full for raster in self.rasters]
+        if self.recalibrated is None:
+            return tuple(full)
+        return tuple(lens_in_raster(*lenses) for lenses in zip(full, self.lenses, self.recalibrated))
+
     @property
     def intrinsics(self) -> Float64:
         """(V, 3, 3) pixels of the generator's images."""
-        return np.stack([raster.final.intrinsic_matrix() for raster in self.rasters])
+        height, width = self.size_px
+        return np.stack([one.resized(width, height).intrinsic_matrix() for one in self.full])
 
     def view_lens(self, row: int) -> Camera:
         """The lens of a camera's background: twice the raster of the generator, at most the recorded one."""
-        full, (height, width) = self.rasters[row].full, self.size_px
+        full, (height, width) = self.full[row], self.size_px
         return full.resized(min(full.width_px, 2 * width), min(full.height_px, 2 * height))
+
+    def at_calibrations(self, frames: FrameSequence) -> SceneRig:
+        """The same rasters at the mountings and through the lenses of other calibrations of the traversal.
+
+        Args:
+            frames: the traversal's frames with these calibrations.
+        """
+        other = rig_of(frames, self.cameras, self.size_px, self.pixels, 1)
+        return replace(self, ego_SE3_camera=other.ego_SE3_camera, recalibrated=other.lenses)
 
     def images(self, frame: Frame) -> tuple[UInt8, Bool]:
         """Recorded images (V, H, W, 3) of a frame in the generator's raster, and their pixels (V, H, W) of the street.

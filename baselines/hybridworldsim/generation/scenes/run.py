@@ -12,9 +12,10 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.devices import require_device
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator
-from hybridworldsim.generation.scenes.backgrounds import open_background
+from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, roll_out_sequence
@@ -23,7 +24,7 @@ from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Pixels
 from mirror.protocols.png import encode_png
@@ -116,17 +117,10 @@ def open_generator(generator: Path, autoencoder: Path, device: str = "cpu") -> G
         UsageError: there is no such device.
         DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
     """
+    require_device(device)
     network, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
-    try:
-        return Generator(network.to(device), codec.to(device), references)
-    except (RuntimeError, AssertionError) as error:
-        # torch says so with an AssertionError where it was built without CUDA.
-        if isinstance(error, torch.OutOfMemoryError):
-            raise
-        raise UsageError(
-            f"no device {device!r}: {str(error).splitlines()[0]}", place="--device", expected="cpu, or cuda with a GPU"
-        ) from error
+    return Generator(network.to(device), codec.to(device), references)
 
 
 def generate_scene(
@@ -151,6 +145,8 @@ def generate_scene(
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
     generator = open_generator(request.generator, request.autoencoder, request.device)
+    # A model renders where its training had the cameras; boxes and seeds are seen from there too.
+    dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
     plan = plan_scene(
         dataset.where(scene=request.scene),
@@ -216,6 +212,7 @@ def _inputs(dataset: Dataset, request: SceneRequest, traversal: str, background:
         "scene": request.scene,
         "traversal": traversal,
         "boxes": dataset.layers.boxes,
+        "calibrations": dataset.layers.calibrations,
         "trajectory": request.trajectory,
         "edits": list(request.edits),
         "background": background,

@@ -17,6 +17,7 @@ from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.writing import Render
 from mirror.protocols.views.plan import Plan
+from mirror.protocols.views.recalibration import recalibrate_views
 from mirror.protocols.views.view import RenderView
 
 
@@ -28,6 +29,7 @@ def render_plan(
     size_px: tuple[int, int],
     options: ClipRolloutOptions,
     missing: Sequence[RenderView],
+    calibrations: str = "recorded",
 ) -> Iterator[Render]:
     """Generate every view of a plan, traversal by traversal.
 
@@ -43,6 +45,8 @@ def render_plan(
         options: how frames are generated.
         missing: views of the plan that are wanted; a rollout without any is left out, and others run whole, so that the
             images do not depend on what an earlier call wrote.
+        calibrations: layer of calibrations that places the cameras, as for `mirror render`; rasters are the plan's. A
+            traversal without it has the recorded ones.
 
     Yields:
         One view with its image at a time.
@@ -70,6 +74,10 @@ def render_plan(
         steps = np.diff([frames[number].timestamp_ns for number in numbers])
         rate_hz = 1e9 / float(np.median(steps)) if len(steps) else 1.0
         first = views[0]
+        if calibrations != dataset.layers.calibrations:
+            other = dataset.with_layers(calibrations=calibrations)
+            rig = rig.at_calibrations(other.where(traversal=traversal).frames())
+        placed = {view.path: view for view in recalibrate_views(dataset, views, calibrations)}
         scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks)
         seeds = [planned[0]] * generator.references
         rollout = roll_out_sequence(generator, [*seeds, *planned], scene, options, recorded_seeds=False)
@@ -79,7 +87,7 @@ def render_plan(
                 view = by_view.get((number, camera_name))
                 if view is None or view.path not in wanted:
                     continue
-                image = _enlarged(frame.images[row], view) if frame.generated[row] else background(view)
+                image = _enlarged(frame.images[row], view) if frame.generated[row] else background(placed[view.path])
                 yield [view], image
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 
 from hybridworldsim.generation.clips.folder import read_clips, read_list
+from hybridworldsim.generation.devices import DISTILLATION_REMEDY, exhausted_memory_named, require_device
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
@@ -73,9 +74,10 @@ def distil_on_clips(
         The file of the student, and the outcome of the run.
 
     Raises:
-        DatasetError: clips or models are missing or broken, or the loss is not finite.
+        DatasetError: clips or models are missing or broken, the loss is not finite, or memory is exhausted.
         UsageError: `out` holds another run, or the models do not fit the clips.
     """
+    require_device(options.device)
     torch.set_num_threads(options.threads)
     listed = read_list(clips).training
     if not listed:
@@ -91,7 +93,7 @@ def distil_on_clips(
     outcome = folder.begin(run)
     if outcome is not None:
         return folder.model, outcome
-    with folder.lock():
+    with exhausted_memory_named(options.device, DISTILLATION_REMEDY), folder.lock():
         codec = read_autoencoder(autoencoder)
         windows = ClipWindows(read_clips(clips, listed), codec, teacher.config, OWN_STYLE, references)
         trainer = DistillationTrainer(

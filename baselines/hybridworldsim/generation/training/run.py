@@ -13,6 +13,7 @@ import torch
 from hybridworldsim.generation.autoencoder.codec import LatentCodec
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_list
+from hybridworldsim.generation.devices import TRAINING_REMEDY, exhausted_memory_named, require_device
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
 from hybridworldsim.generation.training.autoencoder_trainer import (
@@ -93,6 +94,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
         DatasetError: clips are missing, broken or too short, the loss is not finite, or memory is exhausted.
         UsageError: `out` holds another run, or the options do not fit.
     """
+    require_device(options.device)
     torch.set_num_threads(options.threads)
     listed = read_list(clips).training
     if not listed:
@@ -101,29 +103,14 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     loaded = read_clips(clips, listed)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
-    try:
-        with join_processes(options.device) as processes:
-            if autoencoder is None:
-                with processes.leader_first():
-                    autoencoder, outcome = _train_autoencoder(
-                        loaded, clips_hash, out / "autoencoder", options, reporter
-                    )
-            generator, done = _train_generator(
-                loaded, clips_hash, autoencoder, out / "generator", options, processes, reporter
-            )
-    except (RuntimeError, MemoryError) as error:
-        if not _is_memory_exhausted(error):
-            raise
-        raise DatasetError(
-            "the device has too little memory", place=options.device, expected="memory for a part of a batch",
-            remedy="more --accumulate, a smaller --batch, --recompute, or --precision bf16",
-        ) from error  # fmt: skip
+    with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
+        if autoencoder is None:
+            with processes.leader_first():
+                autoencoder, outcome = _train_autoencoder(loaded, clips_hash, out / "autoencoder", options, reporter)
+        generator, done = _train_generator(
+            loaded, clips_hash, autoencoder, out / "generator", options, processes, reporter
+        )
     return TrainingResult(generator, autoencoder, done, outcome)
-
-
-def _is_memory_exhausted(error: Exception) -> bool:
-    """Whether memory ran out: torch has an error of its own for accelerators, and a plain one for the processor."""
-    return isinstance(error, torch.OutOfMemoryError | MemoryError) or "DefaultCPUAllocator" in str(error)
 
 
 def _train_autoencoder(

@@ -1,0 +1,56 @@
+"""Devices of networks: errors that name one that does not exist, and one whose memory is exhausted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import torch
+
+from mirror.errors import DatasetError, UsageError
+
+TRAINING_REMEDY: Final = "more --accumulate, a smaller --batch, --recompute, or --precision bf16"
+DISTILLATION_REMEDY: Final = "a smaller --batch"
+GENERATION_REMEDY: Final = "a smaller --size, fewer --cameras, or another --device"
+
+
+def require_device(device: str) -> None:
+    """Check that torch can use a device.
+
+    Raises:
+        UsageError: there is no such device.
+    """
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        # torch says so with an AssertionError where it was built without CUDA.
+        raise UsageError(
+            f"no device {device!r}: {str(error).splitlines()[0]}", place="--device", expected="cpu, or cuda with a GPU"
+        ) from error
+
+
+@contextmanager
+def exhausted_memory_named(device: str, remedy: str) -> Iterator[None]:
+    """Within this block, exhausted memory raises an error that names the device and the remedy.
+
+    torch has an error of its own for the memory of accelerators, and a plain one for that of the processor.
+
+    Args:
+        device: where the networks are.
+        remedy: options that need less memory.
+
+    Raises:
+        DatasetError: memory is exhausted.
+    """
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        if not isinstance(error, torch.OutOfMemoryError | MemoryError) and "DefaultCPUAllocator" not in str(error):
+            raise
+        raise DatasetError(
+            "the device has too little memory",
+            place=device,
+            expected="memory for all networks and one batch",
+            remedy=remedy,
+        ) from error

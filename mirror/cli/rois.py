@@ -114,7 +114,7 @@ def _propose(argv: Sequence[str]) -> int:
             _print(ranked, proposals.sparse, arguments)
         print_failures(proposals.failures, recordings.passed_over)
     if not proposals.failures:
-        return ExitCode.DONE
+        return ExitCode.DONE if ranked or arguments.out is None else ExitCode.FINDINGS
     return ExitCode.PARTLY_DONE if len(proposals.failures) < len(recordings.recordings) else ExitCode.COULD_NOT_RUN
 
 
@@ -126,6 +126,8 @@ def _print(ranked: Sequence[Proposal], sparse: SparseDrives | None, arguments: P
     console = plain_console()
     if not ranked:
         console.print(f"no region has {arguments.min_traversals} traversals: lower --min-traversals or the thresholds")
+        if arguments.out is not None:
+            console.print(f"{arguments.out} is not written", soft_wrap=True)
         if sparse is not None:
             console.print(
                 f"the fixes of {sparse.drives} of {sparse.of} drives are farther apart than --max-gap-s"

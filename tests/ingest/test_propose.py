@@ -89,8 +89,12 @@ def test_where_sparse_fixes_are_why_nothing_is_found_it_names_the_threshold(
     assert "try --max-gap-s 5" in said
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["sparse"]["spacing_s"] == 5.0
+    # A file that was asked for and is not written is no success.
+    out = tmp_path / "rois.geojson"
+    assert main([*words, "--out", str(out)]) == 1 and not out.exists()
+    assert "is not written" in capsys.readouterr().out
     # What it says helps.
-    assert main([*words, "--max-gap-s", "5"]) == 0
+    assert main([*words, "--max-gap-s", "5", "--out", str(out)]) == 0 and out.exists()
     assert "farther apart" not in capsys.readouterr().out
 
 

@@ -22,10 +22,23 @@ from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 WEST = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": SCENE.longitude_deg - 0.0008})
 
 
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    fleet, later = tmp_path_factory.mktemp("repair") / "fleet", START_NS + 3_600_000_000_000
+    return [write_recording(fleet, "a"), write_recording(fleet, "b", start_ns=later, seed=1)]
+
+
+@pytest.fixture(scope="module")
+def ingested(drives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("ingested") / "d"
+    ingest_recordings(drives, [SCENE], out)
+    return out
+
+
 @pytest.fixture
-def drives(tmp_path: Path) -> list[Path]:
-    later = START_NS + 3_600_000_000_000
-    return [write_recording(tmp_path / "fleet", "a"), write_recording(tmp_path / "fleet", "b", start_ns=later, seed=1)]
+def out(ingested: Path, tmp_path: Path) -> Path:
+    """A copy of the dataset, which tests damage."""
+    return Path(shutil.copytree(ingested, tmp_path / "d"))
 
 
 def traversal(out: Path, drive: str) -> Path:
@@ -45,9 +58,7 @@ DAMAGE = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize("replace", [False, True])
-def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "d"
-    ingest_recordings(drives, [SCENE], out)
+def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path], out: Path) -> None:
     before = tree(out)
     DAMAGE[damage](out)
     report = ingest_recordings(drives, [SCENE], out, IngestOptions(replace=replace))
@@ -55,9 +66,7 @@ def test_the_same_command_mends_it(damage: str, replace: bool, drives: list[Path
     assert tree(out) == before
 
 
-def test_a_lost_image_comes_back_with_replace(drives: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "d"
-    ingest_recordings(drives, [SCENE], out)
+def test_a_lost_image_comes_back_with_replace(drives: list[Path], out: Path) -> None:
     before = tree(out)
     next(traversal(out, "a").rglob("*.jpg")).unlink()
     ingest_recordings(drives[:1], [SCENE], out, IngestOptions(replace=True))
@@ -65,10 +74,8 @@ def test_a_lost_image_comes_back_with_replace(drives: list[Path], tmp_path: Path
 
 
 def test_full_disk_during_replacement_loses_no_drive(
-    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drives: list[Path], out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "d"
-    ingest_recordings(drives, [SCENE], out)
 
     def full(path: Path, data: bytes) -> None:
         raise unwritable_error(path, OSError(28, "No space left on device"))
@@ -85,9 +92,7 @@ def test_full_disk_during_replacement_loses_no_drive(
     assert tree(out) == tree(tmp_path / "e")
 
 
-def test_a_replacement_that_was_killed_is_settled_by_the_index(drives: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "d"
-    ingest_recordings(drives, [SCENE], out)
+def test_a_replacement_that_was_killed_is_settled_by_the_index(out: Path) -> None:
     before = tree(out)
     one = traversal(out, "a")
     supersede(Layout(out), out / "drives/a")

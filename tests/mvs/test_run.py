@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ import mirror
 from hybridworldsim.mvs.estimator import DepthMap, StereoImage
 from hybridworldsim.mvs.methods import make_estimator
 from hybridworldsim.mvs.options import InitialisationOptions
-from hybridworldsim.mvs.run import initialise
+from hybridworldsim.mvs.run import InitialisationReport, initialise
 from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
@@ -55,9 +56,10 @@ class LevelRoad:
         return DepthMap(np.where(known, depth, np.nan).astype(np.float32), known.astype(np.float32))
 
 
-@pytest.fixture
-def dataset(tmp_path: Path) -> Path:
-    builder = Builder(tmp_path, cameras=CAMERAS, size=(96, 64))
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("mvs") / "dataset"
+    builder = Builder(root, cameras=CAMERAS, size=(96, 64))
     builder.scene("a")
     for number in range(3):
         # make_split keeps traversals with the same bytes together, so each traversal has its own noise.
@@ -65,9 +67,28 @@ def dataset(tmp_path: Path) -> Path:
         encoded = dict.fromkeys(CAMERAS, bytes(cv2.imencode(".jpg", noise)[1]))
         entry = EPOCH + number * 1000 * SECOND
         builder.drive(f"d{number}", [Pass("a", entry, images=encoded, offset_m=0.5 * number)], vehicle_id=f"v{number}")
-    build_index(tmp_path)
-    make_split(tmp_path, "s", NovelTraversal(train=2))
-    return tmp_path
+    build_index(root)
+    make_split(root, "s", NovelTraversal(train=2))
+    return root
+
+
+@pytest.fixture
+def dataset(written: Path, tmp_path: Path) -> Path:
+    """A copy without layers, which tests may change."""
+    return Path(shutil.copytree(written, tmp_path / "dataset"))
+
+
+@pytest.fixture(scope="module")
+def initialised(written: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, InitialisationReport]:
+    """The dataset with layers of the level road, which tests do not change, and the report of the run."""
+    root = Path(shutil.copytree(written, tmp_path_factory.mktemp("initialised") / "dataset"))
+    return root, initialise(mirror.open(root), "s", method="road", estimator=LevelRoad(), width_px=48)
+
+
+@pytest.fixture
+def layered(initialised: tuple[Path, InitialisationReport], tmp_path: Path) -> Path:
+    """A copy with layers of the level road."""
+    return Path(shutil.copytree(initialised[0], tmp_path / "layered"))
 
 
 def files(root: Path) -> dict[str, str]:
@@ -77,10 +98,10 @@ def files(root: Path) -> dict[str, str]:
     }
 
 
-def test_layers_are_written_for_training_traversals_only(dataset: Path) -> None:
+def test_layers_are_written_for_training_traversals_only(initialised: tuple[Path, InitialisationReport]) -> None:
+    dataset, report = initialised
     opened = mirror.open(dataset)
     train = opened.where(split="s", role="train").traversals()
-    report = initialise(opened, "s", method="road", estimator=LevelRoad(), width_px=48)
     assert report.layer == "road@s" and set(report.written) == set(train) and not report.kept
     assert report.images == len(train) * len(CAMERAS) * 5 and report.known_share > 0.25
     assert report.points["ground"] > 100
@@ -136,38 +157,35 @@ def test_complete_layers_are_kept_and_an_interrupted_run_continues(dataset: Path
     assert len(tables) == 4
 
 
-def test_points_missing_after_a_killed_run_are_written_identically(dataset: Path) -> None:
-    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    before = files(dataset)
-    last = sorted(dataset.glob("traversals/*/layers/points/road@s/manifest.json"))[-1]
+def test_points_missing_after_a_killed_run_are_written_identically(layered: Path) -> None:
+    before = files(layered)
+    last = sorted(layered.glob("traversals/*/layers/points/road@s/manifest.json"))[-1]
     last.unlink()
-    build_index(dataset)
-    report = initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    assert len(report.written) == 1 and files(dataset) == before
+    build_index(layered)
+    report = initialise(mirror.open(layered), "s", method="road", estimator=LevelRoad(), width_px=48)
+    assert len(report.written) == 1 and files(layered) == before
 
 
-def test_layers_from_other_inputs_are_refused(dataset: Path) -> None:
-    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+def test_layers_from_other_inputs_are_refused(layered: Path) -> None:
     with pytest.raises(DatasetError, match="options differs"):
-        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=32)
-    make_split(dataset, "other", NovelTraversal(train=1))
+        initialise(mirror.open(layered), "s", method="road", estimator=LevelRoad(), width_px=32)
+    make_split(layered, "other", NovelTraversal(train=1))
     with pytest.raises(DatasetError, match="differs"):
-        initialise(mirror.open(dataset), "other", method="road", estimator=LevelRoad(), width_px=48, version="s")
+        initialise(mirror.open(layered), "other", method="road", estimator=LevelRoad(), width_px=48, version="s")
 
 
-def test_layers_from_other_masks_are_refused(dataset: Path) -> None:
-    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    opened = mirror.open(dataset)
+def test_layers_from_other_masks_are_refused(layered: Path) -> None:
+    opened = mirror.open(layered)
     image = opened.where(split="s", role="train").frames()[0].images["front_wide"]
     traversal = opened.where(split="s", role="train").traversals()[0]
-    writer = LayerWriter(Layout(dataset), traversal, "masks", "people", "1")
+    writer = LayerWriter(Layout(layered), traversal, "masks", "people", "1")
     png = bytes(cv2.imencode(".png", np.zeros((64, 96), np.uint8))[1])
     row = {"camera": "front_wide", "timestamp_ns": image.timestamp_ns, "kind": "dynamic", "source": "people",
            "source_version": "1", **writer.file("a.png", png)}  # fmt: skip
     writer.finish(MASKS, [row], {})
-    build_index(dataset)
+    build_index(layered)
     with pytest.raises(DatasetError, match=r"masks/people@1:.* differs"):
-        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
+        initialise(mirror.open(layered), "s", method="road", estimator=LevelRoad(), width_px=48)
 
 
 def test_dataset_opens_after_an_interrupted_write(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,9 +215,8 @@ def test_unknown_methods_are_refused(dataset: Path) -> None:
         initialise(mirror.open(dataset), "s", method="magic")
 
 
-def test_sky_masks_do_not_count_as_masks_of_road_users(dataset: Path) -> None:
-    initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    made = mirror.open(dataset)
+def test_sky_masks_do_not_count_as_masks_of_road_users(layered: Path) -> None:
+    made = mirror.open(layered)
     assert set(made.table("masks", ["kind"]).column(0).to_pylist()) == {"sky"}
     with pytest.raises(DatasetError, match="no layer to mask road users with"):
         plan_views(made, load_protocol("static-reconstruction"), "s")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.pieces import Finish, Pieces
-from mirror.synth.model.shapes import block, ellipsoid, extrusion, polygon, polygons, prism, tube, wheel
+from mirror.synth.model.polygons import polygon, polygons
+from mirror.synth.model.shapes import block, ellipsoid, extrusion, prism, tube, wheel
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, flat, merge_models
 
 __all__ = [

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from mirror.arrays import Float64
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
-from mirror.synth.model.shapes import polygons
+from mirror.synth.model.polygons import polygons
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model
 from mirror.synth.portable import arrays
 

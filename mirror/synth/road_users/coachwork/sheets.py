@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64
 from mirror.synth.model import Label, Material, Model, Side, merge_models
-from mirror.synth.model.shapes import polygons
+from mirror.synth.model.polygons import polygons
 from mirror.synth.model.surfaces import NO_IMAGE
 from mirror.synth.portable import arrays, scalars
 

@@ -66,9 +66,10 @@ def _rules() -> list[list[str]]:
 
 def _tables() -> dict[str, list[str]]:
     """Names and types of the columns of every table."""
-    from mirror.schema import tables
+    from mirror.schema import index_tables, tables
 
-    own = [value for value in vars(tables).values() if isinstance(value, tables.Table)]
+    names = {**vars(tables), **vars(index_tables)}
+    own = [value for value in names.values() if isinstance(value, tables.Table)]
     return {table.name: [f"{field.name}: {field.type}" for field in table.schema] for table in own}
 
 

@@ -23,8 +23,9 @@ from mirror.pools import thread_pool
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import DatasetDocument, DriveDocument, FileEntry, Manifest, Rig, Roi, SplitDocument
 from mirror.schema.files import Model, read_json, read_table
+from mirror.schema.index_tables import ROW_GROUPS
 from mirror.schema.road_map import RoadMap, read_road_map, require_map_of
-from mirror.schema.tables import PASSES, ROW_GROUPS, Table
+from mirror.schema.tables import PASSES, Table
 
 TRAVERSAL_KEY = "traversal:"
 

@@ -11,9 +11,10 @@ from pydantic import BaseModel
 
 from mirror.schema import behaviours, documents, rollout, scenario
 from mirror.schema.files import write_bytes
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.road_map import RoadMapHeader
 from mirror.schema.rollout_tables import ROLLOUT
-from mirror.schema.tables import INDEX_BY_SCENE, INDEX_GLOBAL, LAYERS, PASSES, RECORDED, Table
+from mirror.schema.tables import LAYERS, PASSES, RECORDED, Table
 from mirror.schema.version import SCHEMA_VERSION
 
 _DOCUMENTS: Sequence[type[BaseModel]] = (

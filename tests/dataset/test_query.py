@@ -26,7 +26,8 @@ from mirror.dataset.index import build_index
 from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.filters import Circle
 from mirror.errors import DatasetError, SchemaError, UsageError
-from mirror.schema.tables import BOXES, INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.tables import BOXES
 from mirror.schema.version import SCHEMA_VERSION
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
 

@@ -11,7 +11,8 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.schema.document import schema_page
 from mirror.schema.documents import DatasetDocument, Roi
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_table
-from mirror.schema.tables import EGO_POSES, INDEX_BY_SCENE, INDEX_GLOBAL, LAYERS, PASSES, RECORDED
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.tables import EGO_POSES, LAYERS, PASSES, RECORDED
 from mirror.schema.version import SCHEMA_VERSION, require_readable
 
 ROOT = Path(__file__).resolve().parents[2]

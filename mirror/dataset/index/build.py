@@ -27,7 +27,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DatasetDocument, FileEntry, Manifest
 from mirror.schema.files import read_json, read_table, sha256_bytes, unwritable_error, write_bytes, write_json
-from mirror.schema.tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
+from mirror.schema.index_tables import INDEX_BY_SCENE, ROW_GROUPS, TRAVERSALS
 
 Progress = Callable[[int, int], None]
 

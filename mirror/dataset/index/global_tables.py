@@ -15,7 +15,8 @@ from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.schema.documents import Roi
 from mirror.schema.files import encode_table, read_table
-from mirror.schema.tables import INDEX_PASSES, PASSES, ROW_GROUPS, SCENES, Table
+from mirror.schema.index_tables import INDEX_PASSES, ROW_GROUPS, SCENES
+from mirror.schema.tables import PASSES, Table
 
 _VERTICES_A_CIRCLE = 256
 

@@ -19,21 +19,8 @@ from mirror.dataset.layout import Layout
 from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.errors import DatasetError
 from mirror.schema.files import TableWriter, read_table
-from mirror.schema.tables import (
-    BOXES,
-    CALIBRATIONS,
-    DEPTH,
-    EGO_POSES,
-    FRAMES,
-    IMAGES,
-    INDEX_BY_SCENE,
-    KEY,
-    MASKS,
-    POINTS,
-    SHA256,
-    TRAVERSALS,
-    Table,
-)
+from mirror.schema.index_tables import FRAMES, INDEX_BY_SCENE, TRAVERSALS
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, KEY, MASKS, POINTS, SHA256, Table
 
 REDACTION_TABLE: Final = IMAGES
 _POSITION: Final = ("longitude_deg", "latitude_deg", "x_m", "y_m")

@@ -14,7 +14,7 @@ from mirror.dataset.index.geoparquet import with_geo_metadata
 from mirror.dataset.index.scene_tables import canonical_dictionaries, plain_schema
 from mirror.dataset.layout import Layout
 from mirror.schema.files import TableWriter
-from mirror.schema.tables import TRAVERSALS
+from mirror.schema.index_tables import TRAVERSALS
 
 _MAX_BYTES: Final = 4 * 1024 * 1024
 _MAX_ROWS: Final = 128

@@ -16,7 +16,7 @@ from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
 from mirror.schema.documents import FileEntry
-from mirror.schema.tables import INDEX_BY_SCENE, INDEX_GLOBAL
+from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 
 TABLES: Final = {table.name: table for table in (*INDEX_GLOBAL, *INDEX_BY_SCENE)}
 GLOBAL: Final = frozenset(table.name for table in INDEX_GLOBAL)

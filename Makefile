@@ -16,8 +16,9 @@ $(STAMP): pyproject.toml constraints.txt
 demo: $(STAMP)
 	$(BIN)/mirror demo --out demo $(DEMO)
 
+# Each worker begins with one half of the files, so that few of them are set up in both.
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # Five hundred damaged recordings of every reader, for which `make test` has fifty, and what came of them.
 fuzz: $(STAMP)

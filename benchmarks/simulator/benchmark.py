@@ -26,8 +26,10 @@ from hybridworldsim.simulator.policies.references import Log
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
+from hybridworldsim.simulator.street.of_synth import open_synthetic_street
 from hybridworldsim.simulator.street.street import Street
 from mirror.command_line import parse_arguments
+from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
 
 _AGENTS = 20
@@ -41,8 +43,14 @@ class Arguments:
 
     block: Path | None = None
     """Folder with dataset/ and model/ of a block; default: benchmarks/out/simulator/block, made if it is missing."""
+    street: str | None = None
+    """Compare masks only, in a street synth:PRESET:SEED:DRIVE that --model was trained on."""
+    model: Path | None = None
+    """The model of --street."""
     places: int = 8
-    """Number of places at which masks are compared."""
+    """Number of places at which masks are compared; four times as many for partly hidden agents."""
+    seed: int = 0
+    """Seed of the agents of which masks are compared."""
     threads: int = 2
     """Number of threads."""
 
@@ -56,6 +64,12 @@ def main(argv: Sequence[str]) -> int:
     import torch
 
     torch.set_num_threads(arguments.threads)
+    if (arguments.street is None) != (arguments.model is None):
+        raise UsageError("--street and --model belong together", expected="both of them or neither")
+    if arguments.street is not None and arguments.model is not None:
+        street = open_synthetic_street(arguments.street)
+        masks = _masks(street, OpenModel.read(arguments.model, street), arguments.places, arguments.seed)
+        return report("simulator-masks", {"masks": masks}, errors="error")
     dataset, model_folder = trained_block(arguments.block)
     street = open_block(dataset)
     model = OpenModel.read(model_folder, street)
@@ -63,7 +77,7 @@ def main(argv: Sequence[str]) -> int:
         "vehicle": _vehicle(),
         "wire": measure_wire(street),
         "steps": _steps(street, model),
-        "masks": _masks(street, model, arguments.places),
+        "masks": _masks(street, model, arguments.places, arguments.seed),
     }
     return report("simulator", groups, errors="error")
 
@@ -142,14 +156,16 @@ def _scenario() -> Scenario:
     return Scenario.model_validate({"name": "speed", "ego": {"start": {"kind": "recorded"}}, "agents": [replayed]})
 
 
-def _masks(street: Street, model: OpenModel, places: int) -> Iterator[Row]:
+def _masks(street: Street, model: OpenModel, places: int, seed: int) -> Iterator[Row]:
     """1 - IoU, so that smaller is better. Agents of the second sample stand where fixed objects hide a part of them."""
-    masks = list(measure_masks(street, model, places, 480))
-    hidden = list(measure_masks(street, model, 4 * places, 480, hidden=True))
+    masks = list(measure_masks(street, model, places, 480, seed=seed))
+    hidden = list(measure_masks(street, model, 4 * places, 480, hidden=True, seed=seed))
+    partly = [mask for mask in (*masks, *hidden) if 0.3 <= mask.hidden <= 0.9]
     for name, chosen, share, bar in (
         ("all, median", masks, 0.5, 0.1),
         ("all, 10th percentile", masks, 0.1, 0.3),
-        ("30-90 % hidden, median", [mask for mask in (*masks, *hidden) if 0.3 <= mask.hidden <= 0.9], 0.5, 0.25),
+        ("30-90 % hidden, median", partly, 0.5, 0.25),
+        ("30-90 % hidden, 10th percentile", partly, 0.1, None),
     ):
         lost = 1.0 - float(np.quantile([mask.iou for mask in chosen], share)) if chosen else math.nan
         yield Row(f"masks of agents: {name}", f"{len(chosen)} masks", 0.0, lost, unit="1 - IoU", error_bar=bar)

@@ -10,17 +10,20 @@ import numpy as np
 from hybridworldsim.simulator.agents.bodies import draw_body
 from hybridworldsim.simulator.agents.states import Agent, AgentStates
 from hybridworldsim.simulator.ego.vehicle import EgoState
-from hybridworldsim.simulator.renderers.exact import ExactRenderer
-from hybridworldsim.simulator.renderers.protocol import ego_pose, rig_cameras
+from hybridworldsim.simulator.renderers.exact import condition_of
+from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose, lens_of, rig_cameras
 from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 from hybridworldsim.simulator.street.obstacles import corners_of, wall_at
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
-from mirror.arrays import Float64
+from mirror.arrays import Float64, Int32
 from mirror.errors import UsageError
+from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.geometry.cameras import Camera
 from mirror.schema.scenario import Scenario
-from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.model import Model
+from mirror.synth.render.scene import Scene
+from mirror.synth.render.view import rasterize_view
 from mirror.synth.truth.casting import cast_rays
 
 SMALLEST_PX = 200
@@ -51,7 +54,7 @@ class Mask:
 
 
 def measure_masks(
-    street: Street, model: OpenModel, places: int, width_px: int, *, hidden: bool = False, seed: int = 0
+    street: Street, model: OpenModel, places: int, width_px: int, *, hidden: bool = False, seed: int
 ) -> Iterator[Mask]:
     """Compare masks at places of a recorded drive, with agents that stand at random on the ground around them.
 
@@ -74,17 +77,14 @@ def measure_masks(
         snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns, hidden=hidden)
         if not snapshot.agents:
             continue
-        # The vehicle's own body is part of the recorded images, but not of a reconstruction.
-        bare = replace(street, drive=_without_ego(street))
-        exact = ExactRenderer(bare, scenario, snapshot, cameras, 0)
-        exact.render(snapshot, tuple(cameras))
+        world = _ExactWorld(street, scenario, snapshot)
         composed = ReconstructedRenderer(model, street, scenario, snapshot, cameras)
         composed.render(snapshot, tuple(cameras))
         instant = composed.layer.at(snapshot)
         for name in cameras:
             pose = ego_pose(street, snapshot) @ cameras[name].ego_SE3_camera
             alone = composed.layer.draw(instant, cameras[name].camera, pose)
-            true, ours = exact.agent_masks()[name], composed.agent_masks()[name]
+            true, ours = world.mask(cameras[name].camera, pose), composed.agent_masks()[name]
             for agent in range(len(snapshot.agents)):
                 seen = true == agent
                 if alone is None or seen.sum() < SMALLEST_PX:
@@ -95,12 +95,25 @@ def measure_masks(
                 yield Mask(float((seen & own).sum() / (seen | own).sum()), float(share), int(seen.sum()), name)
 
 
-def _without_ego(street: Street) -> SynthDrive:
-    if street.drive is None:
-        raise UsageError("the exact world of the street is not known")
-    bare = replace(street.drive)
-    vars(bare)["ego_model"] = Model.empty()
-    return bare
+class _ExactWorld:
+    """The exact street with its agents. Only its surfaces are drawn, not their colours.
+
+    The vehicle's own body is left out: it is part of the recorded images, but not of a reconstruction.
+    """
+
+    def __init__(self, street: Street, scenario: Scenario, snapshot: Snapshot) -> None:
+        if street.drive is None:
+            raise UsageError("the exact world of the street is not known")
+        live = LiveUsers(snapshot.agents, street.ground)
+        live.update(snapshot)
+        scene = Scene(street.drive.world, condition_of(street, scenario), live.users, Model.empty())
+        self._instant = scene.at(snapshot.time_s, ego_pose(street, snapshot))
+
+    def mask(self, camera: Camera, world_SE3_camera: Poses) -> Int32:
+        """Return the number (H, W) of the agent that each pixel shows; -1: none."""
+        rotation = matrix_from_quaternion(world_SE3_camera.rotation)[0]
+        view = rasterize_view(self._instant.surroundings, lens_of(camera), rotation, world_SE3_camera.translation[0])
+        return view.object
 
 
 def _fixed_near(street: Street, ego: EgoState) -> Model:

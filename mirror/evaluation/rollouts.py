@@ -178,9 +178,11 @@ def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
         )
     failed = [one for one in scored if one.rollout.ending == "policy"]
     if failed:
+        # The folder itself may be the rollout.
+        place = "" if failed[0].path == "." else f" {failed[0].path}:"
         warnings.append(
             f"the policy failed in {len(failed)} of {len(scored)} rollouts, which are scored up to there; the first:"
-            f" {failed[0].path}: {failed[0].rollout.reason or 'no reason given'}"
+            f"{place} {failed[0].rollout.reason or 'no reason given'}"
         )
     return warnings
 

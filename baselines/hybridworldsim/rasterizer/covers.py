@@ -22,8 +22,8 @@ def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
     """Compute what the Gaussians of an image cover of each pixel before a depth.
 
     It is the alpha of an image of the Gaussians with a nearer centre, if that image blended the Gaussian that ends a
-    pixel too (`TRANSMITTANCE_STOP`). The light that comes through Gaussians is the product of what each lets through: they
-    need no order, and only those before a limit are visited.
+    pixel too (`TRANSMITTANCE_STOP`). The light that comes through Gaussians is the product of what each lets through:
+    no order is needed, and only those before a limit are visited.
 
     Args:
         meta: what `rasterization` returned for one image, with packed tensors, as gsplat names them.

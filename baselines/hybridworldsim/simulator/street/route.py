@@ -21,6 +21,7 @@ from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way
 DEFAULT_LIMIT_MPS: Final = 13.9
 """Speed limit of a lane whose limit is not known."""
 _MOST_LANES: Final = 40
+_NAMED_LANES: Final = 8
 _OFF_ROUTE_M: Final = 5.0
 _AIMS: Final[dict[Turn, float]] = {"straight": 0.0, "left": 0.5 * math.pi, "right": -0.5 * math.pi}
 
@@ -86,7 +87,7 @@ def route_along(road_map: RoadMap, lanes: tuple[str, ...], begin_m: float) -> Ro
     """Make the route along lanes."""
     unknown = next((name for name in lanes if name not in road_map.lanes), None)
     if unknown is not None:
-        raise UsageError(f"there is no lane {unknown!r} on the map", place="ego.route.lanes")
+        raise _no_lane(road_map, unknown, "ego.route.lanes")
     members = [road_map.lanes[name] for name in lanes]
     broken = next((pair for pair in itertools.pairwise(members) if pair[1].lane_id not in pair[0].successors), None)
     if broken is not None:
@@ -95,6 +96,16 @@ def route_along(road_map: RoadMap, lanes: tuple[str, ...], begin_m: float) -> Ro
             expected="lanes of which each leads to the next",
         )  # fmt: skip
     return RoutePlan(way_along(members), lanes, halts_along(members), begin_m)
+
+
+def _no_lane(road_map: RoadMap, name: str, place: str) -> UsageError:
+    known = sorted(road_map.lanes)
+    more = f" or one of {len(known) - _NAMED_LANES} others" if len(known) > _NAMED_LANES else ""
+    return UsageError(
+        f"there is no lane {name!r} on the map", place=place,
+        expected=f"one of its lanes: {', '.join(known[:_NAMED_LANES])}{more}",
+        remedy="leave the key out: the ego then takes the longest way straight on",
+    )  # fmt: skip
 
 
 def way_along(lanes: list[MapLane]) -> Way:
@@ -130,7 +141,7 @@ def _lane_start(street: Street, plan: EgoPlan, start: LaneStart) -> tuple[tuple[
         return plan.route.lanes, start.along_m
     if start.lane is not None:
         if start.lane not in road_map.lanes:
-            raise UsageError(f"there is no lane {start.lane!r} on the map", place="ego.start.lane")
+            raise _no_lane(road_map, start.lane, "ego.start.lane")
         lane = road_map.lanes[start.lane]
         if start.along_m > lane.length_m:
             raise UsageError(

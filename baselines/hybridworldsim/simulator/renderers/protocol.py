@@ -96,12 +96,13 @@ def rig_cameras(
     Raises:
         UsageError: the rig has no camera of a name, or the size is not positive.
     """
-    if (width_px is not None and width_px < 1) or (height_px is not None and height_px < 1):
-        raise UsageError(f"images of {width_px} x {height_px} px", expected="at least 1 x 1 px")
+    for side, size in (("width", width_px), ("height", height_px)):
+        if size is not None and size < 1:
+            raise UsageError(f"images with a {side} of {size} px", place=side, expected="at least 1 px")
     specs = {}
     for name in names:
         if name not in street.rig:
-            raise UsageError(f"the rig has no camera {name!r}", expected=f"of {', '.join(street.rig)}")
+            raise UsageError(f"the rig has no camera {name!r}", expected=f"one of {', '.join(street.rig)}")
         member = street.rig[name]
         camera = undistorted(member.camera)
         if width_px is not None:

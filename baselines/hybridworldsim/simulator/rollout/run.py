@@ -127,7 +127,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
     missing = next((name for name in needed if name not in request.cameras), None)
     if missing is not None:
         raise UsageError(
-            f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"of {', '.join(request.cameras)}"
+            f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"one of {', '.join(request.cameras)}"
         )
     request.factory.require_model_of(request.street)
     simulation = start_simulation(request.street, request.scenario, request.seed)

@@ -51,7 +51,9 @@ def street_of_dataset(
     """
     scenes = dataset.scenes()
     if scene is None and len(scenes) != 1:
-        raise UsageError(f"the dataset has {len(scenes)} scenes", place="--scene", expected=f"of {', '.join(scenes)}")
+        raise UsageError(
+            f"the dataset has {len(scenes)} scenes", place="--scene", expected=f"one of {', '.join(scenes)}"
+        )
     chosen = dataset.where(scene=scene or scenes[0])
     if traversals:
         chosen = chosen.where(traversal=traversals)

@@ -108,6 +108,11 @@ def test_views_that_are_not_generated_are_given_and_counted(config) -> None:
         rollout.step(frames[REFERENCES + 1], active=[0])
 
 
+def test_hulls_do_not_shrink() -> None:
+    with pytest.raises(UsageError, match="grown by -1 px"):
+        ClipRolloutOptions(blend_px=-1)
+
+
 def test_blended_images_are_the_background_away_from_boxes() -> None:
     clip = make_clip()
     for frame, plain in zip(roll(clip, replace(OPTIONS, blend_px=1)), roll(clip)):

@@ -260,6 +260,11 @@ def test_a_removed_road_user_leaves_views_that_cost_nothing(
         ({"cameras": ("nose",)}, "no camera nose"),
         ({"traversal": None, "scene": "nowhere"}, "unknown scene 'nowhere'"),
         ({"background": "exact:"}, "exact:PRESET"),
+        ({"background": "exact:nowhere"}, "no preset 'nowhere'"),
+        ({"hz": 0.0}, "0.0 frames per second"),
+        ({"hz": float("nan")}, "nan frames per second"),
+        ({"frames": 0}, "0 frames"),
+        ({"threads": 0}, "0 threads"),
         ({"background": "files:nowhere"}, "no such folder of backgrounds"),
         ({"background": "exact:tiny", "appearance": "night"}, "'night'"),
         ({"background": "nowhere"}, "nowhere"),
@@ -357,7 +362,7 @@ def test_backgrounds_are_seen_from_the_calibrations_of_the_models_training(
         np.testing.assert_allclose(step.matrix(), TURN.matrix(), atol=1e-9)
         assert (view.width_px, view.height_px) == (before.width_px, before.height_px)
         # The pinhole that is nearest to a zoomed fisheye is zoomed a little more at its border.
-        assert 1.005 < view.fx_px / before.fx_px < 1.02
+        assert 1.005 < view.fx_px / before.fx_px < 1.03
     # Boxes are seen from there too.
     recorded = rig(refined, plan.views[0].traversal_id)
     frames = refined.with_layers(calibrations=LAYER).where(traversal=plan.views[0].traversal_id).frames()
@@ -368,7 +373,7 @@ def test_backgrounds_are_seen_from_the_calibrations_of_the_models_training(
         atol=1e-9,
     )
     zoom = moved.intrinsics[:, 0, 0] / recorded.intrinsics[:, 0, 0]
-    assert (zoom > 1.005).all() and (zoom < 1.02).all()
+    assert (zoom > 1.005).all() and (zoom < 1.03).all()
 
 
 def test_a_scene_is_generated_with_the_calibrations_of_its_background(

@@ -18,7 +18,7 @@ from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.devices import exhausted_memory_named
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_autoencoder
 from hybridworldsim.generation.network.configuration import AdapterConfig, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import Weighting
@@ -228,6 +228,17 @@ def test_a_device_that_does_not_exist_is_named_before_anything_is_written(clips:
     with pytest.raises(UsageError, match="no device 'banana'") as caught:
         train_on_clips(clips, tmp_path / "run", replace(OPTIONS, device="banana"), NullProgress())
     assert caught.value.place == "--device" and not (tmp_path / "run").exists()
+
+
+def test_an_autoencoder_that_does_not_fit_leaves_no_folder(clips: Path, trained: Path, tmp_path: Path) -> None:
+    wrong = replace(OPTIONS, autoencoder=trained / "generator" / "model.safetensors")
+    with pytest.raises(DatasetError, match="of format 'mirror-generator/1'"):
+        train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
+    write_autoencoder(tmp_path / "other.safetensors", TinyAutoencoder(replace(CODEC, channels=2)))
+    wrong = replace(OPTIONS, autoencoder=tmp_path / "other.safetensors")
+    with pytest.raises(UsageError, match="an autoencoder with 2 channels"):
+        train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
+    assert not (tmp_path / "run").exists()
 
 
 def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path) -> None:

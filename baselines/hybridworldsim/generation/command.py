@@ -328,6 +328,7 @@ def _write_submission(
 ) -> int:
     import torch
 
+    from hybridworldsim.generation.devices import require_threads
     from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
     from hybridworldsim.generation.scenes.run import open_generator
     from hybridworldsim.generation.scenes.submission import render_plan
@@ -339,6 +340,7 @@ def _write_submission(
     from mirror.protocols.views.recalibration import recalibrate_views
     from mirror.weights.resolve import file_sha256
 
+    require_threads(arguments.threads)
     torch.set_num_threads(arguments.threads)
     model, size = open_generator(generator, autoencoder, arguments.device), _size(arguments.size)
     plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))

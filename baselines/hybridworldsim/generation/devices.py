@@ -30,6 +30,16 @@ def require_device(device: str) -> None:
         ) from error
 
 
+def require_threads(threads: int) -> None:
+    """Check a number of threads.
+
+    Raises:
+        UsageError: it is below 1.
+    """
+    if threads < 1:
+        raise UsageError(f"{threads} threads", place="--threads", expected="at least 1")
+
+
 @contextmanager
 def exhausted_memory_named(device: str, remedy: str) -> Iterator[None]:
     """Within this block, exhausted memory raises an error that names the device and the remedy.

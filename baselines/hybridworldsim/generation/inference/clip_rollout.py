@@ -20,6 +20,7 @@ from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from mirror.arrays import Bool, Float32, UInt8
+from mirror.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ class ClipRolloutOptions:
     keep_empty_views: bool = True
     blend_px: int | None = None
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.blend_px is not None and self.blend_px < 0:
+            raise UsageError(f"hulls grown by {self.blend_px} px", place="--blend", expected="0 or more")
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,7 @@ def open_background(
         preset, _, seed = rest.partition(":")
         if not preset or not (seed or "0").isdecimal():
             raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
+        _require_preset(preset)
         return _ExactStreet(dataset, preset, int(seed or 0)), text
     return _open_model(Path(text), dataset, appearance, views)
 
@@ -87,6 +88,15 @@ def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[
         )
     policy = AppearancePolicy(appearance, views, everywhere=True)
     return installed_method(document.method).open(model, policy), file_sha256(model / DOCUMENT)
+
+
+def _require_preset(preset: str) -> None:
+    from mirror.synth.fleet.presets import PRESETS
+
+    if preset not in PRESETS:
+        raise UsageError(
+            f"no preset {preset!r}", place="--background", expected=f"exact: with one of {', '.join(PRESETS)}"
+        )
 
 
 class _Files:

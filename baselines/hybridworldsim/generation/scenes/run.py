@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.devices import require_device
+from hybridworldsim.generation.devices import require_device, require_threads
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
@@ -24,7 +25,7 @@ from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Pixels
 from mirror.protocols.png import encode_png
@@ -108,6 +109,13 @@ class SceneRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.hz) and self.hz > 0.0):
+            raise UsageError(f"{self.hz} frames per second", place="--hz", expected="a finite rate above 0")
+        if self.frames is not None and self.frames < 1:
+            raise UsageError(f"{self.frames} frames", place="--frames", expected="at least 1")
+        require_threads(self.threads)
 
 
 def open_generator(generator: Path, autoencoder: Path, device: str = "cpu") -> Generator:

@@ -17,7 +17,7 @@ from hybridworldsim.generation.training.loop import run_steps
 from hybridworldsim.generation.training.run import hash_clips
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows
+from hybridworldsim.generation.training.windows import ClipWindows, require_fit
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -83,6 +83,8 @@ def distil_on_clips(
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
     teacher, references = read_generator(generator)
+    codec = read_autoencoder(autoencoder)
+    require_fit(codec, teacher.config, OWN_STYLE, references)
     settings = replace(options.settings, network=teacher.config, references=references)
     folder = GenerationRunFolder(out)
     document = {**settings.document, "distillation": options.distillation.document, "teacher": file_sha256(generator)}
@@ -94,7 +96,6 @@ def distil_on_clips(
     if outcome is not None:
         return folder.model, outcome
     with exhausted_memory_named(options.device, DISTILLATION_REMEDY), folder.lock():
-        codec = read_autoencoder(autoencoder)
         windows = ClipWindows(read_clips(clips, listed), codec, teacher.config, OWN_STYLE, references)
         trainer = DistillationTrainer(
             settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device

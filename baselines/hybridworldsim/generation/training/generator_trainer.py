@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -60,6 +61,8 @@ class GeneratorSettings:
     def __post_init__(self) -> None:
         if self.batch < 1 or self.accumulate < 1 or self.batch % self.accumulate:
             raise UsageError(f"a batch of {self.batch} in {self.accumulate} parts", expected="parts of equal size")
+        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0.0):
+            raise UsageError(f"learning_rate {self.learning_rate}", expected="a finite number above 0")
         for name in ("context_noise", "drop_layout", "ema"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise UsageError(f"{name} {getattr(self, name)}", expected="from 0 to below 1")

@@ -26,7 +26,7 @@ from hybridworldsim.generation.training.loop import run_steps
 from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows
+from hybridworldsim.generation.training.windows import ClipWindows, require_fit
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
@@ -99,6 +99,10 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     listed = read_list(clips).training
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
+    if options.autoencoder is not None:
+        # Before a folder is made that could not be used.
+        given = read_autoencoder(options.autoencoder)
+        require_fit(given, options.settings.network, OWN_STYLE, options.settings.references)
     clips_hash = hash_clips(clips, listed)
     loaded = read_clips(clips, listed)
     outcome: GenerationOutcome | None = None

@@ -62,7 +62,7 @@ class ClipWindows:
     def __init__(
         self, clips: Sequence[Clip], codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int
     ) -> None:
-        _require_fit(codec, config, style, references)
+        require_fit(codec, config, style, references)
         for clip in clips:
             if (clip.size_px, clip.views) != (clips[0].size_px, clips[0].views):
                 raise DatasetError(
@@ -105,7 +105,18 @@ class ClipWindows:
         return join_conditions(self._config, singles)
 
 
-def _require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int) -> None:
+def require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int) -> None:
+    """Check that an autoencoder and a layout belong to a network.
+
+    Args:
+        codec: the autoencoder.
+        config: the network.
+        style: how boxes are drawn.
+        references: T, number of reference frames.
+
+    Raises:
+        UsageError: they have other channels or another resolution.
+    """
     if (codec.channels, codec.stride) != (config.latent_channels, config.latent_stride):
         raise UsageError(
             f"an autoencoder with {codec.channels} channels and stride {codec.stride}",

@@ -209,7 +209,14 @@ def read_scenario(path_or_name: str | Path) -> Scenario:
         raise UsageError(
             f"no scenario {text!r}", expected=f"one of {', '.join(known)}, or the path of a scenario's .toml"
         )
-    return parse_scenario(files("mirror.schema").joinpath("scenarios", f"{text}.toml").read_bytes(), f"{text}.toml")
+    file = scenario_file(text)
+    return parse_scenario(files("mirror.schema").joinpath("scenarios", file).read_bytes(), file)
+
+
+def scenario_file(path_or_name: str | Path) -> str:
+    """Return the file of a scenario as messages name it: the path, or the name with ``.toml``."""
+    text = str(path_or_name)
+    return text if text.endswith(".toml") else f"{text}.toml"
 
 
 def parse_scenario(data: bytes, file: str) -> Scenario:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mirror
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
 from hybridworldsim.simulator.simulation import start_simulation
 from hybridworldsim.simulator.street.opening import open_street
@@ -67,6 +68,31 @@ def test_a_rollout_says_which_map_it_drove_on(
     result = read_json(tmp_path / "scores" / RESULT, Result)
     assert result.options["road_map"] == source
     assert ("lower bounds" in " ".join(result.warnings)) == (source == "fitted")
+
+
+def test_a_rollout_is_repeated_in_its_dataset_and_no_other(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    out, again = tmp_path / "run", tmp_path / "again"
+    drive = ["simulate", "fitted", "--scenario", "short.toml", "--policy", "constant-velocity", "--no-video"]
+    assert main([*drive, "--out", str(out)]) == 0
+    repeat = ["--replay", str(out), "--no-video", "--out", str(again)]
+    made, other = read_rollout(out).dataset_hash, mirror.open(folder / "recorded").index_sha256
+    for source, reason in (
+        (["recorded"], f"made with the dataset {made}; this street has the dataset {other}"),
+        (["fitted", "--map", "map.parquet"], "made with the road map of this file (fitted); this street has another"),
+    ):
+        capsys.readouterr()
+        assert main(["simulate", *source, *repeat]) == 2
+        assert reason in capsys.readouterr().err
+        assert not again.exists()
+    lost = Scenario.model_validate({"name": "lost", "ego": {"route": {"lanes": ["nowhere"]}}})
+    write_scenario(tmp_path / "lost.toml", lost)
+    assert main([*drive, "--scenario", str(tmp_path / "lost.toml"), "--out", str(again)]) == 2
+    assert f"{tmp_path / 'lost.toml'}: ego.route.lanes: there is no lane 'nowhere'" in capsys.readouterr().err
+    assert main(["simulate", "fitted", *repeat]) == 0
+    assert "bit for bit" in capsys.readouterr().out
 
 
 def test_the_ego_starts_on_a_lane_that_was_driven(folder: Path, tmp_path: Path) -> None:

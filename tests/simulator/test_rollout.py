@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hybridworldsim.simulator.ego.vehicle import Controls
+from hybridworldsim.simulator.environment.street_env import StreetEnv
 from hybridworldsim.simulator.policies.protocol import Observation, ObservationSpec, PlannedTrajectory
 from hybridworldsim.simulator.policies.references import LaneKeeping, Log, Stop
 from hybridworldsim.simulator.policies.registry import make_policy, policy_names
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
 from hybridworldsim.simulator.rollout.run import VIDEO_FILE, run_rollout
+from hybridworldsim.simulator.rollout.same_street import require_same_street
 from mirror.errors import UsageError
 from mirror.methods.model_document import Reconstruction
 from mirror.metrics.safety import read_state_log
 from mirror.schema.files import write_json
 from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import STATES_FILE, read_rollout
-from mirror.schema.scenario import read_scenario
+from mirror.schema.scenario import Scenario, read_scenario, write_scenario
 from tests.simulator.requests import BRAKE, STREET, request
 from tests.simulator.streets import scenario
 
@@ -183,6 +186,40 @@ def test_a_model_of_another_scene_is_refused_even_if_nothing_is_rendered(tmp_pat
     with pytest.raises(UsageError, match="shows scene elsewhere"):
         run_rollout(request(Stop(), factory=factory), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_rollout_is_repeated_in_the_recording_that_it_was_driven_in_and_no_other(tmp_path: Path) -> None:
+    earlier = run_rollout(request(Stop()), tmp_path / "run").rollout
+    require_same_street(tmp_path / "run", earlier, STREET, BRAKE, None)
+    later = replace(STREET.recordings["drive-1"], start_ns=STREET.recordings["drive-1"].start_ns + 60_000_000_000)
+    street = replace(STREET, recordings={"drive-1": later})
+    with pytest.raises(UsageError, match=r"begins at 2023-11-14T22:13:20\.000.*begins at 2023-11-14T22:14:20\.000"):
+        require_same_street(tmp_path / "run", earlier, street, BRAKE, None)
+    with pytest.raises(UsageError, match="made with scene 'straight'; this street has scene 'elsewhere'"):
+        require_same_street(tmp_path / "run", earlier, replace(STREET, scene_id="elsewhere"), BRAKE, None)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "place"),
+    [
+        (scenario(ego={"route": {"lanes": ["nowhere"]}}), "ego.route.lanes"),
+        (scenario(ego={"start": {"kind": "recorded", "after_s": 60.0}}), "ego.start.after_s"),
+        (scenario({"id": "a", "behaviour": {"kind": "replay", "tracks": ["van-1"]}}), "agent 'a'"),
+        (scenario({"id": "a", "behaviour": {"kind": "idm", "ahead_m": 900.0}}), "agent 'a'"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_is_refused_by_its_file_and_the_place_in_it(
+    tmp_path: Path, wrong: Scenario, place: str
+) -> None:
+    file = tmp_path / "mine.toml"
+    write_scenario(file, wrong)
+    with pytest.raises(UsageError) as refused:
+        run_rollout(request(Stop(), scenario=read_scenario(file), scenario_file=str(file)), tmp_path / "run")
+    assert (refused.value.file, refused.value.place) == (str(file), place)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(UsageError) as refused:
+        StreetEnv(STREET, scenario=file).reset()
+    assert (refused.value.file, refused.value.place) == (str(file), place)
 
 
 def test_installed_policies_are_found_by_name() -> None:

@@ -75,7 +75,7 @@ class Arguments:
     deadline: Annotated[float | None, help_text(default="none", metavar="SECONDS")] = None
     """Longest time that the policy may take for an action."""
     replay: Annotated[Path | None, help_text(default="none", metavar="RUN")] = None
-    """Repeat the controls of an earlier rollout, with its scenario and seed, and compare the states."""
+    """Repeat the controls of an earlier rollout on its street, with its scenario and seed, and compare the states."""
     json: bool = False
     """Print JSON."""
 
@@ -103,9 +103,10 @@ def _request(arguments: Arguments) -> RolloutRequest:
     from hybridworldsim.simulator.renderers.registry import RendererFactory
     from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
     from hybridworldsim.simulator.rollout.run import RolloutRequest
+    from hybridworldsim.simulator.rollout.same_street import require_same_street
     from hybridworldsim.simulator.street.opening import open_street
     from mirror.schema.rollout import SCENARIO_FILE, read_rollout
-    from mirror.schema.scenario import Scenario, read_scenario
+    from mirror.schema.scenario import Scenario, read_scenario, scenario_file
 
     for option, seconds in (("--deadline", arguments.deadline), ("--duration", arguments.duration)):
         if seconds is not None and not 0.0 < seconds <= 3600.0:
@@ -130,7 +131,8 @@ def _request(arguments: Arguments) -> RolloutRequest:
                 expected="neither --scenario nor --policy nor --seed",
             )  # fmt: skip
         earlier = read_rollout(arguments.replay)
-        scenario, seed = read_scenario(arguments.replay / SCENARIO_FILE), earlier.seed
+        file = str(arguments.replay / SCENARIO_FILE)
+        scenario, seed = read_scenario(file), earlier.seed
         # A rollout that its policy ended has as many steps as it has controls.
         scenario = scenario.model_copy(update={"duration_s": max(earlier.steps, 1) / scenario.rate_hz})
         policy: Any = Repeat(read_actions(arguments.replay / ACTIONS_FILE))
@@ -140,11 +142,20 @@ def _request(arguments: Arguments) -> RolloutRequest:
             "no scenario, or no policy", place="--scenario, --policy", expected="both of them, or --replay RUN"
         )
     else:
+        file = scenario_file(arguments.scenario)
         scenario, policy = read_scenario(arguments.scenario), _policy(arguments, policy_name)
     if arguments.duration is not None:
+        if round(arguments.duration * scenario.rate_hz) < 1:
+            raise UsageError(
+                f"{arguments.duration:g} s", place="--duration",
+                expected=f"at least one step of the scenario, {1.0 / scenario.rate_hz:g} s",
+            )  # fmt: skip
         plain = {**scenario.model_dump(), "duration_s": arguments.duration}
         scenario = Scenario.model_validate(plain)
     street = open_street(arguments.source, scene=arguments.scene, road_map=arguments.map, boxes=arguments.boxes)
+    dataset_hash = _dataset_hash(arguments.source)
+    if arguments.replay is not None:
+        require_same_street(arguments.replay, earlier, street, scenario, dataset_hash)
     shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
     wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
     return RolloutRequest(
@@ -157,9 +168,10 @@ def _request(arguments: Arguments) -> RolloutRequest:
         seed=seed,
         video=shown if arguments.video else (),
         page=arguments.report,
+        scenario_file=file,
         # A remote policy's own calls end at its deadline.
         deadline_s=math.inf if arguments.deadline is None or "://" in policy_name else arguments.deadline,
-        dataset_hash=_dataset_hash(arguments.source),
+        dataset_hash=dataset_hash,
         model_hash=None if arguments.model is None else _model_hash(arguments.model),
     )
 

@@ -175,7 +175,12 @@ class Simulation:
 
 
 def start_simulation(
-    street: Street, scenario: Scenario, seed: int | None = None, *, stops_at_collision: bool = True
+    street: Street,
+    scenario: Scenario,
+    seed: int | None = None,
+    *,
+    stops_at_collision: bool = True,
+    scenario_file: str | None = None,
 ) -> Simulation:
     """Start a rollout.
 
@@ -184,11 +189,21 @@ def start_simulation(
         scenario: the scenario.
         seed: seed of the rollout; None: that of the scenario.
         stops_at_collision: whether a contact of the ego ends the rollout.
+        scenario_file: file of the scenario, which errors name; None: it is of no file.
 
     Raises:
         UsageError: the scenario does not fit on the street.
     """
-    chosen = scenario.seed if seed is None else seed
+    try:
+        return _start(street, scenario, scenario.seed if seed is None else seed, stops_at_collision)
+    except UsageError as error:
+        raise UsageError(
+            error.problem, file=error.file or scenario_file, place=error.place, expected=error.expected,
+            remedy=error.remedy,
+        ) from error  # fmt: skip
+
+
+def _start(street: Street, scenario: Scenario, chosen: int, stops_at_collision: bool) -> Simulation:
     ego, route, recording, start_s = plan_route(street, scenario.ego)
     if not isinstance(scenario.ego.start, RecordedStart):
         street = replace(street, clock_s=_clock_of_green(street, route))
@@ -201,7 +216,7 @@ def start_simulation(
     touching = find_collisions(recorder.log())
     if touching:
         raise UsageError(
-            f"agent {touching[0].agent!r} starts in the ego vehicle", place=f"scenario {scenario.name!r}",
+            "it starts in the ego vehicle", place=f"agent {touching[0].agent!r}",
             expected="agents that do not touch the ego at the start", remedy="change its place ahead of the ego",
         )  # fmt: skip
     recorded = None

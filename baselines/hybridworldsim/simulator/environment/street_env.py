@@ -22,7 +22,7 @@ from hybridworldsim.simulator.street.street import Street
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.safety import StateLog
-from mirror.schema.scenario import Scenario, read_scenario
+from mirror.schema.scenario import Scenario, read_scenario, scenario_file
 
 TRAJECTORY_TIMES_S: Final = 0.5 * np.arange(1.0, 9.0)
 """Times of the poses of a trajectory action, from the observation on."""
@@ -82,6 +82,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         map_path = None if road_map is None else Path(road_map)
         self._street = street if isinstance(street, Street) else open_street(street, scene=scene, road_map=map_path)
         self._scenario = scenario if isinstance(scenario, Scenario) else read_scenario(scenario)
+        self._scenario_file = None if isinstance(scenario, Scenario) else scenario_file(scenario)
         self._cameras = rig_cameras(self._street, cameras, width_px, height_px)
         self._factory = RendererFactory(renderer, None if model is None else Path(model))
         self._kind = action
@@ -130,7 +131,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
             raise UsageError(f"options {sorted(options)}", expected="no options")
         first = self._simulation is None and seed is None
         chosen = self._scenario.seed if first else int(self.np_random.integers(_SEED_LIMIT))
-        self._simulation = start_simulation(self._street, self._scenario, chosen)
+        self._simulation = start_simulation(self._street, self._scenario, chosen, scenario_file=self._scenario_file)
         self._renderer = self._factory.make(self._simulation, self._cameras)
         self._progress_m = 0.0
         return self._observe(), self._info(None)

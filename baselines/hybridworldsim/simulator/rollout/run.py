@@ -67,6 +67,7 @@ class RolloutRequest:
         dataset_hash: hash of the dataset that was driven in.
         model_hash: hash of the model that renders.
         page: write a page with the video and the figures of the safety.
+        scenario_file: file of the scenario, which errors name; None: it is of no file.
     """
 
     street: Street
@@ -81,6 +82,7 @@ class RolloutRequest:
     dataset_hash: str | None = None
     model_hash: str | None = None
     page: bool = False
+    scenario_file: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
             f"policy {request.policy_name!r} needs camera {missing!r}", expected=f"one of {', '.join(request.cameras)}"
         )
     request.factory.require_model_of(request.street)
-    simulation = start_simulation(request.street, request.scenario, request.seed)
+    simulation = start_simulation(request.street, request.scenario, request.seed, scenario_file=request.scenario_file)
     renderer = request.factory.make(simulation, request.cameras) if needed else None
     drive = _Drive(request, simulation, renderer, tuple(needed), reporter or NullProgress())
     if kind is not None:

@@ -63,6 +63,10 @@ class Train:
     """Highest learning rate. It rises in 100 steps, then falls to 0 behind the last step."""
     context_noise: float = 0.0
     """Highest noise level of the reference frames. It hides errors that add up in rollouts."""
+    self_rollout: float = 0.0
+    """Share of windows whose reference frames are the model's own output, so that it learns from its errors."""
+    self_rollout_steps: int = 2
+    """Steps of the sampler for such a reference frame."""
     drop_layout: float = 0.0
     """Share of windows without boxes, for guidance."""
     ema: float = 0.995
@@ -92,6 +96,8 @@ class Train:
             accumulate=self.accumulate,
             learning_rate=self.learning_rate,
             context_noise=self.context_noise,
+            self_rollout=self.self_rollout,
+            self_rollout_steps=self.self_rollout_steps,
             drop_layout=self.drop_layout,
             ema=self.ema,
             precision=self.precision,

@@ -1,10 +1,10 @@
-"""Training steps of the generator: the velocity of noisy targets, with references from the recording."""
+"""Training steps of the generator: the velocity of noisy targets, given their references."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -12,10 +12,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TINY, TINY_REFERENCES, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
-from hybridworldsim.generation.sampling.flow import TIMESTEPS, Weighting, add_noise, draw_levels, loss_weight
+from hybridworldsim.generation.sampling.flow import (
+    TIMESTEPS,
+    Weighting,
+    add_noise,
+    draw_levels,
+    loss_weight,
+    noise_levels,
+)
+from hybridworldsim.generation.training.self_rollout import draw_self_rollout, roll_out_references
 from hybridworldsim.generation.training.windows import ClipWindows, WindowBatch
 from hybridworldsim.training.state import dump, load
 from mirror.errors import UsageError
@@ -38,6 +47,9 @@ class GeneratorSettings:
         warmup: steps in which the rate rises.
         weight_decay: of AdamW.
         context_noise: highest noise level of the references, drawn evenly for each window; the network is given it.
+        self_rollout: share of windows whose references are the network's own output where the clip has frames before
+            them; see `roll_out_references`. Each of them costs up to ``references * self_rollout_steps`` passes.
+        self_rollout_steps: steps of the sampler for such a reference.
         drop_layout: share of windows without layout, for guidance.
         ema: highest decay of the averaged parameters; in step n it is ``min(ema, (1 + n) / (10 + n))``.
         precision: ``bf16``: the network computes in bfloat16, with parameters in float32.
@@ -53,6 +65,8 @@ class GeneratorSettings:
     warmup: int = 100
     weight_decay: float = 0.01
     context_noise: float = 0.0
+    self_rollout: float = 0.0
+    self_rollout_steps: int = 2
     drop_layout: float = 0.0
     ema: float = 0.995
     precision: Literal["float32", "bf16"] = "float32"
@@ -66,13 +80,20 @@ class GeneratorSettings:
         for name in ("context_noise", "drop_layout", "ema"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise UsageError(f"{name} {getattr(self, name)}", expected="from 0 to below 1")
+        if not 0.0 <= self.self_rollout <= 1.0:
+            raise UsageError(f"self_rollout {self.self_rollout}", expected="a share from 0 to 1")
+        noise_levels(self.self_rollout_steps)
 
     @property
     def document(self) -> dict[str, Any]:
-        """All settings as JSON values."""
+        """All settings as JSON values; those of a self-rollout only where there is one."""
         from dataclasses import asdict
 
-        return asdict(self)
+        document = asdict(self)
+        if self.self_rollout == 0.0:
+            # Without it, runs from before it existed continue.
+            del document["self_rollout"], document["self_rollout_steps"]
+        return document
 
 
 class _Loss(nn.Module):
@@ -217,7 +238,8 @@ class GeneratorTrainer:
         first = (part * self._processes + self._rank) * size
         state = np.random.SeedSequence([self._seed, number, first]).generate_state(1, np.uint64)[0]
         generator = torch.Generator().manual_seed(int(state >> np.uint64(1)))
-        batch = self._windows.batch(drawn[first : first + size].tolist())
+        chosen = drawn[first : first + size].tolist()
+        batch = self._windows.batch(chosen)
         _, views = batch.target.shape[1:3]
         level = self._draw_levels(size, generator)[:, None, None].expand(size, 1, views)
         reference_level = settings.context_noise * torch.rand((size, 1, 1), generator=generator)
@@ -233,9 +255,31 @@ class GeneratorTrainer:
             conditions.to(self._device),
             batch.present.to(self._device),
         )
-        precise = settings.precision == "float32"
-        with nullcontext() if precise else torch.autocast(self._device.split(":")[0], torch.bfloat16):
+        if settings.self_rollout > 0.0:
+            batch = replace(batch, references=self._own_references(number, first, chosen, batch.references))
+        with self._precision():
             return self._loss(batch, level.to(self._device), reference_level.to(self._device), noise.to(self._device))
+
+    def _own_references(self, number: int, first: int, windows: list[int], recorded: Tensor) -> Tensor:
+        """References (B, T, V, C, H, W) of a part: some are recorded, the others the network's own output."""
+        settings = self._settings
+        sampler = SamplerSettings(settings.self_rollout_steps)
+        references = recorded.clone()
+        for place, window in enumerate(windows):
+            seed = draw_self_rollout(self._seed, number, first + place, settings.self_rollout)
+            if seed is not None:
+                history = self._windows.history(window).to(self._device)
+                # Apart from the loss: there, autocast would use again the weights that it cast without gradient.
+                with self._precision():
+                    own = roll_out_references(self.network, history, settings.references, sampler, seed)
+                references[place] = own[0]
+        return references
+
+    def _precision(self) -> AbstractContextManager[object]:
+        """The context in which the network computes."""
+        if self._settings.precision == "float32":
+            return nullcontext()
+        return torch.autocast(self._device.split(":")[0], torch.bfloat16)
 
     def averaged_network(self) -> Transformer:
         """A copy of the network with the averaged parameters."""

@@ -38,6 +38,25 @@ class WindowBatch:
     present: Tensor
 
 
+@dataclass(frozen=True, eq=False)
+class FrameSequence:
+    """F consecutive frames of a clip.
+
+    Attributes:
+        latents: (1, F, V, C, H, W) clean latents.
+        conditions: of each frame on its own.
+        present: (F, V) which views exist.
+    """
+
+    latents: Tensor
+    conditions: list[Conditions]
+    present: Tensor
+
+    def to(self, device: torch.device | str) -> FrameSequence:
+        """The same on a device."""
+        return FrameSequence(self.latents.to(device), [one.to(device) for one in self.conditions], self.present)
+
+
 @torch.no_grad()
 def encode_clip(clip: Clip, codec: LatentCodec) -> Tensor:
     """The latents of a clip's images: (F, V, C, H, W), float32."""
@@ -99,10 +118,23 @@ class ClipWindows:
 
     def conditions(self, row: int, frame: int) -> Conditions:
         """The conditions of the window that ends with a frame of a clip."""
-        clip, frames = self._clips[row], range(frame - self._references, frame + 1)
-        layouts = [self._layouts[row][one].astype(np.float32) / 255.0 if self._layouts else None for one in frames]
-        singles = [frame_conditions(clip, one, self._config, layout) for one, layout in zip(frames, layouts)]
+        singles = [self._frame_conditions(row, one) for one in range(frame - self._references, frame + 1)]
         return join_conditions(self._config, singles)
+
+    def history(self, number: int) -> FrameSequence:
+        """The frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
+        row, frame = self._places[number]
+        frames = range(max(frame - 2 * self._references, 0), frame)
+        span = slice(frames.start, frames.stop)
+        return FrameSequence(
+            self._latents[row][span][None],
+            [self._frame_conditions(row, one) for one in frames],
+            torch.from_numpy(self._clips[row].present[span]),
+        )
+
+    def _frame_conditions(self, row: int, frame: int) -> Conditions:
+        layout = self._layouts[row][frame].astype(np.float32) / 255.0 if self._layouts else None
+        return frame_conditions(self._clips[row], frame, self._config, layout)
 
 
 def require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int) -> None:

@@ -88,7 +88,7 @@ def main(argv: list[str] | None = None) -> int:
     if options.fresh:
         _OUTCOMES.unlink(missing_ok=True)
     run = _Run(options.state.resolve())
-    reasons = _reasons()
+    reasons = {reason_name(one): one["because"] for one in read_reasons()}
     if not options.report:
         run.begin()
         for mutant in present:
@@ -295,14 +295,15 @@ def _module(file: str) -> str:
     return file.removeprefix("baselines/").removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def _reasons() -> dict[str, str]:
-    """Why survivors are equivalent, by the mutant's name."""
-    if not _EQUIVALENT.exists():
-        return {}
-    found = tomllib.loads(_EQUIVALENT.read_text())["equivalent"]
-    return {
-        mutant_name(one["after"], one["line"], one["becomes"], one.get("repeat", 0)): one["because"] for one in found
-    }
+def read_reasons() -> list[dict[str, Any]]:
+    """Read the mutants that are equivalent to the source, each with its reason."""
+    found: list[dict[str, Any]] = tomllib.loads(_EQUIVALENT.read_text())["equivalent"]
+    return found
+
+
+def reason_name(reason: Mapping[str, Any]) -> str:
+    """Return the name of the mutant that a reason is of."""
+    return mutant_name(reason["after"], reason["line"], reason["becomes"], reason.get("repeat", 0))
 
 
 def _report(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.mutants.benchmark import find
+from benchmarks.mutants.benchmark import ROOT, find, read_reasons, reason_name
 from benchmarks.mutants.mutations import compiles, mutants
 
 SOURCE = '''
@@ -59,3 +59,9 @@ def test_the_sample_is_found_by_name_and_new_code_does_not_change_it() -> None:
     assert [mutant.name for mutant in find(sample, present)] == sample
     gone = list(mutants("b.py", SOURCE.replace("Field(ge=0)", "Field()")))
     assert [mutant.name for mutant in find(sample, gone)] == sample[:1]
+
+
+def test_every_reason_is_that_of_a_mutant_of_the_present_source() -> None:
+    for reason in read_reasons():
+        file = reason["file"]
+        assert reason_name(reason) in {mutant.name for mutant in mutants(file, (ROOT / file).read_text())}, file

@@ -90,7 +90,8 @@ def annotate(
 
     Raises:
         UsageError: the dataset is not local, or the source or version cannot name a layer.
-        DatasetError: a layer of this name was made by another annotator, or another process writes the dataset.
+        DatasetError: a layer of this name was made by another annotator, another process writes the dataset, or a
+            result cannot be written, such as on a full disk; the same call continues with the results before it.
     """
     progress = progress or NullProgress()
     source, version = source or annotator.name, version or annotator.version
@@ -146,11 +147,13 @@ def _annotate_frame(
     frame: Frame, annotator: Annotator, journal: Journal, report: AnnotationReport, progress: ProgressReporter
 ) -> bool:
     try:
-        journal.add(annotator.annotate(frame))
+        detections = annotator.annotate(frame)
     except MirrorError as error:
         report.failed.append(FailedFrame(frame.traversal_id, frame.frame_index, str(error)))
         progress.message(f"frame {frame.frame_index} of {frame.traversal_id}: {error}")
         return False
+    # A full disk is no failure of the frame: it ends the run.
+    journal.add(detections)
     report.frames += 1
     return True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import sys
 import textwrap
 from pathlib import Path
@@ -17,6 +18,7 @@ from mirror.annotation.nuscenes import sample_token
 from mirror.annotation.tracking.layer import track_layer
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import DatasetError, UsageError
@@ -65,6 +67,32 @@ def test_failed_frames_and_interruptions_lose_nothing(root: Path) -> None:
     last = Known()
     report = annotate(mirror.open(root), last)
     assert (last.calls, report.resumed, report.failed) == (1, 2, [])
+    assert_truth(mirror.open(root), "known@1")
+
+
+def test_a_full_disk_ends_the_run_by_the_name_of_the_file_and_the_next_run_continues(root: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    class FullDisk(Known):
+        """Leaves no room for all of the second frame."""
+
+        def annotate(self, frame: Frame) -> Detections:
+            if self.calls == 1:
+                (journal,) = (root / ".annotate").glob("*/*.jsonl")
+                resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 9, limits[1]))
+            return super().annotate(frame)
+
+    full = FullDisk()
+    try:
+        with pytest.raises(DatasetError, match="cannot be written: File too large") as error:
+            annotate(mirror.open(root), full)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert full.calls == 2 and str(error.value.file).endswith(".jsonl")
+    assert "run the same command again" in str(error.value.remedy)
+    last = Known()
+    report = annotate(mirror.open(root), last)
+    assert (last.calls, report.resumed, len(report.written), report.failed) == (6, 1, 2, [])
     assert_truth(mirror.open(root), "known@1")
 
 

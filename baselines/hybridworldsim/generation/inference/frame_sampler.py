@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.inference.sliding_cache import SlidingCache
 from hybridworldsim.generation.network.conditions import Conditions, PreparedConditions, ReferenceCache
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import TIMESTEPS, add_noise, noise_levels
@@ -25,6 +27,9 @@ class SamplerSettings:
         context_noise: noise level of the references, which hides errors that add up over a rollout; the network gets
             the level. 0: the references are used as they are.
         cache: whether a causal network encodes the references once for all steps.
+        refresh_every: 1: all references are encoded for each frame, which is exact. Above: a rollout keeps their
+            keys and values for as many frames, and encodes only the newest reference of each frame between; see
+            `SlidingCache`.
     """
 
     steps: int = 4
@@ -32,10 +37,16 @@ class SamplerSettings:
     guidance: float = 1.0
     context_noise: float = 0.0
     cache: bool = True
+    refresh_every: int = 1
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.context_noise < 1.0:
             raise UsageError(f"context_noise {self.context_noise}", expected="from 0 to below 1")
+        if self.refresh_every < 1 or (self.refresh_every > 1 and not (self.cache and self.guidance == 1.0)):
+            raise UsageError(
+                f"refresh_every {self.refresh_every}",
+                expected="at least 1; above 1 with the cache, and without guidance",
+            )
         noise_levels(self.steps, self.shift)
 
 
@@ -46,6 +57,7 @@ def target_velocity(
     *,
     reference_level: float = 0.0,
     cache: bool = True,
+    sliding: SlidingCache | None = None,
 ) -> Velocity:
     """The velocity of a target frame, given its references.
 
@@ -55,6 +67,7 @@ def target_velocity(
         prepared: conditions of the window, from `join_conditions`.
         reference_level: noise level of the references.
         cache: whether a causal network encodes the references once.
+        sliding: keeps keys and values of the references from frame to frame; None: all are computed here.
 
     Returns:
         From latents (B, 1, V, C, H, W) and their noise level to the velocity.
@@ -64,7 +77,8 @@ def target_velocity(
     in_channels = bool(network.config.reference_channels)
     held: ReferenceCache | None = None
     if network.config.causal and cache and not in_channels:
-        held = network.encode_references(references, reference_steps, prepared.frames(slice(0, count)))
+        encode = network.encode_references if sliding is None else partial(sliding.encode, network)
+        held = encode(references, reference_steps, prepared.frames(slice(0, count)))
         prepared = prepared.frames(slice(count, count + 1))
 
     def velocity(latents: Tensor, level: float) -> Tensor:
@@ -90,6 +104,7 @@ def sample_frame(
     features: list[Tensor] | None = None,
     context_noise: Tensor | None = None,
     unconditional: Conditions | None = None,
+    sliding: SlidingCache | None = None,
 ) -> Tensor:
     """Sample the latents of one frame.
 
@@ -102,6 +117,7 @@ def sample_frame(
         features: the adapters' features of the window; None: they are computed.
         context_noise: (B, T, V, C, H, W) standard normal numbers, for `SamplerSettings.context_noise`.
         unconditional: conditions without layout and text, for guidance.
+        sliding: as in `target_velocity`.
 
     Returns:
         (B, 1, V, C, H, W).
@@ -116,8 +132,9 @@ def sample_frame(
         share = torch.full(references.shape[:3], level).to(references)
         references = add_noise(references, context_noise.to(references), share)
     velocity = target_velocity(
-        network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache
-    )
+        network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache,
+        sliding=sliding,
+    )  # fmt: skip
     if settings.guidance != 1.0:
         if unconditional is None:
             raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")

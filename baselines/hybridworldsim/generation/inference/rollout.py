@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
+from hybridworldsim.generation.inference.sliding_cache import SlidingCache
 from hybridworldsim.generation.inference.windows import join_conditions, join_features
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
@@ -33,6 +34,11 @@ class Rollout:
         frame: number of the next frame.
         generated_views: number of views generated so far.
         kept_views: number of views that were given instead.
+        sliding: the keys and values that are kept from frame to frame, if the settings ask for it.
+
+    Raises:
+        UsageError: seeds and conditions do not fit each other or are not finite, or keys and values are to be kept of a
+            network that is not causal or has its references as channels.
     """
 
     def __init__(
@@ -52,7 +58,13 @@ class Rollout:
             )
         for conditions in seed_conditions:
             conditions.require_finite()
+        if settings.refresh_every > 1 and (not network.config.causal or network.config.reference_channels):
+            raise UsageError(
+                f"refresh_every {settings.refresh_every} for this network",
+                expected="a causal network with references as frames", remedy="leave it at 1",
+            )  # fmt: skip
         self._network, self._settings, self._seed = network, settings, seed
+        self.sliding = SlidingCache(settings.refresh_every) if settings.refresh_every > 1 else None
         self.frame = first
         self.generated_views = self.kept_views = 0
         count = len(seed_conditions)
@@ -124,7 +136,10 @@ class Rollout:
     ) -> Tensor:
         """The latents of the chosen views of the next frame."""
         config, views = self._network.config, references.shape[2]
-        window, features = join_conditions(config, [*self._conditions, conditions]).views(chosen), None
+        origin = None
+        if self.sliding is not None:
+            origin = self.sliding.begin(self.frame, chosen, self._conditions[0].ego_to_first)
+        window, features = join_conditions(config, [*self._conditions, conditions], origin).views(chosen), None
         if self._keeps_features:
             shape = (len(references), references.shape[1] + 1, views)
             joined = join_features([*self._features, own], (shape[0], views))
@@ -138,5 +153,5 @@ class Rollout:
             without = join_conditions(config, [*self._conditions, unconditional]).views(chosen)
         return sample_frame(
             self._network, references[:, :, chosen], window, noise[:, :, chosen], self._settings,
-            features=features, context_noise=context_noise, unconditional=without,
+            features=features, context_noise=context_noise, unconditional=without, sliding=self.sliding,
         )  # fmt: skip

@@ -37,15 +37,18 @@ def seed_frames(first: int, references: int = REFERENCES) -> range:
     return range(first - references, first)
 
 
-def join_conditions(config: TransformerConfig, frames: Sequence[Conditions]) -> Conditions:
+def join_conditions(
+    config: TransformerConfig, frames: Sequence[Conditions], origin: Tensor | None = None
+) -> Conditions:
     """The conditions of a window.
 
     Args:
         config: the network.
         frames: conditions of one frame each, the target last; `ego_to_first` is in a frame that all share.
+        origin: (B, 1, 4, 4) the pose in that frame to which poses are made relative; None: that of the first frame.
 
     Returns:
-        For references as frames: T + 1 frames, with `ego_to_first` relative to the first of them. For references as
+        For references as frames: T + 1 frames, with `ego_to_first` relative to the origin. For references as
         channels: the target frame, with the layouts of all frames in its channels, the target's last.
     """
     target = frames[-1]
@@ -76,7 +79,7 @@ def join_conditions(config: TransformerConfig, frames: Sequence[Conditions]) -> 
     }
     to_first = joined["ego_to_first"]
     if to_first is not None:
-        joined["ego_to_first"] = torch.linalg.inv(to_first[:, :1]) @ to_first
+        joined["ego_to_first"] = torch.linalg.inv(to_first[:, :1] if origin is None else origin) @ to_first
     return replace(target, **joined)  # type: ignore[arg-type]
 
 

@@ -135,8 +135,33 @@ class ReferenceCache:
         frames: number of reference frames.
         layers: by temporal block.
         present: (B, frames, V) which views of them exist; None: all.
+        first: place of the first of them in time; that of the frame behind them is ``first + frames``.
     """
 
     frames: int
     layers: tuple[KeysValues, ...]
     present: Tensor | None
+    first: int = 0
+
+    def without_oldest(self) -> ReferenceCache:
+        """Those of all frames but the first, at the places that they had."""
+
+        def cut(tensor: Tensor) -> Tensor:
+            return tensor[:, :, tensor.shape[2] // self.frames :]
+
+        present = None if self.present is None else self.present[:, 1:]
+        layers = tuple(KeysValues(cut(layer.keys), cut(layer.values)) for layer in self.layers)
+        return ReferenceCache(self.frames - 1, layers, present, self.first + 1)
+
+    def followed_by(self, later: ReferenceCache) -> ReferenceCache:
+        """Those of these frames and of the frames behind them, which `encode_references` computed with these."""
+        layers = tuple(
+            KeysValues(*(torch.cat(pair, dim=2) for pair in zip(own, added)))
+            for own, added in zip(self.layers, later.layers, strict=True)
+        )
+        present = self.present if self.present is not None else later.present
+        if present is not None:
+            known = (torch.ones_like(present[:, :1]).expand(-1, one.frames, -1) for one in (self, later))
+            pairs = zip((self.present, later.present), known)
+            present = torch.cat([all_exist if one is None else one for one, all_exist in pairs], dim=1)
+        return ReferenceCache(self.frames + later.frames, layers, present, self.first)

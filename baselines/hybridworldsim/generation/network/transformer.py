@@ -161,10 +161,13 @@ class Transformer(nn.Module):
         images = patches.permute(0, 5, 1, 3, 2, 4).reshape(-1, config.latent_channels, *latents.shape[-2:])
         return images.unflatten(0, prepared.shape)
 
-    def encode_references(self, latents: Tensor, timestep: Tensor, prepared: PreparedConditions) -> ReferenceCache:
+    def encode_references(
+        self, latents: Tensor, timestep: Tensor, prepared: PreparedConditions, earlier: ReferenceCache | None = None
+    ) -> ReferenceCache:
         """Run the network once over reference frames and keep what later frames need of them.
 
-        Arguments are those of `forward`; what follows the last temporal block's keys and values is not computed.
+        Arguments are those of `forward`, `earlier` its cache; what follows the last temporal block's keys and values is
+        not computed. The result is of these frames only.
 
         Raises:
             UsageError: shapes do not fit, or the network is not causal.
@@ -176,8 +179,9 @@ class Transformer(nn.Module):
                 expected="a causal network", remedy="pass references as frames of the sequence",
             )  # fmt: skip
         if self.config.temporal_layers:
-            self._run(latents, timestep, prepared, None, collected)
-        return ReferenceCache(prepared.shape[1], tuple(collected), prepared.present)
+            self._run(latents, timestep, prepared, earlier, collected)
+        first = 0 if earlier is None else earlier.first + earlier.frames
+        return ReferenceCache(prepared.shape[1], tuple(collected), prepared.present, first)
 
     def _run(
         self,
@@ -233,7 +237,8 @@ class Transformer(nn.Module):
         keys_only: bool = False,
     ) -> Tensor:
         batch, frames, views = prepared.shape
-        first, length = 0 if cache is None else cache.frames, image.shape[1]
+        earlier, length = 0 if cache is None else cache.frames, image.shape[1]
+        first = 0 if cache is None else cache.first + earlier
         block, full = (
             cast(MixingBlock, self.temporal_transformer_blocks[place]),
             self.config.temporal_attention == "full",
@@ -260,7 +265,7 @@ class Transformer(nn.Module):
             prepared.present,
             None if cache is None else cache.present,
             shape=prepared.shape,
-            earlier=first,
+            earlier=earlier,
             causal=self.config.causal,
             tokens=length,
             pointwise=not full,

@@ -1,9 +1,14 @@
-"""Names and shapes of the 1,443 tensors of OpenDWM's CTSD on Stable Diffusion 3.5, written as rules.
+"""Names and shapes of the tensors of OpenDWM's released models, written as rules.
 
-Facts of the released file, independent of our modules: W stands for the width (1536), H for a head (64).
+`keys`: the 1,443 of CTSD on Stable Diffusion 3.5, facts of the released file. `unimlvg_keys`: the 1,034 of UniMLVG on
+Stable Diffusion 3: by its released configuration it has no norms of queries and keys, no second attention, temporal
+blocks behind the layers of the cross-view blocks, a smaller table of positions, and rays in place of camera numbers.
+Independent of our modules: W stands for the width (1536), H for a head (64).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 W, H, TEXT, POOLED = 1536, 64, 4096, 2048
 DUAL = range(13)
@@ -12,7 +17,16 @@ TEMPORAL = (2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23)
 CROSS_VIEW = (1, 5, 9, 13, 17, 21)
 
 
-def keys(w: int = W, h: int = H, text: int = TEXT, pooled: int = POOLED, grid: int = 384) -> dict[str, tuple[int, ...]]:
+def keys(
+    w: int = W,
+    h: int = H,
+    text: int = TEXT,
+    pooled: int = POOLED,
+    grid: int = 384,
+    *,
+    dual: Sequence[int] = DUAL,
+    temporal: Sequence[int] = TEMPORAL,
+) -> dict[str, tuple[int, ...]]:
     """Shapes by name; other sizes give a small model with the same names."""
     shapes: dict[str, tuple[int, ...]] = {}
 
@@ -36,9 +50,9 @@ def keys(w: int = W, h: int = H, text: int = TEXT, pooled: int = POOLED, grid: i
     linear("context_embedder", w, text)
     for layer in LAYERS:
         block, last = f"transformer_blocks.{layer}", layer == LAYERS[-1]
-        linear(f"{block}.norm1.linear", (9 if layer in DUAL else 6) * w, w)
+        linear(f"{block}.norm1.linear", (9 if layer in dual else 6) * w, w)
         linear(f"{block}.norm1_context.linear", (2 if last else 6) * w, w)
-        for attention in ("attn", "attn2") if layer in DUAL else ("attn",):
+        for attention in ("attn", "attn2") if layer in dual else ("attn",):
             for part in ("to_q", "to_k", "to_v", "to_out.0"):
                 linear(f"{block}.{attention}.{part}", w, w)
             for part in ("norm_q", "norm_k"):
@@ -63,7 +77,7 @@ def keys(w: int = W, h: int = H, text: int = TEXT, pooled: int = POOLED, grid: i
         shapes[f"condition_image_adapter.zero_convs.{place}.weight"] = (w, w, 1, 1)
         shapes[f"condition_image_adapter.zero_convs.{place}.bias"] = (w,)
     two_layers("view_embedding", 11 * 256, w)
-    for axis, kind, layers in (("view", "crossview", CROSS_VIEW), ("time", "temporal", TEMPORAL)):
+    for axis, kind, layers in (("view", "crossview", CROSS_VIEW), ("time", "temporal", temporal)):
         for place in range(len(layers)):
             two_layers(f"{axis}_pos_embeds.{place}", w, 4 * w)
             shapes[f"{axis}_mixers.{place}.mix_factor"] = (1,)
@@ -78,3 +92,18 @@ def keys(w: int = W, h: int = H, text: int = TEXT, pooled: int = POOLED, grid: i
             for part in ("norm_q", "norm_k"):
                 shapes[f"{block}.attn1.{part}.weight"] = (h,)
     return shapes
+
+
+def unimlvg_keys(
+    w: int = W, h: int = H, text: int = TEXT, pooled: int = POOLED, grid: int = 192
+) -> dict[str, tuple[int, ...]]:
+    """Shapes by name of UniMLVG; other sizes as in `keys`."""
+    shapes = keys(w, h, text, pooled, grid, dual=(), temporal=CROSS_VIEW)
+    norms = ("norm_q.weight", "norm_k.weight", "norm_added_q.weight", "norm_added_k.weight")
+    kept = {
+        name: shape
+        for name, shape in shapes.items()
+        if not name.endswith(norms) and not name.startswith("view_embedding.")
+    }
+    # An origin in 8 octaves and a direction in 4: a sine and a cosine of three numbers each.
+    return kept | {"rayencoder.proj.weight": (w, 2 * 3 * (8 + 4))}

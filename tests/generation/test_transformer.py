@@ -18,7 +18,7 @@ from hybridworldsim.generation.network.transformer import Transformer
 from mirror.errors import UsageError
 from mirror.weights.errors import WeightsUnavailableError
 from tests.generation.builders import SHORT, SMALL, make_conditions, make_latents, make_network
-from tests.generation.ctsd35_keys import keys
+from tests.generation.ctsd35_keys import keys, unimlvg_keys
 from tests.generation.reference import Reference
 
 
@@ -87,9 +87,12 @@ def test_names_and_shapes_are_the_released_ones() -> None:
     assert shapes_of(CTSD_35) == keys()
 
 
-def test_unimlvg_has_the_published_number_of_parameters() -> None:
-    shapes = shapes_of(UNIMLVG)
+def test_unimlvg_has_the_released_names_and_the_published_number_of_parameters() -> None:
+    shapes = unimlvg_keys()
+    assert len(shapes) == 1034
     assert shapes["rayencoder.proj.weight"] == (1536, 72)
+    assert shapes["pos_embed.pos_embed"] == (1, 192 * 192, 1536)
+    assert shapes_of(UNIMLVG) == shapes
     parameters = sum(np.prod(shape) for name, shape in shapes.items() if name != "pos_embed.pos_embed")
     assert round(parameters / 1e6) == 3346
 
@@ -105,6 +108,51 @@ def test_loaded_checkpoint_gives_the_output_of_the_plain_reference(tmp_path: Pat
     reference = run_reference(torch.load(path, weights_only=True), SMALL, conditions, latents, timestep)
     assert np.abs(reference).max() > 0.1
     np.testing.assert_allclose(ours, reference, rtol=1e-9, atol=1e-9)
+
+
+SMALL_UNIMLVG = replace(
+    UNIMLVG, heads=2, head_channels=4, text_channels=6, pooled_channels=5, grid=8, grid_base=2,
+    layout=AdapterConfig(6, 8),
+)  # fmt: skip
+
+
+def unimlvg_checkpoint(path: Path) -> dict[str, torch.Tensor]:
+    """A file with the 1,034 names of UniMLVG, eight channels wide."""
+    generator = torch.Generator().manual_seed(0)
+    shapes = unimlvg_keys(w=8, h=4, text=6, pooled=5, grid=8)
+    state = {name: 0.3 * torch.randn(shape, generator=generator) for name, shape in shapes.items()}
+    torch.save(state, path)
+    return state
+
+
+def test_unimlvg_is_loaded_strictly_by_key(tmp_path: Path) -> None:
+    state = unimlvg_checkpoint(tmp_path / "unimlvg.pth")
+    loaded = load_transformer(tmp_path / "unimlvg.pth", SMALL_UNIMLVG).state_dict()
+    assert loaded.keys() == state.keys()
+    assert all(torch.equal(loaded[name], tensor) for name, tensor in state.items())
+    taken = state.pop("rayencoder.proj.weight")
+    torch.save(state, tmp_path / "missing.pth")
+    with pytest.raises(WeightsUnavailableError, match=r"1 tensors are missing \(rayencoder\.proj\.weight\)"):
+        load_transformer(tmp_path / "missing.pth", SMALL_UNIMLVG)
+    # A norm of queries, as the model on Stable Diffusion 3.5 has it.
+    state |= {"rayencoder.proj.weight": taken, "transformer_blocks.0.attn.norm_q.weight": torch.ones(4)}
+    torch.save(state, tmp_path / "extra.pth")
+    with pytest.raises(WeightsUnavailableError, match=r"1 are unknown \(transformer_blocks\.0\.attn\.norm_q\.weight\)"):
+        load_transformer(tmp_path / "extra.pth", SMALL_UNIMLVG)
+
+
+def test_loaded_unimlvg_attends_among_all_tokens_of_all_frames_in_both_directions(tmp_path: Path) -> None:
+    unimlvg_checkpoint(tmp_path / "unimlvg.pth")
+    network = load_transformer(tmp_path / "unimlvg.pth", SMALL_UNIMLVG, dtype=torch.float64)
+    conditions = make_conditions(SMALL_UNIMLVG, frames=2, views=1, rows=1, columns=2)
+    latents, timestep = make_latents(SMALL_UNIMLVG, conditions)
+    with torch.no_grad():
+        base = run(network, conditions, latents, timestep)
+        for frame, token in ((0, 0), (1, 1)):
+            other = latents.clone()
+            other[:, frame, :, :, :, 2 * token : 2 * token + 2] += 1.0
+            changed = (run(network, conditions, other, timestep) - base).abs().amax(dim=(0, 2, 3, 4))
+            assert float(changed.min()) > 1e-6
 
 
 def test_explicit_cameras_and_adjacent_views_agree_with_the_plain_reference() -> None:

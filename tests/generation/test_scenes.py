@@ -261,6 +261,8 @@ def test_a_removed_road_user_leaves_views_that_cost_nothing(
         ({"traversal": None, "scene": "nowhere"}, "unknown scene 'nowhere'"),
         ({"background": "exact:"}, "exact:PRESET"),
         ({"background": "exact:nowhere"}, "no preset 'nowhere'"),
+        ({"background": "exact:block"}, "not of preset 'block' with seed 0: it has no such drive"),
+        ({"background": "exact:tiny:1"}, "not of preset 'tiny' with seed 1: its vehicle is"),
         ({"hz": 0.0}, "0.0 frames per second"),
         ({"hz": float("nan")}, "nan frames per second"),
         ({"frames": 0}, "0 frames"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Background: TypeAlias = Callable[[RenderView], UInt8]
 """From a view to the image (H, W, 3) of the street without road users, in the view's raster."""
+_SAME_PLACE_M: Final = 5.0
+"""Farther than the recorded position of a vehicle is wrong by; another seed or preset has it elsewhere."""
 
 
 def open_background(
@@ -39,7 +41,8 @@ def open_background(
         The source, and a hash or name of everything that its images depend on.
 
     Raises:
-        UsageError: the text is none of these, or an appearance is asked of a source that has one only.
+        UsageError: the text is none of these, the dataset is not of the preset and seed, or an appearance is asked of a
+            source that has one only.
         DatasetError: the model or the files do not fit the views.
     """
     kind, colon, rest = text.partition(":")
@@ -52,7 +55,9 @@ def open_background(
         if not preset or not (seed or "0").isdecimal():
             raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
         _require_preset(preset)
-        return _ExactStreet(dataset, preset, int(seed or 0)), text
+        street = _ExactStreet(dataset, preset, int(seed or 0))
+        street.require_drives(views)
+        return street, text
     return _open_model(Path(text), dataset, appearance, views)
 
 
@@ -130,15 +135,43 @@ class _ExactStreet:
         self._dataset, self._preset, self._seed = dataset, preset, seed
         self._tracks: dict[str, tuple[Int64, Poses]] = {}
 
-    def __call__(self, view: RenderView) -> UInt8:
+    def require_drives(self, views: Sequence[RenderView]) -> None:
+        """Require that the drives of the views are those of the preset with this seed.
+
+        Raises:
+            UsageError: the preset has no such drive, or its vehicle was elsewhere at the first or last frame.
+        """
+        for traversal_id in dict.fromkeys(view.traversal_id for view in views):
+            name = self._drives[traversal_id]
+            try:
+                drive = _drive(self._preset, self._seed, name)
+            except UsageError as error:
+                raise self._not_of_preset(name, "it has no such drive") from error
+            frames = self._dataset.where(traversal=traversal_id).frames()
+            stamps = np.array([frames[0].timestamp_ns, frames[-1].timestamp_ns])
+            ways = drive.world_SE3_ego(stamps).translation - self._recorded(traversal_id, stamps).translation
+            far_m = float(np.linalg.norm(ways, axis=1).max())
+            if not far_m <= _SAME_PLACE_M:
+                raise self._not_of_preset(name, f"its vehicle is {far_m:.0f} m from the recorded place")
+
+    def _not_of_preset(self, drive: str, problem: str) -> UsageError:
+        return UsageError(
+            f"drive {drive!r} is not of preset {self._preset!r} with seed {self._seed}: {problem}",
+            place="--background", expected="exact:PRESET:SEED of the dataset, as `mirror synth` was given them",
+        )  # fmt: skip
+
+    def _recorded(self, traversal_id: str, timestamp_ns: Int64) -> Poses:
+        """Return the recorded poses (N,) of the vehicle at Unix times (N,)."""
         from mirror.geometry.interpolation import interpolate
 
-        drive, empty = _empty_street(self._preset, self._seed, self._drives[view.traversal_id])
-        if view.traversal_id not in self._tracks:
+        if traversal_id not in self._tracks:
             # Every view of a traversal needs its poses: they are read once.
-            frames = self._dataset.where(traversal=view.traversal_id).frames()
-            self._tracks[view.traversal_id] = frames[0].track
-        recorded = interpolate(*self._tracks[view.traversal_id], [view.timestamp_ns])
+            self._tracks[traversal_id] = self._dataset.where(traversal=traversal_id).frames()[0].track
+        return interpolate(*self._tracks[traversal_id], timestamp_ns)
+
+    def __call__(self, view: RenderView) -> UInt8:
+        drive, empty = _empty_street(self._preset, self._seed, self._drives[view.traversal_id])
+        recorded = self._recorded(view.traversal_id, np.array([view.timestamp_ns]))
         # What the view adds to the recorded pose is kept; the recorded pose is replaced by the true one.
         world_SE3_camera = drive.world_SE3_ego(np.array([view.timestamp_ns])) @ recorded.inverse() @ view.pose
         lens = _lens(view.lens)
@@ -148,13 +181,19 @@ class _ExactStreet:
         return np.ascontiguousarray(rendered.bgr[..., ::-1])
 
 
+@lru_cache(16)
+def _drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
+    from mirror.synth.fleet.drives import make_drive
+
+    return make_drive(preset, seed, drive_id)
+
+
 @lru_cache(4)
 def _empty_street(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Any]:
-    from mirror.synth.fleet.drives import make_drive
     from mirror.synth.model import Model
     from mirror.synth.render.scene import Scene
 
-    drive = make_drive(preset, seed, drive_id)
+    drive = _drive(preset, seed, drive_id)
     return drive, Scene(drive.world, drive.condition, (), Model.empty(), clock_s=drive.truth.clock_s)
 
 

@@ -110,8 +110,8 @@ class BuildArguments:
     """Folder outside of dataset and release for the key of the pseudonyms and the hashes of originals."""
     retain_days: Annotated[int | None, help_text(default="not stated")] = None
     """Days after which a new vault is to be deleted."""
-    plate_region: Annotated[str | None, help_text(default="not stated")] = None
-    """Region of the number plates, for the datasheet."""
+    plate_region: Annotated[str | None, help_text(default="that of `mirror deidentify`")] = None
+    """Region of the number plates, for the datasheet. Another one than that of the de-identification is refused."""
     wait: bool = False
     """Wait until no other run writes the dataset."""
     json: bool = False

@@ -63,6 +63,7 @@ class ImageRecord(Document):
         face_operator: operator of faces.
         plate_operator: operator of number plates.
         grow: share by which regions were enlarged.
+        plate_region: region of the number plates, as the user stated it; None: an earlier version did not record it.
         review: what a person said of it; None: it was not reviewed.
         tool: version of this program.
     """
@@ -79,6 +80,7 @@ class ImageRecord(Document):
     face_operator: str
     plate_operator: str
     grow: float
+    plate_region: str | None = None
     review: Review | None = None
     tool: str = __version__
 
@@ -100,14 +102,26 @@ def read_log(path: Path) -> list[ImageRecord]:
     Raises:
         SchemaError: a line is broken; it is named.
     """
-    records = []
-    for number, line in enumerate(path.read_bytes().splitlines(), 1):
-        try:
-            records.append(ImageRecord.model_validate(decode_json(line)))
-        except ValueError as error:
-            problem = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-            raise SchemaError(
-                problem, file=path, place=f"line {number}", expected="one JSON object an image",
-                remedy="restore the file, or write the redaction again",
-            ) from error  # fmt: skip
-    return records
+    return [_decode(line, path, number) for number, line in enumerate(path.read_bytes().splitlines(), 1)]
+
+
+def read_plate_region(path: Path) -> str | None:
+    """Read from a log's first line the region of number plates that its run was given; None: it is not recorded.
+
+    Raises:
+        SchemaError: the line is broken.
+    """
+    with path.open("rb") as file:
+        line = file.readline()
+    return _decode(line, path, 1).plate_region if line else None
+
+
+def _decode(line: bytes, path: Path, number: int) -> ImageRecord:
+    try:
+        return ImageRecord.model_validate(decode_json(line))
+    except ValueError as error:
+        problem = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise SchemaError(
+            problem, file=path, place=f"line {number}", expected="one JSON object an image",
+            remedy="restore the file, or write the redaction again",
+        ) from error  # fmt: skip

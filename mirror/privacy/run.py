@@ -134,8 +134,9 @@ def deidentify(
     # Missing weights end the run here, before anything is written.
     records = [describe(choice.make()) for choice in options.detectors]
     configuration = Configuration(
-        options.version, configuration_hash(records, options), tuple(records), options.redaction
-    )
+        options.version, configuration_hash(records, options), tuple(records), options.redaction,
+        None if options.plate_region is None else options.plate_region.upper(),
+    )  # fmt: skip
     bar = NullProgress() if progress is None else progress
     report = DeidentifyReport(options.version)
     with writer_lock(layout, wait=wait):

@@ -40,12 +40,14 @@ class Configuration:
         sha256: hash of detectors and options.
         detectors: the detectors.
         redaction: operators and margins.
+        plate_region: region of the number plates, for the log.
     """
 
     version: str
     sha256: str
     detectors: tuple[DetectorRecord, ...]
     redaction: Redaction
+    plate_region: str | None = None
 
 
 def write_layers(
@@ -103,6 +105,7 @@ def write_layers(
                 face_operator=configuration.redaction.face,
                 plate_operator=configuration.redaction.plate,
                 grow=configuration.redaction.grow,
+                plate_region=configuration.plate_region,
             )
         )
         if redacted.mask is not None and masks is not None:

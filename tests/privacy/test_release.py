@@ -27,6 +27,7 @@ from mirror.privacy.release.check import check_release
 from mirror.privacy.release.document import Release
 from mirror.privacy.release.review import ReviewSession, review_server
 from mirror.privacy.release.sample import choose_sample, miss_bound
+from mirror.privacy.release.tree import read_plate_regions
 from mirror.privacy.release.vault import Vault
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, read_table, write_json
@@ -37,7 +38,7 @@ from tests.metrics.safety.streets import two_way_street
 from tests.privacy.conftest import FACE, RED, marked, write_image
 from tests.privacy.images import jpeg
 
-WORDS = ("--name", "street", "--licence", "CC-BY-4.0", "--contact", "privacy@example.org", "--plate-region", "XX")
+WORDS = ("--name", "street", "--licence", "CC-BY-4.0", "--contact", "privacy@example.org")
 
 
 def build(dataset: Path, out: Path, *words: str) -> int:
@@ -105,7 +106,25 @@ def test_a_release_is_a_dataset_of_redacted_images_without_traces_of_the_origina
     for sentence in ("begins at midnight UTC", "were not trimmed", "have pseudonyms of this release"):
         assert sentence in said
     assert "No image was reviewed by a person" in said
+    # It was given to the de-identification.
+    assert "Region of the number plates: XX." in said
     assert not (released / "maps").exists() and "road maps that were left out: 1." in said
+
+
+def test_a_region_of_plates_that_contradicts_the_de_identification_is_refused(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--sample", "0", "--plate-region")
+    assert build(dataset, tmp_path / "release", *words, "EU") == 2
+    assert "--plate-region: EU, but the images were de-identified for number plates of XX" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset"]
+    # A log of an earlier version does not record it: what the user states counts, and else it is not stated.
+    for log in dataset.glob("traversals/*/layers/redaction/*/log.jsonl"):
+        records = [one.model_copy(update={"plate_region": None}) for one in read_log(log)]
+        log.write_bytes(encode_log(records))
+    assert read_plate_regions(Layout(dataset), mirror.open(str(dataset)).traversals()) == {None}
+    assert build(dataset, tmp_path / "release", *words, "eu") == 0
+    assert "Region of the number plates: eu." in (tmp_path / "release" / "DATASHEET.md").read_text()
 
 
 def _layers(root: Path) -> list[tuple[str, str, str]]:

@@ -6,7 +6,7 @@ import hashlib
 import secrets
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -29,7 +29,7 @@ from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE, LOG, T
 from mirror.privacy.release.renaming import rename_drive
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, choose_sample, read_reviews, with_reviews
 from mirror.privacy.release.texts import datasheet, licence_text
-from mirror.privacy.release.tree import TreeReport, read_drives, write_drive
+from mirror.privacy.release.tree import TreeReport, read_drives, read_plate_regions, write_drive
 from mirror.privacy.release.vault import OriginalRecord, Vault, open_vault, write_private_log
 from mirror.privacy.run import WORK
 from mirror.progress import NullProgress, ProgressReporter
@@ -56,7 +56,8 @@ class ReleaseOptions:
         vault: folder for what links the release to the originals; None: that is not kept, and no later release has the
             same pseudonyms.
         retain_days: days after which a new vault is to be deleted; None: not stated.
-        plate_region: region of the number plates, for the datasheet.
+        plate_region: region of the number plates, for the datasheet; None: that which the log of the de-identification
+            records, if it does.
     """
 
     name: str
@@ -111,7 +112,8 @@ def build_release(
 
     Raises:
         DatasetError: images have no redacted version, or files are missing or changed.
-        UsageError: an option is not valid, or a folder is taken or lies in another dataset.
+        UsageError: an option is not valid or contradicts the de-identification, or a folder is taken or lies in another
+            dataset.
     """
     layout = Layout(Path(root))
     require_dataset(layout)
@@ -167,6 +169,7 @@ def _require_options(options: ReleaseOptions) -> None:
 def _write(
     source: Layout, target: Layout, options: ReleaseOptions, vault: Vault | None, bar: ProgressReporter
 ) -> tuple[Release, list[TreeReport]]:
+    options = replace(options, plate_region=_plate_region(source, options.plate_region))
     document = read_json(source.document, DatasetDocument)
     write_json(target.document, document.model_copy(update={"licence": options.licence}))
     write_bytes(target.rois, source.rois.read_bytes())
@@ -195,6 +198,21 @@ def _write(
         write_json(target.split(split.name), _renamed_split(split, traversals_by_id, manifests))
     release = _write_documents(source, target, options, parts, trimmed)
     return release, parts
+
+
+def _plate_region(layout: Layout, stated: str | None) -> str | None:
+    """The region of the number plates that the user states or, if all of them do, that the logs record."""
+    found = read_plate_regions(layout, (name for _, traversals in read_drives(layout) for name in traversals))
+    known = sorted(region for region in found if region is not None)
+    if stated is None:
+        return ", ".join(known) if known and None not in found else None
+    if others := [region for region in known if region != stated.upper()]:
+        raise UsageError(
+            f"{stated}, but the images were de-identified for number plates of {', '.join(others)}",
+            file=layout.root, place="--plate-region", expected="the region that was given to `mirror deidentify`",
+            remedy="leave the option out, or de-identify the images again for this region under another --version",
+        )  # fmt: skip
+    return stated
 
 
 def _write_documents(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any, Final
@@ -16,7 +16,7 @@ from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
 from mirror.dataset.redaction import REDACTION, current_redaction, newest_redaction
 from mirror.errors import DatasetError
 from mirror.ingest.tables import assign_frames
-from mirror.privacy.log import LOG, ImageRecord, read_log
+from mirror.privacy.log import LOG, ImageRecord, read_log, read_plate_region
 from mirror.privacy.release.renaming import Renaming
 from mirror.schema.documents import DriveDocument, ImageTotals, Rig, Source
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_json
@@ -220,6 +220,16 @@ def _write_ledger(
     write_json(folder / "drive.json", document)
     files = {"passes.parquet": ledger, "drive.json": (folder / "drive.json").read_bytes()}
     seal(folder, files, derived_from=hashes)
+
+
+def read_plate_regions(layout: Layout, traversals: Iterable[str]) -> set[str | None]:
+    """Read the regions of number plates that the newest redactions were made for; None: one does not record it."""
+    found = set()
+    for traversal_id in traversals:
+        newest = newest_redaction(layout.layers(traversal_id))
+        if newest is not None:
+            found.add(read_plate_region(layout.layer(traversal_id, REDACTION, *newest) / LOG))
+    return found
 
 
 def read_drives(layout: Layout) -> Iterator[tuple[DriveDocument, list[str]]]:

@@ -13,9 +13,12 @@ from mirror.calibration.refinement.adjustment import Adjuster, RigState, adjust_
 from mirror.calibration.refinement.features import Features, find_features, match_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
+from mirror.calibration.refinement.scene import SceneRigs
+from mirror.calibration.refinement.summary import summarise
 from mirror.calibration.refinement.triangulation import triangulate
 from mirror.calibration.rig import PosePrior
 from mirror.calibration.tracking import TrackedImage
+from mirror.dataset.traversal import Calibration
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from tests.calibration.exact_rig import CAMERAS
@@ -138,6 +141,31 @@ def test_intervals_cover_and_do_not_exaggerate() -> None:
             sizes += (np.abs(off) / sigma).tolist()
     assert 0.85 <= np.mean(inside) <= 1.0
     assert np.sqrt(np.mean(np.square(sizes))) > 0.6
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "step_m", "status"),
+    [(0.0, 0.02, ("kept", "kept", "kept")), (70.0, 2.0, ("refined", "kept", "kept"))],
+)
+def test_a_reference_camera_of_which_nothing_is_observable_keeps_its_calibration(
+    turn_deg: float, step_m: float, status: tuple[str, ...]
+) -> None:
+    """The reference camera alone has features: a median of its own recorded rotation would be no estimate."""
+    rigs, tracks = moving_rigs(turn_deg, step_m=step_m, errors_deg=ERRORS, noise_px=0.1)
+    own = rigs.mounting[tracks.image] == 0
+    track = np.unique(tracks.track[own], return_inverse=True)[1].astype(np.int64)
+    often = np.bincount(track)[track] >= 2
+    track = np.unique(track[often], return_inverse=True)[1].astype(np.int64)
+    seen = FeatureTracks(track, *(part[own][often] for part in (tracks.image, tracks.uv_px, tracks.scale_px)))
+    calibrations = [
+        Calibration(name, "factory", None, None, camera, rigs.ego_SE3_camera[np.array([number])], {})
+        for number, (name, camera) in enumerate(CAMERAS.items())
+    ]
+    scene = SceneRigs(rigs, calibrations, ["d"] * 3, [])
+    found = summarise(adjust_rigs(rigs, seen), scene, ["ahead"] * 3)
+    assert tuple(one.status for one in found) == status
+    assert len(found[0].held) == (3 if status[0] == "kept" else 0)
+    assert ("no axis of its rotation" in (found[0].reason or "")) == (status[0] == "kept")
 
 
 def test_wrong_observations_have_little_influence() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -90,7 +90,8 @@ def summarise(adjusted: Adjustment, scene: SceneRigs, references: Sequence[str])
 
     Where the images and recorded poses do not show the rotation of the whole rig to the vehicle (its standard deviation
     about an axis is above 0.1 degrees, such as roll on a straight road), the rig keeps the median of the recorded
-    rotations of its cameras about that axis.
+    rotations of its cameras about that axis. A reference camera keeps its calibration where that is so about all
+    axes and no other camera of its drive is refined: a median of recorded rotations is no estimate.
 
     Args:
         adjusted: the adjustment.
@@ -144,7 +145,16 @@ def summarise(adjusted: Adjustment, scene: SceneRigs, references: Sequence[str])
                 covariance=_in_camera_frame(covariance, now),
             )
         )
-    return out
+    return [_keep_unobservable(one, out) for one in out]
+
+
+def _keep_unobservable(one: CameraRefinement, every: Sequence[CameraRefinement]) -> CameraRefinement:
+    """The result of a camera, which is kept if it is a reference of which nothing could be observed."""
+    others = any(other.status == "refined" and other.drive_id == one.drive_id and other is not one for other in every)
+    if one.camera != one.reference or one.status != "refined" or others or len(one.held) < len(AXES):
+        return one
+    reason = "no axis of its rotation to the vehicle is observable, and no other camera is known relative to it"
+    return replace(one, status="kept", reason=reason)
 
 
 def _reference_of(scene: SceneRigs, mounting: int, camera: str) -> int:

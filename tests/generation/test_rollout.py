@@ -12,6 +12,7 @@ from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, s
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import join_conditions, seed_frames
 from hybridworldsim.generation.network.conditions import Conditions
+from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.sampler import draw_noise
 from mirror.errors import UsageError
 from tests.generation.builders import make_conditions, make_network
@@ -100,6 +101,59 @@ def test_guidance_of_one_is_no_guidance() -> None:
         torch.testing.assert_close(guided, expected, rtol=1e-9, atol=1e-9)
     with pytest.raises(UsageError, match="guidance 2"):
         sample_frame(network, seeds(), window, noise, SamplerSettings(guidance=2.0))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_guided_rollout_is_pushed_away_from_frames_without_layout(name: str) -> None:
+    """With one step the frame is linear in the velocity: at scale s it is empty + s * (plain - empty)."""
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 1)
+    plain, empty, guided = (
+        Rollout(network, seeds(), frames[:T], SamplerSettings(steps=1, guidance=scale)).step(frames[T])
+        for scale in (1.0, 0.0, 2.5)
+    )
+    bare = [replace(one, layout=torch.zeros_like(one.layout)) for one in frames if one.layout is not None]
+    by_hand = Rollout(network, seeds(), bare[:T], SamplerSettings(steps=1)).step(bare[T])
+    torch.testing.assert_close(empty, by_hand, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(guided, empty + 2.5 * (plain - empty), rtol=1e-9, atol=1e-9)
+    assert not torch.allclose(plain, empty)
+
+
+def test_guidance_needs_a_layout_and_a_finite_scale() -> None:
+    network = make_network(replace(AS_FRAMES, layout=None))
+    frames = [replace(one, layout=None) for one in single_frames(T + 1)]
+    with pytest.raises(UsageError, match="guidance of a network without layout"):
+        Rollout(network, seeds(), frames[:T], SamplerSettings(guidance=2.0)).step(frames[T])
+    for scale in (float("nan"), float("inf"), -1.0):
+        with pytest.raises(UsageError, match="guidance"):
+            SamplerSettings(guidance=scale)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_half_precision_changes_a_frame_little(name: str) -> None:
+    # Parameters as training begins with them: random ones of size 0.3 magnify every rounding.
+    torch.manual_seed(0)
+    network = Transformer(CONFIGS[name]).eval().requires_grad_(False)
+    frames = [one.to(torch.float32) for one in single_frames(T + 1)]
+    full, half = (
+        Rollout(network, seeds().float(), frames[:T], SamplerSettings(steps=2, precision=precision)).step(frames[T])
+        for precision in ("float32", "bf16")
+    )
+    assert half.dtype == torch.float32
+    # bfloat16 has eight bits.
+    assert 1e-5 < float((half - full).norm() / full.norm()) < 0.02
+
+
+def test_rays_keep_their_precision_in_half_precision() -> None:
+    network = make_network(AS_FRAMES).float()
+    window = join_conditions(AS_FRAMES, single_frames(2)).to(torch.float32)
+    far = window.ego_to_first.clone()
+    far[:, 1, 0, 3] = 100.3
+    window = replace(window, ego_to_first=far)
+    whole = network.prepare(window).camera
+    with torch.autocast("cpu", torch.bfloat16):
+        half = network.prepare(window).camera
+    assert whole is not None and half is not None
+    assert float((half - whole).abs().max() / whole.abs().max()) < 0.02
 
 
 def test_seeds_are_the_frames_before_the_window() -> None:

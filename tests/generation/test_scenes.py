@@ -39,27 +39,9 @@ from mirror.protocols.views import plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_json
 from mirror.schema.tables import CALIBRATIONS
-from tests.generation.clips import write_clips
 
 SIZE = (16, 24)
 CAMERAS = ("front_wide", "front_left")
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A generator and its autoencoder after one step each: their images are noise, which is enough here."""
-    folder = tmp_path_factory.mktemp("models")
-    clips = write_clips(folder / "clips", count=1)
-    words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
-    assert main([*words, "--out", str(folder / "out")]) == ExitCode.DONE
-    return folder / "out"
-
-
-@pytest.fixture(scope="module")
-def traversal(tiny_dataset: Dataset) -> str:
-    """The traversal with the most boxes."""
-    counts = {name: tiny_dataset.where(traversal=name).count("boxes") for name in tiny_dataset.traversals()}
-    return max(counts, key=lambda name: counts[name])
 
 
 def rig(dataset: Dataset, traversal: str, size: tuple[int, int] = SIZE) -> SceneRig:

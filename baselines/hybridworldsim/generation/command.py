@@ -190,6 +190,11 @@ class Scene:
     """Autoencoder that the generator was trained with."""
     steps: int = 4
     """Steps of the sampler."""
+    guidance: float = 1.0
+    """Scale of guidance by boxes: above 1 they are followed more closely, at twice the cost. For a generator that was
+    trained with --drop-layout."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """Precision of the network's computation."""
     keep_empty_views: bool = True
     """Whether a view without a road user keeps its background, at no cost."""
     blend: Annotated[int | None, help_text(default="none", metavar="PIXELS")] = None
@@ -291,9 +296,8 @@ def _scene(argv: Sequence[str]) -> int:
     from mirror.annotation.box_layer import with_box_layer
 
     dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
-    rollout = ClipRolloutOptions(
-        SamplerSettings(steps=arguments.steps), arguments.keep_empty_views, arguments.blend, arguments.seed
-    )
+    sampler = SamplerSettings(arguments.steps, guidance=arguments.guidance, precision=arguments.precision)
+    rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, arguments.blend, arguments.seed)
     generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
     if arguments.split is not None:
         with exhausted_memory_named(arguments.device, GENERATION_REMEDY):

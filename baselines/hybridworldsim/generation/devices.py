@@ -1,14 +1,17 @@
-"""Devices of networks: errors that name one that does not exist, and one whose memory is exhausted."""
+"""Devices of networks: their precision, and errors that name a missing device or one whose memory is exhausted."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Final
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Final, Literal, TypeAlias
 
 import torch
 
 from mirror.errors import DatasetError, UsageError
+
+Precision: TypeAlias = Literal["float32", "bf16"]
+"""Of the computation of a network, whose parameters are float32."""
 
 TRAINING_REMEDY: Final = "more --accumulate, a smaller --batch, --recompute, or --precision bf16"
 DISTILLATION_REMEDY: Final = "a smaller --batch"
@@ -28,6 +31,11 @@ def require_device(device: str) -> None:
         raise UsageError(
             f"no device {device!r}: {str(error).splitlines()[0]}", place="--device", expected="cpu, or cuda with a GPU"
         ) from error
+
+
+def computing_in(precision: Precision, device: torch.device | str) -> AbstractContextManager[object]:
+    """The context in which a network computes in a precision on a device."""
+    return nullcontext() if precision == "float32" else torch.autocast(torch.device(device).type, torch.bfloat16)
 
 
 def require_threads(threads: int) -> None:

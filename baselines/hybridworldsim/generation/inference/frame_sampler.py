@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.devices import Precision, computing_in
 from hybridworldsim.generation.inference.sliding_cache import SlidingCache
 from hybridworldsim.generation.network.conditions import Conditions, PreparedConditions, ReferenceCache
 from hybridworldsim.generation.network.transformer import Transformer
@@ -23,13 +25,15 @@ class SamplerSettings:
     Attributes:
         steps: number of steps.
         shift: shift of the noise levels; see `noise_levels`.
-        guidance: scale of classifier-free guidance; 1: none.
+        guidance: scale of classifier-free guidance; 1: none. Above, a frame is pushed away from what the network would
+            generate without layout, which doubles the passes; the network must have been trained with `drop_layout`.
         context_noise: noise level of the references, which hides errors that add up over a rollout; the network gets
             the level. 0: the references are used as they are.
         cache: whether a causal network encodes the references once for all steps.
         refresh_every: 1: all references are encoded for each frame, which is exact. Above: a rollout keeps their
             keys and values for as many frames, and encodes only the newest reference of each frame between; see
             `SlidingCache`.
+        precision: ``bf16``: the network computes in bfloat16; latents stay as they are.
     """
 
     steps: int = 4
@@ -38,10 +42,13 @@ class SamplerSettings:
     context_noise: float = 0.0
     cache: bool = True
     refresh_every: int = 1
+    precision: Precision = "float32"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.context_noise < 1.0:
             raise UsageError(f"context_noise {self.context_noise}", expected="from 0 to below 1")
+        if not (math.isfinite(self.guidance) and self.guidance >= 0.0):
+            raise UsageError(f"guidance {self.guidance}", expected="a finite number, 0 or above")
         if self.refresh_every < 1 or (self.refresh_every > 1 and not (self.cache and self.guidance == 1.0)):
             raise UsageError(
                 f"refresh_every {self.refresh_every}",
@@ -116,7 +123,7 @@ def sample_frame(
         settings: see `SamplerSettings`.
         features: the adapters' features of the window; None: they are computed.
         context_noise: (B, T, V, C, H, W) standard normal numbers, for `SamplerSettings.context_noise`.
-        unconditional: conditions without layout and text, for guidance.
+        unconditional: conditions without layout, for guidance.
         sliding: as in `target_velocity`.
 
     Returns:
@@ -131,15 +138,16 @@ def sample_frame(
             raise UsageError("a level of context noise without noise", expected="context_noise")
         share = torch.full(references.shape[:3], level).to(references)
         references = add_noise(references, context_noise.to(references), share)
-    velocity = target_velocity(
-        network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache,
-        sliding=sliding,
-    )  # fmt: skip
-    if settings.guidance != 1.0:
-        if unconditional is None:
-            raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")
-        without = target_velocity(
-            network, references, network.prepare(unconditional), reference_level=level, cache=settings.cache
-        )
-        velocity = guide(velocity, without, settings.guidance)
-    return sample(velocity, noise, noise_levels(settings.steps, settings.shift))
+    with computing_in(settings.precision, references.device):
+        velocity = target_velocity(
+            network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache,
+            sliding=sliding,
+        )  # fmt: skip
+        if settings.guidance != 1.0:
+            if unconditional is None:
+                raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")
+            without = target_velocity(
+                network, references, network.prepare(unconditional), reference_level=level, cache=settings.cache
+            )
+            velocity = guide(velocity, without, settings.guidance)
+        return sample(velocity, noise, noise_levels(settings.steps, settings.shift))

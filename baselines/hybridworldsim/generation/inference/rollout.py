@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.devices import computing_in
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
 from hybridworldsim.generation.inference.sliding_cache import SlidingCache
-from hybridworldsim.generation.inference.windows import join_conditions, join_features
+from hybridworldsim.generation.inference.windows import join_conditions, join_features, without_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.sampler import draw_noise
@@ -72,14 +73,13 @@ class Rollout:
         self._conditions: deque[Conditions] = deque(seed_conditions, maxlen=count)
         # Features of a frame do not depend on its place in the window; as channels, they belong to the whole window.
         self._keeps_features = not network.config.reference_channels
-        features = [network.encode_images(one) for one in seed_conditions] if self._keeps_features else []
+        features = [self._encode_images(one) for one in seed_conditions] if self._keeps_features else []
         self._features: deque[list[Tensor]] = deque(features, maxlen=count)
 
     @torch.no_grad()
     def step(
         self,
         conditions: Conditions,
-        unconditional: Conditions | None = None,
         *,
         active: Sequence[int] | None = None,
         kept: Tensor | None = None,
@@ -88,7 +88,6 @@ class Rollout:
 
         Args:
             conditions: of the frame, as those of the seeds.
-            unconditional: the same without layout and text, for guidance.
             active: views that are generated; None: all. The others cost nothing.
             kept: (B, 1, V, C, H, W) latents of the other views, such as those of the empty street.
 
@@ -107,10 +106,10 @@ class Rollout:
         chosen = list(range(views)) if active is None else list(active)
         if len(chosen) < views and (kept is None or kept.shape != shape):
             raise UsageError("no latents of the views that are not generated", expected=f"latents of shape {shape}")
-        own = self._network.encode_images(conditions) if self._keeps_features else []
+        own = self._encode_images(conditions) if self._keeps_features else []
         if chosen:
             noise = draw_noise(shape, (self._seed, self.frame), device=references.device).to(references.dtype)
-            latents = self._sample(references, conditions, unconditional, own, noise, chosen)
+            latents = self._sample(references, conditions, own, noise, chosen)
         if kept is not None and len(chosen) < views:
             whole = kept.clone()
             if chosen:
@@ -125,11 +124,14 @@ class Rollout:
         self.kept_views += batch * (views - len(chosen))
         return latents
 
+    def _encode_images(self, conditions: Conditions) -> list[Tensor]:
+        with computing_in(self._settings.precision, conditions.pooled.device):
+            return self._network.encode_images(conditions)
+
     def _sample(
         self,
         references: Tensor,
         conditions: Conditions,
-        unconditional: Conditions | None,
         own: list[Tensor],
         noise: Tensor,
         chosen: list[int],
@@ -148,9 +150,7 @@ class Rollout:
         if self._settings.context_noise > 0.0:
             seeds = self._seed, self.frame, _CONTEXT
             context_noise = draw_noise(references.shape, seeds, device=references.device)[:, :, chosen]
-        without = None
-        if unconditional is not None:
-            without = join_conditions(config, [*self._conditions, unconditional]).views(chosen)
+        without = None if self._settings.guidance == 1.0 else without_layout(window)
         return sample_frame(
             self._network, references[:, :, chosen], window, noise[:, :, chosen], self._settings,
             features=features, context_noise=context_noise, unconditional=without, sliding=self.sliding,

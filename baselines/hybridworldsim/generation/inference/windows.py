@@ -83,6 +83,17 @@ def join_conditions(
     return replace(target, **joined)  # type: ignore[arg-type]
 
 
+def without_layout(conditions: Conditions) -> Conditions:
+    """The conditions of a window without boxes and lanes in any of its frames, as `drop_layout` of training has them.
+
+    Raises:
+        UsageError: the window has no layout.
+    """
+    if conditions.layout is None:
+        raise UsageError("guidance of a network without layout", expected="a network that takes boxes")
+    return replace(conditions, layout=torch.zeros_like(conditions.layout))
+
+
 def join_features(frames: Sequence[list[Tensor]], shape: tuple[int, int]) -> list[Tensor]:
     """Join the adapters' features of single frames.
 

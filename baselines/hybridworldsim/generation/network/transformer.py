@@ -6,6 +6,7 @@ attend to other frames (temporal blocks) or to other views (cross-view blocks). 
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import cast
 
 import torch
@@ -307,7 +308,11 @@ class Transformer(nn.Module):
             return self.view_embedding(encoded.to(conditions.pooled.dtype))[:, None]
         if config.camera == "explicit":
             to_first = conditions.ego_to_first[:, :, None].expand(-1, -1, views, -1, -1).flatten(0, 2)
-            return self.rayencoder(*token_rays(intrinsics, to_first @ camera_to_ego, rows, columns))
+            kind = to_first.device.type
+            # Metres need more than the eight bits of bfloat16.
+            with torch.autocast(kind, enabled=False) if torch.amp.is_autocast_available(kind) else nullcontext():
+                origins, directions = token_rays(intrinsics, to_first @ camera_to_ego, rows, columns)
+            return self.rayencoder(origins, directions)
         return None
 
     def _grid(self, latents: Tensor) -> tuple[int, int]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.generation.devices import Precision, computing_in
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TINY, TINY_REFERENCES, TransformerConfig
@@ -69,7 +70,7 @@ class GeneratorSettings:
     self_rollout_steps: int = 2
     drop_layout: float = 0.0
     ema: float = 0.995
-    precision: Literal["float32", "bf16"] = "float32"
+    precision: Precision = "float32"
     recompute: bool = False
 
     def __post_init__(self) -> None:
@@ -257,7 +258,7 @@ class GeneratorTrainer:
         )
         if settings.self_rollout > 0.0:
             batch = replace(batch, references=self._own_references(number, first, chosen, batch.references))
-        with self._precision():
+        with computing_in(settings.precision, self._device):
             return self._loss(batch, level.to(self._device), reference_level.to(self._device), noise.to(self._device))
 
     def _own_references(self, number: int, first: int, windows: list[int], recorded: Tensor) -> Tensor:
@@ -270,16 +271,10 @@ class GeneratorTrainer:
             if seed is not None:
                 history = self._windows.history(window).to(self._device)
                 # Apart from the loss: there, autocast would use again the weights that it cast without gradient.
-                with self._precision():
+                with computing_in(settings.precision, self._device):
                     own = roll_out_references(self.network, history, settings.references, sampler, seed)
                 references[place] = own[0]
         return references
-
-    def _precision(self) -> AbstractContextManager[object]:
-        """The context in which the network computes."""
-        if self._settings.precision == "float32":
-            return nullcontext()
-        return torch.autocast(self._device.split(":")[0], torch.bfloat16)
 
     def averaged_network(self) -> Transformer:
         """A copy of the network with the averaged parameters."""

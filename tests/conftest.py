@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 # Before torch is imported: test workers share the cores, and threads of several workers would wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Threads of numba that wait for a core would occupy another: a small kernel takes 0.03 ms instead of up to 8 ms.
+# Threads of torch that wait for a core would occupy another, in tests that set more than one.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest

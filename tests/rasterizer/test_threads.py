@@ -2,10 +2,12 @@
 
 import threading
 
+import numba
+import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel, in_row_spans
 
 
 @pytest.fixture(params=[1, 2, 4])
@@ -26,6 +28,19 @@ def test_each_part_is_called_once(threads, parts):
 
     in_parallel(call, parts)
     assert sorted(called) == list(range(parts))
+
+
+@pytest.mark.parametrize("rows", [0, 1, 47, 48, 1001])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_spans_of_rows_cover_each_row_once(monkeypatch, threads, rows):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", threads)
+    covered = np.zeros(rows, np.int64)
+
+    def call(begin, end):
+        covered[begin:end] += 1
+
+    in_row_spans(call, rows)
+    assert (covered == 1).all()
 
 
 def test_parts_within_parts_do_not_wait_for_each_other(threads):

@@ -10,20 +10,21 @@ from itertools import count
 from threading import Event, local
 from typing import Final
 
+import numba
 import numpy as np
-import torch
 
 from mirror.arrays import Int64
 
 _NAME: Final = "rasterizer"
 _SPANS: Final = 4
 _MIN_SPAN: Final = 512
+_MIN_ROWS: Final = 24
 _inside: Final = local()
 """Has ``a_call`` in threads that run a call of `in_parallel`, the calling thread included."""
 
 
-def in_parallel(call: Callable[[int], object], parts: int) -> None:
-    """Call ``call(0)`` to ``call(parts - 1)`` on torch's number of threads.
+def in_parallel(call: Callable[[int], object], parts: int, threads: int | None = None) -> None:
+    """Call ``call(0)`` to ``call(parts - 1)`` on threads.
 
     The calls run compiled kernels that release Python's lock. Numba's threading layers are not used: one of them fails
     if two threads render, another in a forked worker.
@@ -34,8 +35,9 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
     Args:
         call: the function; different parts write to different memory.
         parts: number of calls; they start in order.
+        threads: number of threads; None: torch's.
     """
-    helpers = min(torch.get_num_threads(), parts) - 1
+    helpers = min(_torch_threads() if threads is None else threads, parts) - 1
     if helpers <= 0 or getattr(_inside, "a_call", False):
         for part in range(parts):
             call(part)
@@ -65,6 +67,23 @@ def in_parallel(call: Callable[[int], object], parts: int) -> None:
         future.result()
 
 
+def in_row_spans(call: Callable[[int, int], object], rows: int) -> None:
+    """Call ``call(begin, end)`` for spans of the rows of an image, on `numba_threads` threads.
+
+    Args:
+        call: the function; different rows write to different memory.
+        rows: number of rows.
+    """
+    threads = numba_threads()
+    parts = max(min(_SPANS * threads, rows // _MIN_ROWS), 1) if threads > 1 else 1
+    in_parallel(lambda part: call(rows * part // parts, rows * (part + 1) // parts), parts, threads)
+
+
+def numba_threads() -> int:
+    """Numba's number of threads, for kernels that do without torch: the cores, or ``NUMBA_NUM_THREADS``."""
+    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+
+
 def spans(count: int) -> Int64:
     """Split rows into spans for `in_parallel`; use it only where the result does not depend on the spans.
 
@@ -74,9 +93,15 @@ def spans(count: int) -> Int64:
     Returns:
         (P + 1,) ascending from 0 to `count`.
     """
-    threads = torch.get_num_threads()
+    threads = _torch_threads()
     parts = 1 if threads == 1 else max(min(_SPANS * threads, count // _MIN_SPAN), 1)
     return count * np.arange(parts + 1) // parts
+
+
+def _torch_threads() -> int:
+    import torch
+
+    return torch.get_num_threads()
 
 
 @lru_cache(maxsize=4)

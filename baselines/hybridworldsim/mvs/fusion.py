@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numba
 import numpy as np
 
+from hybridworldsim.kernels.threads import in_row_spans
 from mirror.arrays import AnyArray, Bool, Float32, Float64, Int32, Int64, UInt8
 from mirror.geometry.poses import Poses
 
@@ -65,7 +67,7 @@ def confirm(
     for other in others:
         forth = (other.world_SE3_camera.inverse() @ reference.world_SE3_camera).matrix()[0]
         back = np.linalg.inv(forth)
-        _count_agreeing(
+        compared = (
             reference.depth_m,
             other.depth_m,
             other.K @ forth[:3, :3] @ np.linalg.inv(reference.K),
@@ -78,6 +80,7 @@ def confirm(
             total,
             square,
         )
+        in_row_spans(partial(_count_agreeing, *compared), len(views))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / views
         spread = np.sqrt(np.maximum(square / views - mean * mean, 0.0))
@@ -85,7 +88,7 @@ def confirm(
     return ConfirmedDepth(views, depth, np.where(views > 1, spread, np.nan).astype(np.float32))
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@numba.njit(cache=True, nogil=True)
 def _count_agreeing(
     reference: AnyArray,
     other: AnyArray,
@@ -98,11 +101,12 @@ def _count_agreeing(
     views: AnyArray,
     total: AnyArray,
     square: AnyArray,
+    begin: int,
+    end: int,
 ) -> None:
     """Add to the counts, sums and squared sums (H, W) of the reference the depths of another map that agree."""
-    height, width = reference.shape
-    for row in numba.prange(height):
-        for column in range(width):
+    for row in range(begin, end):
+        for column in range(reference.shape[1]):
             z = np.float64(reference[row, column])
             if not z > 0.0:
                 continue

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
+from hybridworldsim.kernels.threads import in_parallel, numba_threads
 from mirror.arrays import AnyArray, Float32, Float64, UInt8
 
 _STRIP_ROWS = 24
@@ -62,10 +63,14 @@ def compute_cost_volume(
     arrays = (reference, stack, homographies, inverse_depth)
     low, high = inverse_range
     reference, stack, homographies, inverse_depth = (np.ascontiguousarray(array) for array in arrays)
-    return _fill(reference, stack, homographies, inverse_depth, low, high, bins, best, deviation)
+    volume = np.full((*reference.shape, bins), UNKNOWN, np.uint8)
+    fixed = (reference, stack, homographies, inverse_depth, low, high, best, deviation, volume)
+    strips = -(-len(reference) // _STRIP_ROWS)
+    in_parallel(lambda strip: _fill(*fixed, strip * _STRIP_ROWS), strips, numba_threads())
+    return volume
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@numba.njit(cache=True, nogil=True)
 def _fill(
     reference: AnyArray,
     sources: AnyArray,
@@ -73,32 +78,29 @@ def _fill(
     inverse_depth: AnyArray,
     low: float,
     high: float,
-    bins: int,
     best: int,
     deviation: float,
-) -> UInt8:
+    volume: AnyArray,
+    first: int,
+) -> None:
+    """Compute all planes of the strip of rows that begins at ``first``."""
     height, width = reference.shape
-    volume = np.full((height, width, bins), UNKNOWN, np.uint8)
-    strips = (height + _STRIP_ROWS - 1) // _STRIP_ROWS
-    for strip in numba.prange(strips):
-        first = strip * _STRIP_ROWS
-        rows = min(_STRIP_ROWS, height - first)
-        grey = _pad_strip(reference, first, rows)
-        mean, scale = _compute_statistics(grey, deviation)
-        warped, coordinates = np.empty_like(grey), np.empty((2, grey.shape[1]), np.float32)
-        sums = np.empty((4, grey.shape[1]), np.float32)
-        best_scores = np.empty((best, rows, width), np.float32)
-        for plane in range(len(inverse_depth)):
-            start, end = _find_columns(inverse_depth[plane], first, rows, width, low, high)
-            if start >= end:
-                continue
-            best_scores[:] = _NONE
-            for source in range(len(sources)):
-                h = homographies[source, plane]
-                if _warp(sources[source], h, first - RADIUS, start, end + 2 * RADIUS, coordinates, warped):
-                    _correlate(grey, warped, mean, scale, start, end, deviation, sums, best_scores)
-            _enter_costs(best_scores, inverse_depth[plane], first, start, end, low, high, volume[first : first + rows])
-    return volume
+    rows = min(_STRIP_ROWS, height - first)
+    grey = _pad_strip(reference, first, rows)
+    mean, scale = _compute_statistics(grey, deviation)
+    warped, coordinates = np.empty_like(grey), np.empty((2, grey.shape[1]), np.float32)
+    sums = np.empty((4, grey.shape[1]), np.float32)
+    best_scores = np.empty((best, rows, width), np.float32)
+    for plane in range(len(inverse_depth)):
+        start, end = _find_columns(inverse_depth[plane], first, rows, width, low, high)
+        if start >= end:
+            continue
+        best_scores[:] = _NONE
+        for source in range(len(sources)):
+            h = homographies[source, plane]
+            if _warp(sources[source], h, first - RADIUS, start, end + 2 * RADIUS, coordinates, warped):
+                _correlate(grey, warped, mean, scale, start, end, deviation, sums, best_scores)
+        _enter_costs(best_scores, inverse_depth[plane], first, start, end, low, high, volume[first : first + rows])
 
 
 @numba.njit(cache=True, nogil=True)

@@ -5,9 +5,12 @@ Hirschmueller, "Stereo processing by semiglobal matching and mutual information"
 
 from __future__ import annotations
 
+from functools import partial
+
 import numba
 import numpy as np
 
+from hybridworldsim.kernels.threads import in_row_spans
 from hybridworldsim.mvs.sweep.correlation import UNKNOWN
 from mirror.arrays import AnyArray, Float32, UInt8
 
@@ -26,26 +29,33 @@ def smooth_costs(volume: UInt8, grey: Float32, *, step: int, jump: int, neutral:
     Returns:
         (H, W, D) uint16.
     """
+    total = np.zeros(volume.shape, np.uint16)
+    # `unknown` is an argument, because a cached kernel keeps imported constants.
     settings = (step, jump, neutral, int(UNKNOWN), contrast)
-    return np.asarray(_smooth(volume, np.nan_to_num(grey, nan=9.0), *settings))
-
-
-@numba.njit(cache=True, parallel=True, nogil=True)
-def _smooth(
-    volume: AnyArray, grey: AnyArray, step: int, jump: int, neutral: int, unknown: int, contrast: float
-) -> AnyArray:
-    """Sum the costs of the four paths; `unknown` is an argument, because a cached kernel keeps imported constants."""
-    height, width, depths = volume.shape
-    total = np.zeros((height, width, depths), np.uint16)
-    for row in numba.prange(height):
-        for back in range(2):
-            _add_path(volume[row], grey[row], total[row], back == 1, step, jump, neutral, unknown, contrast)
-    for column in numba.prange(width):
-        for back in range(2):
-            _add_path(
-                volume[:, column], grey[:, column], total[:, column], back == 1, step, jump, neutral, unknown, contrast
-            )
+    known = np.nan_to_num(grey, nan=9.0)
+    in_row_spans(partial(_add_paths, volume, known, total, *settings), len(volume))
+    columns = np.swapaxes(volume, 0, 1)
+    in_row_spans(partial(_add_paths, columns, known.T, np.swapaxes(total, 0, 1), *settings), len(columns))
     return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_paths(
+    volume: AnyArray,
+    grey: AnyArray,
+    total: AnyArray,
+    step: int,
+    jump: int,
+    neutral: int,
+    unknown: int,
+    contrast: float,
+    begin: int,
+    end: int,
+) -> None:
+    """Add the costs of the paths along some lines, in both directions."""
+    for line in range(begin, end):
+        for back in range(2):
+            _add_path(volume[line], grey[line], total[line], back == 1, step, jump, neutral, unknown, contrast)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -88,7 +98,6 @@ def _add_path(
         least = lowest
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
 def select_depths(
     volume: AnyArray, total: AnyArray, valid: AnyArray, low: float, high: float, max_cost: float, margin: float
 ) -> tuple[Float32, Float32]:
@@ -109,10 +118,29 @@ def select_depths(
     Returns:
         Depth (H, W), metres, NaN where unknown; confidence (H, W) from 0 to 1.
     """
-    height, width, depths = total.shape
-    depth = np.full((height, width), np.nan, np.float32)
-    confidence = np.zeros((height, width), np.float32)
-    for row in numba.prange(height):
+    depth = np.full(valid.shape, np.nan, np.float32)
+    confidence = np.zeros(valid.shape, np.float32)
+    arrays = (volume, total, valid, low, high, max_cost, margin, depth, confidence)
+    in_row_spans(partial(_select_depths, *arrays), len(valid))
+    return depth, confidence
+
+
+@numba.njit(cache=True, nogil=True)
+def _select_depths(
+    volume: AnyArray,
+    total: AnyArray,
+    valid: AnyArray,
+    low: float,
+    high: float,
+    max_cost: float,
+    margin: float,
+    depth: AnyArray,
+    confidence: AnyArray,
+    begin: int,
+    end: int,
+) -> None:
+    _, width, depths = total.shape
+    for row in range(begin, end):
         for column in range(width):
             if not valid[row, column]:
                 continue
@@ -141,4 +169,3 @@ def select_depths(
                 position += 0.5 * (before - after) / curve
             depth[row, column] = 1.0 / (low + position * (high - low) / (depths - 1))
             confidence[row, column] = (1.0 - cost / 127.0) * min(gap / (4.0 * margin), 1.0)
-    return depth, confidence

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +23,10 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
     from mirror.synth import SynthReport
+
+# A shell ignores Ctrl-C for what it starts in the background; tests of interruptions need what Python does with it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first example of a test may compile a kernel, and machines that run tests are loaded. The examples are the same in
 # each run: one commit passes or fails, wherever it is tested. HYPOTHESIS_PROFILE=explore draws others.

@@ -28,7 +28,6 @@ from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main
 from mirror.dataset import Dataset
-from mirror.dataset.images.depth_codec import encode_depth
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
@@ -49,7 +48,10 @@ from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import RenderView
 from mirror.schema.tables import DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
-from tests.baselines.conftest import made_street  # noqa: F401 - a fixture
+from tests.baselines.conftest import (
+    initialise,
+    made_street,  # noqa: F401 - a fixture
+)
 
 STEPS = 40
 
@@ -64,32 +66,7 @@ def _threads():
 @pytest.fixture(scope="module")
 def initialised(made_street: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:  # noqa: F811
     """The street with points of its training traversals, a wall on either side, and a depth map of each."""
-    made = mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("initialised") / "dataset"))
-    train = made.where(split="novel", role="train")
-    poses = train.table("ego_poses", ["tx_m", "ty_m", "tz_m"])
-    x, y, z = (column.to_numpy() for column in poses.columns)
-    rng = np.random.default_rng(0)
-    for traversal in train.traversals():
-        rows = [
-            {
-                "point": number,
-                "x_m": float(x.mean() + rng.uniform(-40, 40)),
-                "y_m": float(y.mean() + rng.choice((-12.0, 12.0))),
-                "z_m": float(z.mean() + rng.uniform(0, 8)),
-                "r": 90, "g": 90, "b": 90, "kind": "background", "views": 3, "sigma_m": None,
-            }
-            for number in range(150)
-        ]  # fmt: skip
-        layout = Layout(Path(made.root))
-        LayerWriter(layout, traversal, "points", "made", "1").finish(POINTS, rows, {})
-        image = made.where(traversal=traversal).frames()[0].images["front_wide"]
-        depth = LayerWriter(layout, traversal, "depth", "made", "1")
-        lens = {"width_px": 6, "height_px": 4, "fx_px": 5.0, "fy_px": 5.0, "cx_px": 3.0, "cy_px": 2.0}
-        key = {"camera": "front_wide", "timestamp_ns": image.timestamp_ns}
-        flat = depth.file("map.png", encode_depth(np.full((4, 6), 9.0)))
-        depth.finish(DEPTH, [{**key, **lens, **flat}], {})
-    build_index(Path(made.root))
-    return mirror.open(made.root)
+    return initialise(mirror.open(shutil.copytree(made_street, tmp_path_factory.mktemp("initialised") / "dataset")))
 
 
 @pytest.fixture

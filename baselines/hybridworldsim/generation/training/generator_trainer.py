@@ -257,6 +257,8 @@ class GeneratorTrainer:
             batch.present.to(self._device),
         )
         if settings.self_rollout > 0.0:
+            # Not where the loss is computed: older versions of torch would use weights there that were cast without
+            # gradient.
             batch = replace(batch, references=self._own_references(number, first, chosen, batch.references))
         with computing_in(settings.precision, self._device):
             return self._loss(batch, level.to(self._device), reference_level.to(self._device), noise.to(self._device))
@@ -264,16 +266,13 @@ class GeneratorTrainer:
     def _own_references(self, number: int, first: int, windows: list[int], recorded: Tensor) -> Tensor:
         """References (B, T, V, C, H, W) of a part: some are recorded, the others the network's own output."""
         settings = self._settings
-        sampler = SamplerSettings(settings.self_rollout_steps)
+        sampler = SamplerSettings(settings.self_rollout_steps, precision=settings.precision)
         references = recorded.clone()
         for place, window in enumerate(windows):
             seed = draw_self_rollout(self._seed, number, first + place, settings.self_rollout)
             if seed is not None:
                 history = self._windows.history(window).to(self._device)
-                # Apart from the loss: there, autocast would use again the weights that it cast without gradient.
-                with computing_in(settings.precision, self._device):
-                    own = roll_out_references(self.network, history, settings.references, sampler, seed)
-                references[place] = own[0]
+                references[place] = roll_out_references(self.network, history, settings.references, sampler, seed)[0]
         return references
 
     def averaged_network(self) -> Transformer:

@@ -131,13 +131,13 @@ def test_a_rolled_out_window_costs_a_pass_for_each_step_of_each_reference() -> N
         counted: list[bool] = []
         trainer.network.register_forward_hook(lambda *_, into=counted: into.append(torch.is_grad_enabled()))
         # All windows of the clip, some with fewer frames before them.
-        for number in range(8):
+        for number in range(4):
             trainer.step(number)
         passes.append(counted)
-    assert passes[0] == [True] * 8
-    assert sum(passes[1]) == 8
-    rolled = len(passes[1]) - 8
-    assert rolled % 3 == 0 and 0 < rolled <= 8 * T * 3
+    assert passes[0] == [True] * 4
+    assert sum(passes[1]) == 4
+    rolled = len(passes[1]) - 4
+    assert rolled % 3 == 0 and 0 < rolled <= 4 * T * 3
 
 
 def test_shares_are_kept_and_do_not_depend_on_the_parts_of_a_batch() -> None:
@@ -161,7 +161,7 @@ def test_gradients_do_not_pass_through_the_rollout_and_exist_in_half_precision()
 def test_an_interrupted_training_gives_the_same_bytes(tmp_path: Path) -> None:
     clips = write_clips(tmp_path / "clips", count=1)
     options = TrainingOptions(
-        steps=4,
+        steps=3,
         autoencoder_steps=1,
         settings=replace(ALWAYS, self_rollout=0.5),
         autoencoder_settings=AutoencoderSettings(CODEC, batch=2, warmup=2),

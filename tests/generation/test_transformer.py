@@ -130,15 +130,14 @@ def test_unimlvg_is_loaded_strictly_by_key(tmp_path: Path) -> None:
     loaded = load_transformer(tmp_path / "unimlvg.pth", SMALL_UNIMLVG).state_dict()
     assert loaded.keys() == state.keys()
     assert all(torch.equal(loaded[name], tensor) for name, tensor in state.items())
-    taken = state.pop("rayencoder.proj.weight")
-    torch.save(state, tmp_path / "missing.pth")
-    with pytest.raises(WeightsUnavailableError, match=r"1 tensors are missing \(rayencoder\.proj\.weight\)"):
-        load_transformer(tmp_path / "missing.pth", SMALL_UNIMLVG)
-    # A norm of queries, as the model on Stable Diffusion 3.5 has it.
-    state |= {"rayencoder.proj.weight": taken, "transformer_blocks.0.attn.norm_q.weight": torch.ones(4)}
-    torch.save(state, tmp_path / "extra.pth")
-    with pytest.raises(WeightsUnavailableError, match=r"1 are unknown \(transformer_blocks\.0\.attn\.norm_q\.weight\)"):
-        load_transformer(tmp_path / "extra.pth", SMALL_UNIMLVG)
+    # A norm of queries, as the model on Stable Diffusion 3.5 has it, in place of the rays.
+    del state["rayencoder.proj.weight"]
+    state["transformer_blocks.0.attn.norm_q.weight"] = torch.ones(4)
+    torch.save(state, tmp_path / "other.pth")
+    missing, extra = r"rayencoder\.proj\.weight", r"transformer_blocks\.0\.attn\.norm_q\.weight"
+    message = rf"1 tensors are missing \({missing}\) and 1 are unknown \({extra}\)"
+    with pytest.raises(WeightsUnavailableError, match=message):
+        load_transformer(tmp_path / "other.pth", SMALL_UNIMLVG)
 
 
 def test_loaded_unimlvg_attends_among_all_tokens_of_all_frames_in_both_directions(tmp_path: Path) -> None:

@@ -302,7 +302,7 @@ def read_reasons() -> list[dict[str, Any]]:
 
 
 def reason_name(reason: Mapping[str, Any]) -> str:
-    """Return the name of the mutant that a reason is of."""
+    """Return the name of the mutant that a reason explains."""
     return mutant_name(reason["after"], reason["line"], reason["becomes"], reason.get("repeat", 0))
 
 

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.blended_image import BlendedImage
-from hybridworldsim.rasterizer.harmonics import compute_directions, to_colours
 from hybridworldsim.rasterizer.inputs import Inputs, RenderMode, refuse_nonfinite
 from hybridworldsim.rasterizer.lenses import Lens
 from hybridworldsim.rasterizer.meta import BlendedView, Blending, GaussianLayout, make_meta
@@ -162,7 +161,7 @@ def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, v
             inputs.sh_degree, _compute_directions(inputs, view), table, None if has_all else ids
         )
         refuse_nonfinite("colors", table, "Gaussian", ids)
-        table, ids = to_colours(table), torch.arange(len(ids))
+        table, ids = (table + 0.5).clamp_min(0.0), torch.arange(len(ids))
     colored = options.render_mode == "RGB"
     features = take_rows(table, ids) if colored else take_rows_with_column(table, ids, projection.depths)
     if inputs.sh_degree is None:
@@ -171,9 +170,16 @@ def _gather_features(inputs: Inputs, options: RenderOptions, backend: Backend, v
 
 
 def _compute_directions(inputs: Inputs, view: BlendedView) -> Tensor:
-    """Compute directions (M, 3) from the camera to each visible Gaussian."""
+    """Compute directions (M, 3) from the camera to each Gaussian; they are exact far from the origin.
+
+    The camera position is a sum of two numbers of the means' dtype.
+    """
     scene, camera = view.scene_camera
-    return compute_directions(take_rows(inputs.means[scene], view.projected.ids), inputs.viewmats[scene, camera])
+    pose = inputs.viewmats[scene, camera].double()
+    position = -torch.linalg.solve(pose[:3, :3], pose[:3, 3])
+    means = take_rows(inputs.means[scene], view.projected.ids)
+    rounded = position.to(means.dtype)
+    return means - rounded - (position - rounded).to(means.dtype)
 
 
 def _composite(inputs: Inputs, mode: RenderMode, images: Tensor, alphas: Tensor) -> Tensor:

@@ -144,7 +144,7 @@ class ReferenceCache:
     first: int = 0
 
     def without_oldest(self) -> ReferenceCache:
-        """Those of all frames but the first, at the places that they had."""
+        """Return the keys and values of all frames but the first; each frame keeps its place in time."""
 
         def cut(tensor: Tensor) -> Tensor:
             return tensor[:, :, tensor.shape[2] // self.frames :]
@@ -154,7 +154,7 @@ class ReferenceCache:
         return ReferenceCache(self.frames - 1, layers, present, self.first + 1)
 
     def followed_by(self, later: ReferenceCache) -> ReferenceCache:
-        """Those of these frames and of the frames behind them, which `encode_references` computed with these."""
+        """Return the keys and values of these frames and of later ones, which were computed with these."""
         layers = tuple(
             KeysValues(*(torch.cat(pair, dim=2) for pair in zip(own, added)))
             for own, added in zip(self.layers, later.layers, strict=True)

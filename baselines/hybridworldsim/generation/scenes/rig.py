@@ -51,7 +51,7 @@ class SceneRig:
         return tuple(ImageRaster(lens, one, one.resized(width, height)) for lens, one in zip(self.lenses, full))
 
     @cached_property
-    def full(self) -> tuple[Camera, ...]:
+    def unscaled_lenses(self) -> tuple[Camera, ...]:
         """The lenses of the rasters before they are scaled, by camera."""
         full = [raster.full for raster in self.rasters]
         if self.recalibrated is None:
@@ -62,11 +62,11 @@ class SceneRig:
     def intrinsics(self) -> Float64:
         """(V, 3, 3) pixels of the generator's images."""
         height, width = self.size_px
-        return np.stack([one.resized(width, height).intrinsic_matrix() for one in self.full])
+        return np.stack([one.resized(width, height).intrinsic_matrix() for one in self.unscaled_lenses])
 
     def view_lens(self, row: int) -> Camera:
         """The lens of a camera's background: twice the raster of the generator, at most the recorded one."""
-        full, (height, width) = self.full[row], self.size_px
+        full, (height, width) = self.unscaled_lenses[row], self.size_px
         return full.resized(min(full.width_px, 2 * width), min(full.height_px, 2 * height))
 
     def at_calibrations(self, frames: FrameSequence) -> SceneRig:

@@ -82,12 +82,13 @@ def detection_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptio
 
 
 def configuration_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
-    """The hash of what decides the bytes of the layers; the number of workers does not."""
+    """The hash of what decides the bytes of the layers and of their log; the number of workers does not."""
     return _digest(
         {
             "detection": detection_hash(detectors, options),
             "redaction": asdict(options.redaction),
             "propagation": asdict(options.propagation),
+            "plate_region": options.plate_region,
             "tool": __version__,
         }
     )

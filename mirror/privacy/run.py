@@ -130,12 +130,11 @@ def deidentify(
     """
     layout = Layout(Path(root))
     require_dataset(layout)
-    require_coverage(options.detectors, options.plate_region)
+    options = replace(options, plate_region=require_coverage(options.detectors, options.plate_region))
     # Missing weights end the run here, before anything is written.
     records = [describe(choice.make()) for choice in options.detectors]
     configuration = Configuration(
-        options.version, configuration_hash(records, options), tuple(records), options.redaction,
-        None if options.plate_region is None else options.plate_region.upper(),
+        options.version, configuration_hash(records, options), tuple(records), options.redaction, options.plate_region
     )  # fmt: skip
     bar = NullProgress() if progress is None else progress
     report = DeidentifyReport(options.version)
@@ -169,7 +168,7 @@ def _is_done(layout: Layout, traversal_id: str, configuration: Configuration, re
         raise DatasetError(
             "the layer was made with other detectors or options",
             file=folder,
-            expected="the same detectors, weights, thresholds and options",
+            expected="the same detectors, weights, thresholds, region of number plates and other options",
             remedy="write another version beside it: --version NAME; the newest is the one that readers get",
         )
     report.unchanged.append(traversal_id)

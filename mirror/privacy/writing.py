@@ -129,7 +129,8 @@ def _mask_writer(layout: Layout, traversal_id: str, configuration: Configuration
         return None
     raise DatasetError(
         "the layer of masks was made with other options", file=folder,
-        expected="the same detectors and options", remedy="write another version: --version NAME",
+        expected="the same detectors, region of number plates and other options",
+        remedy="write another version: --version NAME",
     )  # fmt: skip
 
 

@@ -89,10 +89,13 @@ def test_the_log_has_a_line_an_image(deidentified: Path) -> None:
 
 def test_a_second_run_changes_nothing_and_other_options_need_another_version(dataset: Path) -> None:
     before = tree(dataset)
-    report = deidentify(dataset, options())
-    assert (len(report.unchanged), report.written) == (2, []) and tree(dataset) == before
+    for region in ("XX", "xx"):
+        report = deidentify(dataset, options(plate_region=region))
+        assert (len(report.unchanged), report.written) == (2, []) and tree(dataset) == before
     with pytest.raises(DatasetError, match="other detectors or options"):
         deidentify(dataset, options(redaction=Redaction(grow=0.5)))
+    with pytest.raises(DatasetError, match="region of number plates"):
+        deidentify(dataset, options("faces", "plates@XX,YY", plate_region="YY"))
     assert tree(dataset) == before
     report = deidentify(dataset, options(redaction=Redaction(grow=0.5), version="2"))
     assert len(report.written) == 2

@@ -85,12 +85,15 @@ def find_detector(name: str) -> DetectorKind:
     return known[name]
 
 
-def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None) -> None:
+def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None) -> str:
     """Refuse to go on without a detector of each kind, and one that finds the plates of the dataset's region.
 
     Args:
         choices: the chosen detectors.
         plate_region: region of the plates, such as ``CN`` or ``EU``.
+
+    Returns:
+        The region in upper case, as logs and hashes have it.
 
     Raises:
         UsageError: a kind has no detector, the region is not stated, or no plate detector covers it.
@@ -110,13 +113,15 @@ def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None
             "the region of the number plates is not stated: nothing was written", place="--plate-region",
             expected=f"a region that a chosen detector covers ({listed})", remedy="state it: --plate-region CN",
         )  # fmt: skip
-    if not any(plate_region.upper() in own for own in covered.values()):
+    region = plate_region.upper()
+    if not any(region in own for own in covered.values()):
         raise UsageError(
             f"no chosen detector covers number plates of {plate_region}: nothing was written", place="--plate-region",
             expected=f"a detector of these plates ({listed})",
             remedy="name one by path, and state what it covers: --detector yolo_plates=FILE@"
-            f"{plate_region.upper()}; a statement for a built-in detector (clp_det@{plate_region.upper()}) is yours",
+            f"{region}; a statement for a built-in detector (clp_det@{region}) is yours",
         )  # fmt: skip
+    return region
 
 
 def describe(detector: Detector) -> DetectorRecord:

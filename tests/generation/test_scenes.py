@@ -25,7 +25,7 @@ from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, make_scene_clip
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
-from hybridworldsim.generation.scenes.submission import render_plan
+from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission, render_plan
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
@@ -297,6 +297,12 @@ def test_a_submission_to_the_protocol_of_edits(
         image.shape == (view.height_px, view.width_px, 3)
         for view, image in zip(plan.views, found.values(), strict=True)
     )
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    request = SubmissionRequest(*files, str(tmp_path / "edits.toml"), "novel", "exact:tiny", size_px=SIZE)
+    with pytest.raises(UsageError, match="holds a submission already"):
+        generate_submission(tiny_dataset, request, tmp_path / "out")
+    with pytest.raises(UsageError, match="0 threads"):
+        replace(request, threads=0)
 
 
 LAYER = "refined@1"

@@ -300,8 +300,7 @@ def _scene(argv: Sequence[str]) -> int:
     rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, arguments.blend, arguments.seed)
     generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
     if arguments.split is not None:
-        with exhausted_memory_named(arguments.device, GENERATION_REMEDY):
-            return _write_submission(arguments, dataset, generator, autoencoder, rollout)
+        return _scene_submission(arguments, dataset, generator, autoencoder, rollout, arguments.split)
 
     from hybridworldsim.generation.scenes.run import SceneRequest, describe, generate_scene
     from mirror.progress import progress_bar
@@ -333,47 +332,27 @@ def _scene(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
-def _write_submission(
-    arguments: Scene, dataset: Dataset, generator: Path, autoencoder: Path, rollout: ClipRolloutOptions
+def _scene_submission(
+    arguments: Scene, dataset: Dataset, generator: Path, autoencoder: Path, rollout: ClipRolloutOptions, split: str
 ) -> int:
-    import torch
-
-    from hybridworldsim.generation.devices import require_threads
-    from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
-    from hybridworldsim.generation.scenes.run import open_generator
-    from hybridworldsim.generation.scenes.submission import render_plan
-    from mirror.evaluation.submission.manifest import Appearance, Method
-    from mirror.evaluation.submission.writing import write_submission
+    from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
+    from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
     from mirror.progress import progress_bar
-    from mirror.protocols.document import load_protocol
-    from mirror.protocols.views import plan_views
-    from mirror.protocols.views.recalibration import recalibrate_views
-    from mirror.weights.resolve import file_sha256
 
-    require_threads(arguments.threads)
-    torch.set_num_threads(arguments.threads)
-    model, size = open_generator(generator, autoencoder, arguments.device), _size(arguments.size)
-    plan = plan_views(dataset, load_protocol(arguments.protocol), str(arguments.split))
-    calibrations = calibrations_of(arguments.background)
-    views = recalibrate_views(dataset, plan.views, calibrations)
-    background, identity = open_background(arguments.background, dataset, arguments.appearance, views)
-    inputs = (
-        *(file_sha256(generator), file_sha256(autoencoder), identity, repr(rollout), arguments.size),
-        *(() if dataset.layers.boxes is None else (dataset.layers.boxes,)),
+    request = SubmissionRequest(
+        generator,
+        autoencoder,
+        arguments.protocol,
+        split,
+        arguments.background,
+        arguments.appearance,
+        _size(arguments.size),
+        rollout,
+        arguments.threads,
+        arguments.device,
     )
-    with progress_bar(quiet=arguments.json) as bar:
-        count = write_submission(
-            dataset,
-            plan,
-            lambda _, requested: render_plan(
-                dataset, plan, model, background, size, rollout, requested.views, calibrations
-            ),
-            Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
-            Appearance(policy="other", description=f"of the background: {arguments.appearance}"),
-            arguments.out,
-            bar,
-            of="|".join((*inputs, str(arguments.threads), arguments.device)),
-        )
+    with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
+        count = generate_submission(dataset, request, arguments.out, bar)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), "views": count}))
     else:

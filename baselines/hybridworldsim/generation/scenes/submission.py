@@ -3,22 +3,107 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
+from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
+from hybridworldsim.generation.devices import require_threads
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.scenes.backgrounds import Background
+from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
+from hybridworldsim.generation.scenes.run import open_generator
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.writing import Render
+from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.writing import Render, write_submission
+from mirror.progress import ProgressReporter
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.recalibration import recalibrate_views
 from mirror.protocols.views.view import RenderView
+from mirror.weights.resolve import file_sha256
+
+
+@dataclass(frozen=True)
+class SubmissionRequest:
+    """What is submitted.
+
+    Attributes:
+        generator: ``model.safetensors`` of a generator.
+        autoencoder: that of its autoencoder.
+        protocol: name or file of the protocol that asks for the views.
+        split: split that the views are of.
+        background: see `open_background`.
+        appearance: appearance of a static model.
+        size_px: height and width of generated images.
+        rollout: how frames are generated.
+        threads: number of torch threads; results repeat exactly with the same number.
+        device: where the generator runs.
+    """
+
+    generator: Path
+    autoencoder: Path
+    protocol: str
+    split: str
+    background: str
+    appearance: str = "nearest"
+    size_px: tuple[int, int] = (64, 96)
+    rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
+    threads: int = 1
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        require_threads(self.threads)
+
+
+def generate_submission(
+    dataset: Dataset, request: SubmissionRequest, out: Path, progress: ProgressReporter | None = None
+) -> int:
+    """Generate every view that a protocol asks for, and write the submission.
+
+    Args:
+        dataset: the dataset.
+        request: what is submitted.
+        out: a new or an empty folder, or that of an interrupted call with the same request.
+        progress: receives the number of views and each written view.
+
+    Returns:
+        The number of views.
+
+    Raises:
+        UsageError: the request does not fit the dataset, or the folder holds other files.
+        DatasetError: a model, image or background is missing or does not fit.
+    """
+    torch.set_num_threads(request.threads)
+    generator = open_generator(request.generator, request.autoencoder, request.device)
+    plan = plan_views(dataset, load_protocol(request.protocol), request.split)
+    calibrations = calibrations_of(request.background)
+    views = recalibrate_views(dataset, plan.views, calibrations)
+    background, identity = open_background(request.background, dataset, request.appearance, views)
+    inputs = (
+        *(file_sha256(request.generator), file_sha256(request.autoencoder), identity),
+        *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
+        *(str(request.threads), request.device),
+    )
+    return write_submission(
+        dataset,
+        plan,
+        lambda _, requested: render_plan(
+            dataset, plan, generator, background, request.size_px, request.rollout, requested.views, calibrations
+        ),
+        Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
+        Appearance(policy="other", description=f"of the background: {request.appearance}"),
+        out,
+        progress,
+        of="|".join(inputs),
+    )
 
 
 def render_plan(

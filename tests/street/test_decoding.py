@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from benchmarks.street.reference_model import plain_anchors, plain_gaussians
+from hybridworldsim.model.nodes.fused_networks import run_fused
 from hybridworldsim.model.nodes.network_inputs import network_inputs
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import to_viewpoint
@@ -67,6 +68,52 @@ def test_decoding_matches_plain_torch(hidden, k, place):
         node, other = getattr(one, name), getattr(exact, name)
         splats = node.decode(viewpoint, latent)
         same_with_gradients(numbers(splats), plain_gaussians(other, splats.rows, eye, latent.double()), node, other)
+
+
+@pytest.mark.parametrize(("hidden", "k"), [(64, 3), (12, 10), (33, 1)])
+def test_decoding_without_gradients_matches_plain_torch(hidden, k):
+    """The fused kernel; hidden layers and outputs that fill no vector are padded."""
+    torch.manual_seed(hidden)
+    one, exact = modulated(hidden, k, hidden), modulated(hidden, k, hidden)
+    exact.load_state_dict(one.state_dict())
+    exact.double()
+    viewpoint = to_viewpoint(view(-25.0), np.zeros(3))
+    eye, (latent, content) = viewpoint.centre.double(), (one.appearance(source).detach() for source in SOURCES)
+    with torch.no_grad():
+        splats = one.background.decode(viewpoint, latent, content)
+        expected = plain_anchors(exact.background, splats.anchor_ids, eye, latent.double(), content.double())
+        for found, other in zip(numbers(splats), expected, strict=True):
+            torch.testing.assert_close(found.double(), other, rtol=1e-5, atol=2e-5)
+        for node, other in ((one.ground, exact.ground), (one.sky, exact.sky)):
+            splats = node.decode(viewpoint, latent)
+            expected = plain_gaussians(other, splats.rows, eye, latent.double())
+            torch.testing.assert_close(splats.colours.double(), expected[4], rtol=1e-5, atol=2e-5)
+
+
+def test_a_fused_row_does_not_depend_on_the_others():
+    one, generator = modulated(4, 3, 24), torch.Generator().manual_seed(1)
+    network, latent = (one.background.colour, one.appearance(SOURCES[0]).detach())
+    codes = torch.randn(1100, network.code, generator=generator)
+    means, eye = 30.0 * torch.randn(1100, 3, generator=generator), torch.zeros(3)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        (together,) = run_fused(codes, means, eye, 40.0, (network, latent))
+    finally:
+        torch.set_num_threads(threads)
+    for begin, end in ((0, 1), (1, 7), (6, 11), (500, 1100)):
+        (apart,) = run_fused(codes[begin:end], means[begin:end], eye, 40.0, (network, latent))
+        assert torch.equal(apart, together[begin:end])
+    assert run_fused(codes[:0], means[:0], eye, 40.0, (network, latent))[0].shape == (0, 9)
+
+
+def test_a_fused_row_that_is_not_finite_stays_so():
+    one = modulated(4, 3, 24)
+    network, latent = (one.background.geometry, one.appearance(SOURCES[0]).detach())
+    codes, means = torch.zeros(4, network.code), torch.ones(4, 3)
+    codes[1, 0], codes[2, 3], means[3, 1] = torch.nan, torch.inf, torch.nan
+    (found,) = run_fused(codes, means, torch.zeros(3), 40.0, (network, latent))
+    assert torch.isfinite(found).all(dim=1).tolist() == [True, False, False, False]
 
 
 def test_appearances_get_gradients():

@@ -87,13 +87,15 @@ def numba_threads() -> int:
 def spans(count: int) -> Int64:
     """Split rows into spans for `in_parallel`; use it only where the result does not depend on the spans.
 
+    Inside a call of `in_parallel`, where the parts run one after the other, there is one span.
+
     Args:
         count: number of rows.
 
     Returns:
         (P + 1,) ascending from 0 to `count`.
     """
-    threads = _torch_threads()
+    threads = 1 if getattr(_inside, "a_call", False) else _torch_threads()
     parts = 1 if threads == 1 else max(min(_SPANS * threads, count // _MIN_SPAN), 1)
     return count * np.arange(parts + 1) // parts
 

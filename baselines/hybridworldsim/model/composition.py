@@ -107,29 +107,33 @@ class _RenderablePart:
 
     def __init__(self, part: Part) -> None:
         self.part = part
-        nodes = part.street.background, part.street.ground, part.street.sky
-        self._bounds = [_bounding_sphere(node.means, node.log_scales) for node in nodes]
+        self._reach_m = [node.reach_m() for node in part.street.nodes]
+        means = [node.means for node in part.street.nodes]
+        self._bounds = torch.stack([_bounding_sphere(*points) for points in zip(means, self._reach_m)])
         self._is_unweighted = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
     def decode(self, viewpoint: Viewpoint, sky: float, select_latents: LatentSelector) -> list[Splats]:
         """Decode the nodes that a viewpoint may see; a node outside the view is not decoded."""
-        background, ground, sky_visible = (
-            len(select_visible(viewpoint, bound[None, :3], bound[3:])) > 0 for bound in self._bounds
-        )
+        nodes = select_visible(viewpoint, self._bounds[:, :3], self._bounds[:, 3]).tolist()
+        background, ground, sky_visible = (node in nodes for node in range(3))
         sky_visible &= sky > MIN_WEIGHT
         if not (background or ground or sky_visible):
             return []
         street, shown = self.part.street, []
+        background_reach_m, ground_reach_m, sky_reach_m = self._reach_m
         latent, content = select_latents(street.appearance)
         if background:
-            splats = street.background.decode(viewpoint, latent, content)
+            anchors = select_visible(viewpoint, street.background.means, background_reach_m)
+            splats = street.background.decode(viewpoint, latent, content, street.background.rows(anchors))
             weights = None if self._is_unweighted[0] else self.part.background[splats.rows // street.background.k]
             shown.append(splats if weights is None else fade(splats, weights))
         if ground:
-            splats = street.ground.decode(viewpoint, latent)
+            ids = select_visible(viewpoint, street.ground.means, ground_reach_m)
+            splats = street.ground.decode(viewpoint, latent, street.ground.rows(ids))
             shown.append(splats if self._is_unweighted[1] else fade(splats, self.part.ground[splats.rows]))
         if sky_visible:
-            splats = street.sky.decode(viewpoint, latent)
+            ids = select_visible(viewpoint, street.sky.means, sky_reach_m)
+            splats = street.sky.decode(viewpoint, latent, street.sky.rows(ids))
             shown.append(splats if sky == 1.0 else fade(splats, splats.opacities.new_full((len(splats),), sky)))
         return shown
 
@@ -141,14 +145,13 @@ def _empty_render(view: RenderView) -> RenderOutput:
     return RenderOutput(black, nothing, nothing.clone(), (), {})
 
 
-def _bounding_sphere(means: Tensor, log_scales: Tensor) -> Tensor:
+def _bounding_sphere(means: Tensor, reach_m: Tensor) -> Tensor:
     """(4,) centre and radius of a sphere that holds all of a node; an empty node gets a radius that no view sees."""
-    means, log_scales = means.detach(), log_scales.detach()
+    means = means.detach()
     if not len(means):
         return means.new_tensor((0.0, 0.0, 0.0, -1e9))
     centre = (means.amin(0) + means.amax(0)) / 2.0
-    reach = 3.0 * log_scales.amax(1).exp()
-    return torch.cat([centre, ((means - centre).norm(dim=1) + reach).max()[None]])
+    return torch.cat([centre, ((means - centre).norm(dim=1) + reach_m).max()[None]])
 
 
 def _translate(splats: Splats, shift_m: Float64) -> Splats:

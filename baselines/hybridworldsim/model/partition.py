@@ -21,6 +21,8 @@ def partition(places: Tensor, centres: Tensor, ramp_m: float) -> Tensor:
     Returns:
         (N, B) in [0, 1]; rows sum to one.
     """
+    if len(centres) == 1:
+        return torch.ones(len(places), 1, dtype=places.dtype)
     offsets = centres[None] - centres[:, None]
     distances = offsets.norm(dim=2)
     midpoints = (centres[None] + centres[:, None]) / 2.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,9 +12,6 @@ from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.training.viewpoint import Viewpoint
-from mirror.arrays import Float32
-
-NEAREST_M: Final = 0.05
 
 
 def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:
@@ -29,7 +26,7 @@ def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tens
         (M,) int64 rows, ascending.
     """
     points, radii = (np.ascontiguousarray(table.detach().numpy(), np.float32) for table in (means, reach_m))
-    view, rows = _frustum(viewpoint), empty_aligned(len(points), np.int64)
+    view, rows = viewpoint.frustum, empty_aligned(len(points), np.int64)
     edges = spans(len(points))
     counts = np.zeros(len(edges) - 1, np.int64)
 
@@ -38,18 +35,6 @@ def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tens
 
     in_parallel(work, len(counts))
     return torch.from_numpy(np.concatenate([rows[begin : begin + count] for begin, count in zip(edges, counts)]))
-
-
-def _frustum(viewpoint: Viewpoint) -> Float32:
-    """(21,) float32 the numbers of a viewpoint that `find_visible` reads."""
-    K, matrix = viewpoint.K.double().numpy(), viewpoint.viewmat.numpy()
-    slopes = [
-        slope
-        for axis, size in ((0, viewpoint.width_px), (1, viewpoint.height_px))
-        for slope in (K[axis, 2] / K[axis, axis], (size - K[axis, 2]) / K[axis, axis])
-    ]
-    lengths = [(1.0 + slope * slope) ** 0.5 for slope in slopes]
-    return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
 
 @kernel()
@@ -61,8 +46,7 @@ def find_visible(begin: Any, end: Any, means: Any, reach: Any, view: Any, rows: 
         end: one past the last row.
         means: (N, 3) float32.
         reach: (N,) float32.
-        view: (21,) float32: rotation by rows, translation, nearest depth, then for either axis the low and high slopes
-            of its planes, and the lengths of the normals of all four planes.
+        view: (21,) float32, see `Viewpoint.frustum`.
         rows: (N,) int64 receives the rows, from `begin` on.
 
     Returns:

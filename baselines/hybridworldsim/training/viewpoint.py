@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mirror.arrays import Float64
+from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
+
+NEAREST_M: Final = 0.05
+"""Smallest depth that a camera sees."""
 
 
 class Source(NamedTuple):
@@ -44,10 +48,26 @@ class Viewpoint:
     viewmat: Tensor
     source: Source
 
-    @property
+    @cached_property
     def centre(self) -> Tensor:
         """(3,) centre of the camera in the block's frame, metres."""
         return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+
+    @cached_property
+    def frustum(self) -> Float32:
+        """(21,) float32 what the camera may see.
+
+        Rotation by rows, translation, nearest depth; then for either axis the low and the high slope of its planes;
+        then the lengths of the normals of these four planes.
+        """
+        K, matrix = self.K.double().numpy(), self.viewmat.numpy()
+        slopes = [
+            slope
+            for axis, size in ((0, self.width_px), (1, self.height_px))
+            for slope in (K[axis, 2] / K[axis, axis], (size - K[axis, 2]) / K[axis, axis])
+        ]
+        lengths = [(1.0 + slope * slope) ** 0.5 for slope in slopes]
+        return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
     def with_source(self, source: Source) -> Viewpoint:
         """The same camera with another appearance."""

@@ -9,9 +9,10 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import ModulatedMLP, run_mlps
-from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, anchors_to_gaussians
-from hybridworldsim.model.nodes.network_inputs import network_inputs, select_rows
+from hybridworldsim.model.decoders import ModulatedMLP
+from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, anchors_to_gaussians, rows_of_slots
+from hybridworldsim.model.nodes.network_inputs import select_rows
+from hybridworldsim.model.nodes.networks import run_networks
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Viewpoint
@@ -80,9 +81,13 @@ class Anchors(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
-        """(M,) int64 anchors that a viewpoint may see; the radius of an anchor is three times its largest scale."""
-        with torch.no_grad():
-            return select_visible(viewpoint, self.means, 3.0 * self.log_scales.amax(1).exp())
+        """(M,) int64 anchors that a viewpoint may see."""
+        return select_visible(viewpoint, self.means, self.reach_m())
+
+    @torch.no_grad()
+    def reach_m(self) -> Tensor:
+        """(N,) radius of a sphere around each anchor that holds its Gaussians: three times its largest scale."""
+        return 3.0 * self.log_scales.amax(1).exp()
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
         """Gather the rows of anchors (M,); tables in `learnt` are already gathered and are not read again."""
@@ -101,14 +106,13 @@ class Anchors(nn.Module):
         rows = rows or self.rows(self.visible_ids(viewpoint))
         geometry, colours = self.read(rows, viewpoint, latent, content)
         gaussians = anchors_to_gaussians(geometry, colours, rows.means, rows.offsets, rows.log_scales)
-        slots = gaussians.slots
         return Splats(
             gaussians.means,
             gaussians.quats,
             gaussians.scales,
             gaussians.opacities,
             gaussians.colours,
-            rows=rows.ids[slots // self.k] * self.k + slots % self.k,
+            rows=rows_of_slots(gaussians.slots, rows.ids, self.k),
             stored_count=len(self) * self.k,
             decoded_count=len(rows.ids) * self.k,
             anchor_ids=rows.ids,
@@ -116,6 +120,6 @@ class Anchors(nn.Module):
 
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
         """Outputs of the networks for anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
-        inputs = network_inputs(rows.codes, rows.means, viewpoint.centre, self.radius_m)
-        geometry, colours = run_mlps(inputs, (self.geometry, content), (self.colour, latent))
+        networks = (self.geometry, content), (self.colour, latent)
+        geometry, colours = run_networks(rows.codes, rows.means, viewpoint.centre, self.radius_m, *networks)
         return geometry, colours

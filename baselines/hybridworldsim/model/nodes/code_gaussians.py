@@ -9,8 +9,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.model.decoders import ModulatedMLP, run_mlps
-from hybridworldsim.model.nodes.network_inputs import network_inputs, select_rows
+from hybridworldsim.model.decoders import ModulatedMLP
+from hybridworldsim.model.nodes.network_inputs import select_rows
+from hybridworldsim.model.nodes.networks import run_networks
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.training.viewpoint import Viewpoint
@@ -83,8 +84,12 @@ class CodeGaussians(nn.Module):
 
     def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
         """(M,) int64 Gaussians that a viewpoint may see."""
-        with torch.no_grad():
-            return select_visible(viewpoint, self.means, _SIGMAS * self.log_scales.amax(1).exp())
+        return select_visible(viewpoint, self.means, self.reach_m())
+
+    @torch.no_grad()
+    def reach_m(self) -> Tensor:
+        """(N,) radius of a sphere around each Gaussian that holds what is drawn of it."""
+        return _SIGMAS * self.log_scales.amax(1).exp()
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
         """Gather the rows of Gaussians (M,); tables in `learnt` are already gathered and are not read again."""
@@ -112,5 +117,5 @@ class CodeGaussians(nn.Module):
 
     def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
         """Colours (M, 3) of Gaussians for a viewpoint."""
-        (tints,) = run_mlps(network_inputs(rows.codes, rows.means, viewpoint.centre), (self.colour, latent))
+        (tints,) = run_networks(rows.codes, rows.means, viewpoint.centre, None, (self.colour, latent))
         return tints.sigmoid()

@@ -57,6 +57,22 @@ def anchors_to_gaussians(
     return AnchorGaussians(*_AnchorsToGaussians.apply(geometry, colours, means, offsets, log_scales))
 
 
+def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
+    """(G,) indices among all Gaussians of a node, of the slots (G,) among those of the anchors ``ids`` (M,)."""
+    rows: AnyArray = empty_aligned(len(slots), np.int64)
+    write_rows(slots.numpy(), ids.numpy(), k, rows)
+    return torch.from_numpy(rows)
+
+
+@kernel()
+def write_rows(slots: Any, ids: Any, k: Any, rows: Any) -> None:
+    """Write the index of each slot among the Gaussians of all anchors; see `rows_of_slots`."""
+    for place in range(len(slots)):
+        slot = np.uint64(slots[place])
+        anchor = slot // np.uint64(k)
+        rows[place] = ids[anchor] * k + np.int64(slot - anchor * np.uint64(k))
+
+
 @kernel()
 def count_opaque(geometry: Any, begin: Any, end: Any) -> Any:
     """Count the Gaussians of anchors in a range that have an opacity above zero."""

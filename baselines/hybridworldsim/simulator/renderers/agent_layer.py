@@ -78,7 +78,7 @@ class AgentLayer:
         mixed = view.mixed.astype(np.bool_)
         alpha[mixed] = 0.0
         which, share = view.which[solid], view.share[solid]
-        np.add.at(alpha.reshape(-1), which[:, 0], share[:, 0])
+        alpha += np.bincount(which[:, 0], share[:, 0], alpha.size).astype(np.float32).reshape(alpha.shape)
         if not alpha.any():
             return None
         masked = replace(view, which=which, share=share, mask=alpha)

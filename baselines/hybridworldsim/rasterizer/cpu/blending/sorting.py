@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
-from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel, spans
 from mirror.arrays import AnyArray, Float32, Int32, Int64
 
 _BITS: Final = 11
 _BINS: Final = 1 << _BITS
-_PARTS: Final = 8
 _NUMPY_BELOW: Final = 4096
 
 
@@ -22,7 +21,7 @@ def depth_order(depths: Float32) -> Int32:
     if count < _NUMPY_BELOW:
         return np.argsort(depths, kind="stable").astype(np.int32)
     keys, order = depths.view(np.uint32), np.arange(count, dtype=np.int32)
-    edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
+    edges = spans(count)
     for shift in range(0, 32, _BITS):
         keys, order = _sort_by_digit(keys, order, edges, shift)
     return order
@@ -30,18 +29,19 @@ def depth_order(depths: Float32) -> Int32:
 
 def _sort_by_digit(keys: AnyArray, order: Int32, edges: Int64, shift: int) -> tuple[AnyArray, Int32]:
     """Sort by one digit, stably."""
-    counts = np.zeros((_PARTS, _BINS), np.int64)
-    in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, counts[part]), _PARTS)
+    parts = len(edges) - 1
+    counts = np.zeros((parts, _BINS), np.int64)
+    in_parallel(lambda part: _count(keys, edges[part], edges[part + 1], shift, counts[part]), parts)
     if counts.sum(axis=0).max() == len(keys):
         return keys, order
     by_bin = counts.T.ravel()
-    places = np.ascontiguousarray((np.cumsum(by_bin) - by_bin).reshape(_BINS, _PARTS).T)
+    places = np.ascontiguousarray((np.cumsum(by_bin) - by_bin).reshape(_BINS, parts).T)
     sorted_keys, sorted_order = np.empty_like(keys), np.empty_like(order)
 
     def scatter(part: int) -> None:
         _scatter(keys, order, edges[part], edges[part + 1], shift, places[part], sorted_keys, sorted_order)
 
-    in_parallel(scatter, _PARTS)
+    in_parallel(scatter, parts)
     return sorted_keys, sorted_order
 
 

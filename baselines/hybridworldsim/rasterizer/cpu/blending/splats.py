@@ -9,7 +9,7 @@ import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import empty_aligned
-from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.presets import ALPHA_MIN
 from mirror.arrays import AnyArray, Float32, Float64, Int32
@@ -29,7 +29,6 @@ FLOOR: Final = np.float32(math.log2(ALPHA_MIN))
 """log2 of the least alpha that is blended. Factors are scaled so that alpha = 2 ** (level - u^2 - v^2)."""
 
 _SCALE: Final = math.sqrt(0.5 * math.log2(math.e))
-_PARTS: Final = 16
 _SLACK_PX: Final = 0.02
 _SLACK: Final = np.float32(1e-3)
 
@@ -78,7 +77,7 @@ def pack_splats(
     rows, boxes = empty_aligned(count * stride), np.empty((count, 4), np.uint16)
     with np.errstate(divide="ignore", invalid="ignore"):
         levels = np.log2(opacities)
-    edges = np.linspace(0, count, _PARTS + 1).astype(np.int64)
+    edges = spans(count)
 
     def pack(part: int) -> None:
         _pack(
@@ -86,7 +85,7 @@ def pack_splats(
             rows, stride, boxes,
         )  # fmt: skip
 
-    in_parallel(pack, _PARTS)
+    in_parallel(pack, len(edges) - 1)
     return Splats(rows, stride, padded_channels, boxes)
 
 

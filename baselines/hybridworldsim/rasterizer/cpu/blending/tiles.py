@@ -9,14 +9,13 @@ import numpy as np
 
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import empty_aligned
-from hybridworldsim.kernels.threads import in_parallel
+from hybridworldsim.kernels.threads import in_parallel, spans
 from hybridworldsim.kernels.vectors import prefetch
 from hybridworldsim.rasterizer.cpu.blending.canvas import TILE_PX
 from hybridworldsim.rasterizer.cpu.blending.splats import FLOOR, LEVEL, MEAN, MEAN_LOW, Splats, load_factors
 from hybridworldsim.rasterizer.limits import refuse_too_many_pairs
 from mirror.arrays import AnyArray, Bool, Float32, Int32, Int64
 
-_PARTS: Final = 16
 PREFETCH_DISTANCE: Final = 12
 """Number of extra ids after the last pair: a row is prefetched this number of pairs before it is needed."""
 _ORDER_PREFETCH_DISTANCE: Final = 16
@@ -51,18 +50,19 @@ def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Til
     Raises:
         UsageError: more than `PAIRS_MAX` pairs.
     """
-    edges = np.linspace(0, len(order), _PARTS + 1).astype(np.int64)
+    edges = spans(len(order))
+    parts = len(edges) - 1
     # a part writes at most one tile after its last
-    starts, boxes, alive_sums = np.ones(_PARTS + 1, np.int64), splats.boxes, _integral_image(alive, tiles_x)
+    starts, boxes, alive_sums = np.ones(parts + 1, np.int64), splats.boxes, _integral_image(alive, tiles_x)
     starts[0] = 0
     in_parallel(
         lambda part: _count_box_tiles(edges[part], edges[part + 1], order, boxes, alive_sums, starts[part + 1 :]),
-        _PARTS,
+        parts,
     )
     np.cumsum(starts, out=starts)
     refuse_too_many_pairs(int(starts[-1]))
     tile_list = empty_aligned(starts[-1], np.int32)
-    pairs, places = np.empty(len(order), np.int64), np.zeros((_PARTS, len(alive)), np.int64)
+    pairs, places = np.empty(len(order), np.int64), np.zeros((parts, len(alive)), np.int64)
 
     def list_part(part: int) -> None:
         _list_tiles(
@@ -70,7 +70,7 @@ def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Til
             tile_list, starts[part], pairs, places[part],
         )  # fmt: skip
 
-    in_parallel(list_part, _PARTS)
+    in_parallel(list_part, parts)
     counts = places.sum(axis=0)
     tile_starts = np.concatenate([[0], np.cumsum(counts)])
     np.cumsum(places, axis=0, out=places)
@@ -87,7 +87,7 @@ def assign_tiles(splats: Splats, order: Int32, tiles_x: int, alive: Bool) -> Til
             edges[part], edges[part + 1], order, tile_list, starts[part], pairs, places[part], ids, pair_ranks
         )
 
-    in_parallel(sort_part, _PARTS)
+    in_parallel(sort_part, parts)
     return Tiles(tile_starts, ids, pair_ranks, pairs)
 
 

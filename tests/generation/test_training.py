@@ -245,24 +245,24 @@ def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
+    # The second process is a fork of the first one, which has imported the libraries and computed nothing.
     script = (
-        "import sys; from pathlib import Path; from dataclasses import replace\n"
+        "import os, sys; from pathlib import Path; from dataclasses import replace\n"
         "from tests.generation.test_training import OPTIONS, train_on_clips, NullProgress\n"
         "autoencoder = Path(sys.argv[3])\n"
         "options = replace(OPTIONS, autoencoder=autoencoder)\n"
+        "second = os.fork()\n"
+        "os.environ['RANK'] = '0' if second else '1'\n"
         "train_on_clips(Path(sys.argv[1]), Path(sys.argv[2]), options, NullProgress())\n"
+        "sys.exit(second and os.waitpid(second, 0)[1])\n"
     )
     arguments = [str(clips), str(tmp_path / "run"), str(trained / "autoencoder/model.safetensors")]
-    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-c", script, *arguments], env={**common, "RANK": str(rank)}, stderr=subprocess.PIPE
-        )
-        for rank in range(2)
-    ]
-    for process in running:
-        _, errors = process.communicate(timeout=240)
-        assert process.returncode == 0, errors.decode()
+    environment = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments], env=environment, capture_output=True, text=True, timeout=240,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
     # One process that computes the same parts one after another has the same gradients, up to rounding.
     settings = replace(OPTIONS.settings, accumulate=2)
     autoencoder = trained / "autoencoder/model.safetensors"

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -183,39 +184,60 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
-_CHILD = """
-import sys, time, torch
-torch.set_num_threads(int(sys.argv[2]))
+# Each process that trains is a fork of one that has imported the libraries and computed nothing.
+_FORKS = """
+import os, sys, time, torch
 from pathlib import Path
 from tests.training.test_loop import run
 from tests.training.street import Painted
 from hybridworldsim.training.loop import Options
 class Stuck(Painted):
     def __call__(self, one):
-        if self.opened == 120:
+        if self.opened == 60:
             time.sleep(600)  # The test kills the process here.
         return super().__call__(one)
-run(Path(sys.argv[1]), 160, images=Stuck(), options=Options(checkpoint_s=0.1))
+for line in sys.stdin:
+    threads, _, folder = line.strip().partition(" ")
+    child = os.fork()
+    if child == 0:
+        torch.set_num_threads(int(threads))
+        run(Path(folder), 80, images=Stuck(), options=Options(checkpoint_s=0.1))
+        os._exit(0)
+    print(child, flush=True)
+    print(os.wait()[1], flush=True)
 """
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, threads: int) -> None:
-    torch.set_num_threads(threads)
+@pytest.fixture(scope="module")
+def forks() -> Iterator[subprocess.Popen[str]]:
+    """A process that trains in a fork for each line of its input; prints its id and, in the end, how it ended."""
     environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'baselines'}"}
-    child = subprocess.Popen(
-        [sys.executable, "-c", _CHILD, str(tmp_path / "killed"), str(threads)], env=environment, cwd=ROOT
-    )
+    words = [sys.executable, "-c", _FORKS]
+    with subprocess.Popen(
+        words, env=environment, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        yield process
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_killed_and_resumed_training_gives_the_same_model(
+    tmp_path: Path, forks: subprocess.Popen[str], threads: int
+) -> None:
+    torch.set_num_threads(threads)
+    assert forks.stdin is not None and forks.stdout is not None
+    print(threads, tmp_path / "killed", file=forks.stdin, flush=True)
+    child = int(forks.stdout.readline())
     checkpoint = tmp_path / "killed" / "checkpoint.safetensors"
     waiting = time.monotonic()
-    while not checkpoint.exists() and time.monotonic() - waiting < 300 and child.poll() is None:
+    while not checkpoint.exists() and time.monotonic() - waiting < 300:
         time.sleep(0.01)
+        os.kill(child, 0)  # It lives.
     time.sleep(0.05)
-    child.send_signal(signal.SIGKILL)
-    child.wait()
+    os.kill(child, signal.SIGKILL)
+    assert int(forks.stdout.readline()) == signal.SIGKILL
     assert checkpoint.exists() and not (tmp_path / "killed" / "outcome.json").exists()
-    run(tmp_path / "killed", 160)
-    run(tmp_path / "whole", 160)
+    run(tmp_path / "killed", 80)
+    run(tmp_path / "whole", 80)
     ours, theirs = (load_file(tmp_path / name / "checkpoint.safetensors") for name in ("killed", "whole"))
     assert ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
     assert (tmp_path / "killed" / "model.safetensors").read_bytes() == (

@@ -13,7 +13,7 @@ from tests.interruptions import MIRROR, SIGNALS, finish, stop_thrice
 
 
 def test_add_stops_and_continues(dataset: Dataset, root: Path, tmp_path: Path) -> None:
-    protocol, submission = load_protocol("static-reconstruction"), tmp_path / "submission"
+    protocol, submission = load_protocol("static-reconstruction-omnire"), tmp_path / "submission"
     write_renders(dataset, protocol, submission)
     assert evaluate(submission, root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1)).result
     words = [*MIRROR, "leaderboard", "add", tmp_path / "out" / "result.json", root, "--submission", submission]

@@ -13,7 +13,7 @@ from mirror.privacy.run import deidentify
 from tests.interruptions import MIRROR, finish, stop_thrice
 from tests.privacy.conftest import make_dataset, options
 
-FRAMES = 20
+FRAMES = 12
 SEARCH = ("--detector", "faces", "--detector", "plates", "--workers", "2")
 
 

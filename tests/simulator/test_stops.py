@@ -9,15 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mirror.dataset.dataset import Dataset
 from mirror.metrics.safety import read_state_log
 from mirror.schema.rollout import ROLLOUT, STATES_FILE
 from tests.interruptions import MIRROR, interrupt
 
 
 @pytest.mark.parametrize(("number", "after_s"), [(signal.SIGINT, 0.5), (signal.SIGTERM, 1.0)])
-def test_a_rollout_that_is_stopped_has_the_states_up_to_there(tmp_path: Path, number: int, after_s: float) -> None:
+def test_a_rollout_that_is_stopped_has_the_states_up_to_there(
+    tiny_dataset: Dataset, tmp_path: Path, number: int, after_s: float
+) -> None:
     run = tmp_path / "run"
-    words = [*MIRROR, "simulate", "synth:tiny", "--scenario", "cut-in", "--policy", "idm", "--duration", "60"]
+    words = [*MIRROR, "simulate", tiny_dataset.root, "--scenario", "cut-in", "--policy", "idm", "--duration", "60"]
     # The video's temporary file is written once the rollout is driven.
     ended = interrupt(
         [*words, "--renderer", "boxes", "--out", run], after_s, number, once=lambda: any(run.glob(".video*"))

@@ -286,7 +286,7 @@ class _Interrupted:
 def test_an_interrupted_run_resumes_and_keeps_complete_recordings(tiny: SynthReport, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 30))
+        mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 5))
     kept = out / tiny.recordings[0].name / "recording.json"
     before, half = kept.stat().st_mtime_ns, out / tiny.recordings[1].name
     assert half.exists() and not (half / "recording.json").exists()

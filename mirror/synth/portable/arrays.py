@@ -130,10 +130,14 @@ def solve(matrix: ArrayLike, known: ArrayLike) -> Float64:
 
 
 def _fill(kernel: Callable[..., None], *arguments: ArrayLike) -> Any:
-    given = [np.asarray(argument, np.float64) for argument in arguments]
-    shape = np.broadcast_shapes(*(values.shape for values in given))
+    given = [np.array(argument, np.float64) for argument in arguments]
+    shape = given[0].shape
+    # The street calls this for many small arrays, where broadcasting would take longer than the kernel.
+    if any(values.shape != shape for values in given):
+        shape = np.broadcast_shapes(*(values.shape for values in given))
+        given = [np.array(np.broadcast_to(values, shape)) for values in given]
     out = np.empty(shape)
-    kernel(out.reshape(-1), *(np.array(np.broadcast_to(values, shape)).reshape(-1) for values in given))
+    kernel(out.reshape(-1), *(values.reshape(-1) for values in given))
     return out if out.ndim else out[()]
 
 

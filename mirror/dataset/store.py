@@ -246,7 +246,7 @@ class Store:
             return filesystem, path
         if uri.startswith("/"):
             return Path(uri)
-        if ".." in PurePosixPath(uri).parts:
+        if ".." in uri.split("/"):
             raise DatasetError(
                 f"the uri {uri!r} leads out of the dataset",
                 file=self.root,

@@ -28,7 +28,7 @@ FLOATS = {"nan": float("nan"), "inf": float("inf"), "huge": -1e308, "tiny": 5e-3
 INTEGERS = {"nan": -1, "inf": 2**31 - 1, "huge": -(2**31), "tiny": 1, "zero": 0}
 
 
-def run(broken: Broken) -> set[str]:
+def run(broken: Broken) -> list[tuple[Rule, Finding]]:
     with np.errstate(all="ignore"):
         broken.seal()
     with warnings.catch_warnings():
@@ -36,7 +36,7 @@ def run(broken: Broken) -> set[str]:
         report = check(broken.root, cost=Cost.IMAGES)
     # The check goes on after a rule that fails, but none of ours may fail.
     assert not [finding for _, finding in report.findings if "cannot be evaluated" in finding.message]
-    return {rule.rule_id for rule, _ in report.findings}
+    return list(report.findings)
 
 
 def spoil(broken: Broken, table: str, kind: str) -> None:
@@ -71,13 +71,13 @@ def test_hardly_a_row(table: str, rows: int, broken: Broken) -> None:
 
 
 @pytest.mark.parametrize("model", ["brown_conrady", "rational", "kannala_brandt", "f_theta"])
-@pytest.mark.parametrize("coefficient", [1e308, -1e308, 1e150])
-def test_a_distortion_beyond_any_lens(model: str, coefficient: float, broken: Broken) -> None:
+def test_a_distortion_beyond_any_lens(model: str, broken: Broken) -> None:
     """The check died of a LinAlgError, and printed no finding."""
     count = {"brown_conrady": 5, "rational": 8, "kannala_brandt": 4, "f_theta": 4}[model]
-    distortion = [0.0, 500.0, *[coefficient] * (count - 2)]
-    broken.set(A0, "calibrations", 0, model=model, distortion=distortion)
-    assert "CAM003" in run(broken)
+    for row, coefficient in enumerate((1e308, -1e308, 1e150)):
+        distortion = [0.0, 500.0, *[coefficient] * (count - 2)]
+        broken.set(A0, "calibrations", row, model=model, distortion=distortion)
+    assert [finding.count for rule, finding in run(broken) if rule.rule_id == "CAM003"] == [3]
 
 
 def test_a_rule_that_fails_is_a_finding_and_the_others_go_on(broken: Broken, monkeypatch: pytest.MonkeyPatch) -> None:

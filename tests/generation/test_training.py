@@ -248,6 +248,7 @@ def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path
     # The second process is a fork of the first one, which has imported the libraries and computed nothing.
     script = (
         "import os, sys; from pathlib import Path; from dataclasses import replace\n"
+        "import torch._dynamo\n"  # The first optimizer would import it.
         "from tests.generation.test_training import OPTIONS, train_on_clips, NullProgress\n"
         "autoencoder = Path(sys.argv[3])\n"
         "options = replace(OPTIONS, autoencoder=autoencoder)\n"

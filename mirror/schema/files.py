@@ -246,7 +246,8 @@ def read_table(
             if _VERSION_KEY in metadata:
                 require_readable(metadata[_VERSION_KEY].decode(), path)
             names = list(columns) if columns is not None else table.schema.names
-            missing = [name for name in names if name not in schema.names and name not in ADDED]
+            present = set(schema.names)
+            missing = [name for name in names if name not in present and name not in ADDED]
             if missing:
                 raise SchemaError(
                     f"table {table.name} has no column {missing[0]!r}",
@@ -255,7 +256,7 @@ def read_table(
                     expected=f"the columns of {table.name} in docs/schema.md",
                     remedy="run `mirror index` if the file lies in index/, else restore it",
                 )
-            rows = file.read(columns=[name for name in names if name in schema.names], use_threads=False)
+            rows = file.read(columns=[name for name in names if name in present], use_threads=False)
     except FileNotFoundError as error:
         raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error
     except (pa.ArrowInvalid, OSError) as error:
@@ -276,15 +277,16 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
             column and row are named.
     """
     fields = [table.schema.field(name) for name in columns] if columns is not None else list(table.schema)
-    extra = set(data.column_names) - {field.name for field in fields}
+    present = set(data.column_names)
+    extra = present - {field.name for field in fields}
     if extra:
         raise SchemaError(f"table {table.name} has an unknown column", file=file, place=f"column {min(extra)}")
     arrays = []
     for field in fields:
-        if field.name not in data.column_names and field.name in ADDED:
+        if field.name not in present and field.name in ADDED:
             arrays.append(pa.chunked_array([pa.nulls(data.num_rows, field.type)]))
             continue
-        if field.name not in data.column_names:
+        if field.name not in present:
             raise SchemaError(f"table {table.name} has no such column", file=file, place=f"column {field.name}")
         column = data.column(field.name)
         if column.type != field.type:

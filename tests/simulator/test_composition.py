@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
+import pytest
 
 from hybridworldsim.simulator.agents.bodies import body_of_size, draw_body
 from hybridworldsim.simulator.agents.states import Agent, AgentStates
@@ -160,3 +162,24 @@ def test_a_body_is_chosen_by_category_and_size() -> None:
     assert long.category == "truck"
     assert math.isclose(long.size_m[0], 9.0, abs_tol=2.5)
     assert body_of_size("bicycle", (1.8, 0.6, 1.7)).category in ("bicycle", "cyclist")
+
+
+@pytest.mark.parametrize(("light", "lit"), [("night", True), ("day", False)])
+def test_headlights_of_the_ego_light_agents_in_the_dark(light: Literal["day", "night"], lit: bool) -> None:
+    """Two images from one place, with the ego facing the agent and with the ego turned away from it."""
+    street = straight_street()
+    body = draw_body("van", "seven", 0)
+    agent = Agent("seven", "van", body.size_m, body)
+    states = AgentStates(
+        np.array([62.0]), np.array([-1.75]), np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1), np.ones(1, np.bool_)
+    )
+    camera = rig_cameras(street, ("front_wide",), 192)["front_wide"]
+    layer = AgentLayer(street, Condition(instant_of("2025-06-21", light, 0.0, 45.0), light, "clear"), (agent,))
+    facing, away = (
+        Snapshot(0, 0.0, 0, street.vehicle, EgoState(50.0, -1.75, yaw, 8.0), (agent,), states, {})
+        for yaw in (0.0, math.pi)
+    )
+    pose = ego_pose(street, facing) @ camera.ego_SE3_camera
+    drawn = [layer.draw(layer.at(snapshot), camera.camera, pose) for snapshot in (facing, away)]
+    means = [float(one.rgb[one.alpha > 0.5].mean()) for one in drawn if one is not None]
+    assert means[0] > 1.5 * means[1] if lit else means[0] == means[1]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hybridworldsim.simulator.agents.states import Agent
-from hybridworldsim.simulator.renderers.protocol import LiveUsers, lens_of
+from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose, lens_of
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
@@ -58,14 +58,15 @@ class AgentLayer:
     """
 
     def __init__(self, street: Street, condition: Condition, agents: Sequence[Agent]) -> None:
+        self._street = street
         self._live = LiveUsers(agents, street.ground)
         lit = replace(condition, effects=_EFFECTS)
         self._scene = Scene(_EmptyPlace(street), lit, self._live.users, Model.empty())
 
     def at(self, snapshot: Snapshot) -> Instant:
-        """Return the agents at an instant, for all cameras."""
+        """Return the agents at an instant, for all cameras; in the dark the ego's headlights light them."""
         self._live.update(snapshot)
-        return self._scene.around(snapshot.time_s, np.array([snapshot.ego.x_m, snapshot.ego.y_m, 0.0]))
+        return self._scene.at(snapshot.time_s, ego_pose(self._street, snapshot))
 
     def draw(self, instant: Instant, camera: Camera, world_SE3_camera: Poses) -> AgentImage | None:
         """Draw the agents that a pinhole sees; None: there is none."""

@@ -16,6 +16,7 @@ from benchmarks.studies.closed_loop.declaration import load_declaration
 from benchmarks.studies.closed_loop.driving import exact_percept
 from benchmarks.studies.closed_loop.records import Records, RolloutKey
 from benchmarks.studies.closed_loop.report import BEGIN, END, PAGE, format_report, update_page
+from benchmarks.studies.closed_loop.scenarios import Case
 from benchmarks.studies.closed_loop.sheets import write_sheets
 from benchmarks.studies.closed_loop.stages import (
     choose_plan,
@@ -25,12 +26,14 @@ from benchmarks.studies.closed_loop.stages import (
     run_count,
     run_stages,
 )
+from benchmarks.studies.closed_loop.streets import LIGHTS, Light
 from benchmarks.studies.closed_loop.study import Study
 from hybridworldsim.simulator.simulation import start_simulation
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from mirror.schema.behaviours import HardBrake
+from mirror.schema.scenario import PoseStart
 from tests.closed_loop.tiny import tiny_study
 
 
@@ -95,6 +98,34 @@ def test_rollouts_of_another_network_do_not_count(study: Study, tmp_path: Path) 
     assert other.is_current(RolloutKey("exact", "strong", "hard-brake", 0))
     assert not other.is_current(RolloutKey("exact", "full", "hard-brake", 0))
     assert "| 0 | - |" not in format_report(study)
+
+
+def test_a_withdrawn_rollout_does_not_count(study: Study, tmp_path: Path) -> None:
+    file = tmp_path / "outcomes.jsonl"
+    file.write_text(study.records.file.read_text())
+    other = Study(study.folder, study.declaration, Records(file, study.declaration.hash))
+    key = RolloutKey("exact", "full", "hard-brake", 0)
+    assert other.is_current(key)
+    other.records.withdraw(key, "its street was not recorded")
+    assert not other.is_current(key)
+    assert {stage.name for stage in list_stages(other) if not is_finished(other, stage)} == {"drive-exact"}
+    assert other.records.core_s == study.records.core_s
+    assert "Not run: drive-exact." in format_report(other)
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_scenarios_start_where_the_drive_of_their_light_recorded(light: Light) -> None:
+    declaration = load_declaration()
+    study = Study(Path("absent"), declaration, Records(Path("absent.jsonl"), declaration.hash))
+    # The longest lane of this street crosses the recorded one.
+    case = Case("hard-brake", 0, 0, light)
+    start = study.scenario(case, 1.0).ego.start
+    assert isinstance(start, PoseStart)
+    (recording,) = study.place(case).street.recordings.values()
+    away = np.hypot(recording.poses[:, 0] - start.x_m, recording.poses[:, 1] - start.y_m)
+    turn = math.radians(start.yaw_deg) - recording.poses[away.argmin(), 2]
+    assert away.min() < declaration.scenarios["start_offset_m"] + 1.0
+    assert abs(math.remainder(turn, math.tau)) < math.radians(declaration.scenarios["start_yaw_deg"] + 3.0)
 
 
 def test_scenarios_vary_by_seed_and_their_triggers_by_the_scale(study: Study) -> None:

@@ -78,6 +78,11 @@ class Records:
         """Append a rollout."""
         self._append({**vars(key), **row})
 
+    def withdraw(self, key: RolloutKey, reason: str) -> None:
+        """Append that a rollout does not count, because no hash shows what was wrong with it; its cost stays."""
+        nothing = dict.fromkeys(("network", "model", "scale"))
+        self._append({**vars(key), "core_s": 0.0, **nothing, "withdrawn": reason})
+
     def _append(self, line: Mapping[str, Any]) -> None:
         append_line(self.file, json.dumps({"declaration": self._declaration, **line}, allow_nan=False))
         self.refresh()

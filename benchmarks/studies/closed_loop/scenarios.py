@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,8 +83,10 @@ def make_scenario(
 
 
 def _start_beside(street: Street, along_m: float, offset_m: float, turn_rad: float) -> EgoPlan:
-    """The start on the longest lane straight on, moved to the left and turned to the left."""
-    middle, route, _, _ = plan_route(street, EgoPlan(start=LaneStart(kind="lane", along_m=along_m)))
+    """The start on the longest lane straight on that was driven, moved to the left and turned to the left."""
+    # As a recorded street it offers only lanes that were driven along: cameras saw nothing of the others.
+    recorded = replace(street, drive=None)
+    middle, route, _, _ = plan_route(recorded, EgoPlan(start=LaneStart(kind="lane", along_m=along_m)))
     x = middle.x_m - math.sin(middle.yaw_rad) * offset_m
     y = middle.y_m + math.cos(middle.yaw_rad) * offset_m
     yaw_deg = math.degrees(middle.yaw_rad + turn_rad)

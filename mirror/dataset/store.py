@@ -216,12 +216,11 @@ class Store:
             DatasetError: a relative uri leads out of the dataset, or no installed package reads an absolute one.
             OSError: the file cannot be read.
         """
+        if self.folder is not None and "://" not in uri and not uri.startswith("/"):
+            self._require_inside(uri)
+            return self.read_stable(uri, local)
         place = self.resolve(uri)
-        if not isinstance(place, Path):
-            return remote(*place)
-        if self.folder is None or "://" in uri or uri.startswith("/"):
-            return local(place)
-        return self.read_stable(uri, local)
+        return local(place) if isinstance(place, Path) else remote(*place)
 
     def resolve(self, uri: str) -> Path | tuple[Any, str]:
         """Convert an image's uri to a local path, or to an fsspec file system and a path in it.
@@ -246,6 +245,12 @@ class Store:
             return filesystem, path
         if uri.startswith("/"):
             return Path(uri)
+        self._require_inside(uri)
+        if self.folder is not None:
+            return self.folder / uri
+        return self._remote[0], self._remote_path(uri)
+
+    def _require_inside(self, uri: str) -> None:
         if ".." in uri.split("/"):
             raise DatasetError(
                 f"the uri {uri!r} leads out of the dataset",
@@ -253,9 +258,6 @@ class Store:
                 expected="a path below the dataset's root, or an absolute one",
                 remedy="do not use this dataset: its tables have been tampered with",
             )
-        if self.folder is not None:
-            return self.folder / uri
-        return self._remote[0], self._remote_path(uri)
 
 
 def store_at(root: str, sha256: str | None) -> Store:

@@ -99,9 +99,10 @@ def check(
                 problem = f"the rule cannot be evaluated on this data ({type(error).__name__}: {error})"
                 findings.append((replace(rule, severity=Severity.ERROR), Finding(file, place, problem)))
 
+    document, rois = view.name(layout.document), view.name(layout.rois)
     for rule in rules:
         if rule.of_dataset is not None:
-            collect(rule, partial(rule.of_dataset, view), view.name(layout.document))
+            collect(rule, partial(rule.of_dataset, view), document)
     of_scene = [rule for rule in rules if rule.of_scene is not None]
     scenes = list(view.scenes.values()) if of_scene else []
     start(len(scenes))
@@ -110,7 +111,7 @@ def check(
         for rule in of_scene:
             if rule.of_scene is not None:
                 run = partial(rule.of_scene, scene_view)
-                collect(rule, run, view.name(layout.rois), f"scene {scene.scene_id}")
+                collect(rule, run, rois, f"scene {scene.scene_id}")
         advance(1)
     findings.sort(key=lambda hit: (_ORDER.index(hit[0].severity), hit[0].rule_id, hit[1].file, hit[1].place or ""))
     named = {finding.file for _, finding in findings}

@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.studies.closed_loop.records import RolloutKey
 from benchmarks.studies.closed_loop.stages import EXACT, is_finished, list_stages
 from benchmarks.studies.closed_loop.statistics import Rollouts, compare, intervals
+from benchmarks.studies.closed_loop.streets import LIGHTS
 from benchmarks.studies.closed_loop.study import PILOT, Study
 from benchmarks.studies.page import replace_section
 
@@ -39,6 +40,7 @@ def format_report(study: Study) -> str:
         *_cost(study),
         *_triggers(study),
         *_agreement(study),
+        *_lights(study),
         *_references(study),
         *_policies(study),
     ]
@@ -134,6 +136,28 @@ def _verdict(figures: Mapping[str, float], ceiling: Mapping[str, float], bars: M
         if not (value >= bars[key] or value >= best - bars[f"{key}_below"]):
             missed.append(name.replace("_", " "))
     return "met" if not missed else f"missed: {', '.join(missed)}"
+
+
+def _lights(study: Study) -> Iterator[str]:
+    """The agreement by day and by night; each seed has one light."""
+    rows = []
+    for light in LIGHTS:
+        for world in (CEILING, *study.plan().methods):
+            seeds = [
+                seed for seed in _complete_seeds(study, world) if all(c.light == light for c in study.cases([seed]))
+            ]
+            if seeds:
+                figures = compare(*(_collect(study, one, seeds) for one in (EXACT, world)))
+                cells = [_number(figures[name]) for name in (*_SCORED, "ttc_abs_s", "offset_abs_m", "lead_abs_m")]
+                rows.append(f"| {light}, {_NAMES.get(world, world)} | {' | '.join(cells)} |")
+    if rows:
+        yield (
+            "| by light (not declared: computed when the result was known) | tau-b | balanced accuracy, collision | "
+            "off road | least TTC, mean magnitude, s | perceived offset, m | perceived lead, m |"
+        )
+        yield "|---|---|---|---|---|---|---|"
+        yield from rows
+        yield ""
 
 
 def _references(study: Study) -> Iterator[str]:

@@ -58,6 +58,8 @@ def measure_masks(
 ) -> Iterator[Mask]:
     """Compare masks at places of a recorded drive, with agents that stand at random on the ground around them.
 
+    The places lie in the part of the street that was recorded: a drive begins and ends outside it.
+
     Args:
         street: the street.
         model: its model.
@@ -69,11 +71,11 @@ def measure_masks(
     cameras = rig_cameras(street, tuple(street.rig), width_px)
     scenario = Scenario(name="masks")
     recording = street.recordings[min(street.recordings)]
+    poses = recording.poses[street.is_inside(recording.poses[:, :2])]
     for number, place in enumerate(np.linspace(0.1, 0.9, places)):
         # Each place has random numbers of its own.
         rng = np.random.default_rng([seed, int(hidden), number])
-        row = int(place * (len(recording.poses) - 1))
-        x, y, yaw = recording.poses[row].tolist()
+        x, y, yaw = poses[int(place * (len(poses) - 1))].tolist()
         snapshot = _snapshot(street, EgoState(x, y, yaw, 0.0), rng, recording.start_ns, hidden=hidden)
         if not snapshot.agents:
             continue

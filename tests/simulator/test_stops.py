@@ -20,7 +20,7 @@ def test_a_rollout_that_is_stopped_has_the_states_up_to_there(
     tiny_dataset: Dataset, tmp_path: Path, number: int, after_s: float
 ) -> None:
     run = tmp_path / "run"
-    words = [*MIRROR, "simulate", tiny_dataset.root, "--scenario", "cut-in", "--policy", "idm", "--duration", "60"]
+    words = [*MIRROR, "simulate", tiny_dataset.root, "--scenario", "cut-in", "--policy", "idm", "--duration", "120"]
     # The video's temporary file is written once the rollout is driven.
     ended = interrupt(
         [*words, "--renderer", "boxes", "--out", run], after_s, number, once=lambda: any(run.glob(".video*"))

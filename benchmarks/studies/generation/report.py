@@ -136,7 +136,8 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         bars["identity"],
         own,
         "correlation",
-        _beside(own, "seen_correlation", "shown by the seeds")
+        _beside(copy, "correlation", "empty background")
+        + _beside(own, "seen_correlation", "shown by the seeds")
         + _beside(noise, "correlation", "with noise on references"),
     )
     yield _at_least(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import tomllib
 from collections.abc import Mapping
@@ -211,6 +212,11 @@ def test_published_outcomes_are_shown_without_the_folder(study: Study, tmp_path:
     published = replace(study, published=tmp_path / "outcomes.jsonl").publish()
     elsewhere = replace(study, folder=tmp_path / "empty", published=published)
     assert format_report(elsewhere) == text
+    # The true images have no error, which strict JSON cannot state.
+    assert (study.figures("truth") or {})["db"] == math.inf
+    rows = [json.loads(line, parse_constant=pytest.fail) for line in published.read_text().splitlines()]
+    assert next(row for row in rows if row["stage"] == "truth")["figures"]["db"] is None
+    assert math.isnan(elsewhere.outcomes["truth"].figures["db"])
     # They are no reason to leave a stage out, since later stages need its files.
     assert elsewhere.figures("clips") is None and elsewhere.used_core_s() == 0.0
     other = replace(elsewhere, declaration=replace(study.declaration, hash="0" * 64))

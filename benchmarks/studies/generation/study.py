@@ -7,6 +7,7 @@ declaration are refused. Published outcomes are shown in the report; the files t
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -114,7 +115,9 @@ class Study:
         found = {row["stage"]: row for row in rows if row["declaration"] == self.declaration.hash}
         for path in sorted((self.folder / "figures").glob("*.json")):
             found[path.stem] = {"stage": path.stem, **self._read(path)}
-        return {stage: Outcome(row["core_s"], row["figures"]) for stage, row in found.items()}
+        return {
+            stage: Outcome(row["core_s"], _replaced(row["figures"], _nan_unless_finite)) for stage, row in found.items()
+        }
 
     def shown(self, stage: str) -> Figures | None:
         """Figures of a stage, finished here or published; None: there are none."""
@@ -122,12 +125,12 @@ class Study:
         return None if outcome is None else outcome.figures
 
     def publish(self) -> Path:
-        """Write all outcomes as lines of JSON, and return the file."""
+        """Write all outcomes as lines of JSON, and return the file; numbers that are not finite are null."""
         rows = [
-            {"stage": stage, "declaration": self.declaration.hash, **asdict(outcome)}
+            {"stage": stage, "declaration": self.declaration.hash, **_replaced(asdict(outcome), _finite)}
             for stage, outcome in sorted(self.outcomes.items())
         ]
-        write_bytes(self.published, "".join(json.dumps(row) + "\n" for row in rows).encode())
+        write_bytes(self.published, "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows).encode())
         return self.published
 
     def finish(self, stage: str, core_s: float, figures: Figures) -> None:
@@ -157,6 +160,25 @@ class Study:
                 remedy="choose another --out",
             )
         return document
+
+
+def _replaced(value: Any, replace_one: Callable[[Any], Any]) -> Any:
+    """A value of JSON with each of its numbers, strings and nulls replaced."""
+    if isinstance(value, dict):
+        return {name: _replaced(one, replace_one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_replaced(one, replace_one) for one in value]
+    return replace_one(value)
+
+
+def _finite(value: Any) -> Any:
+    """Null for a number that is not finite, which JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _nan_unless_finite(value: Any) -> Any:
+    """NaN for null and for a number that is not finite, so that a folder and what was published of it show the same."""
+    return math.nan if _finite(value) is None else value
 
 
 @dataclass(frozen=True)

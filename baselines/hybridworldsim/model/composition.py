@@ -123,16 +123,16 @@ class _RenderablePart:
         background_reach_m, ground_reach_m, sky_reach_m = self._reach_m
         latent, content = select_latents(street.appearance)
         if background:
-            anchors = select_visible(viewpoint, street.background.means, background_reach_m)
+            anchors = street.background.visible_ids(viewpoint, background_reach_m)
             splats = street.background.decode(viewpoint, latent, content, street.background.rows(anchors))
             weights = None if self._is_unweighted[0] else self.part.background[splats.rows // street.background.k]
             shown.append(splats if weights is None else fade(splats, weights))
         if ground:
-            ids = select_visible(viewpoint, street.ground.means, ground_reach_m)
+            ids = street.ground.visible_ids(viewpoint, ground_reach_m)
             splats = street.ground.decode(viewpoint, latent, street.ground.rows(ids))
             shown.append(splats if self._is_unweighted[1] else fade(splats, self.part.ground[splats.rows]))
         if sky_visible:
-            ids = select_visible(viewpoint, street.sky.means, sky_reach_m)
+            ids = street.sky.visible_ids(viewpoint, sky_reach_m)
             splats = street.sky.decode(viewpoint, latent, street.sky.rows(ids))
             shown.append(splats if sky == 1.0 else fade(splats, splats.opacities.new_full((len(splats),), sky)))
         return shown

@@ -80,9 +80,9 @@ class Anchors(nn.Module):
     def __len__(self) -> int:
         return len(self.means)
 
-    def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
-        """(M,) int64 anchors that a viewpoint may see."""
-        return select_visible(viewpoint, self.means, self.reach_m())
+    def visible_ids(self, viewpoint: Viewpoint, reach_m: Tensor | None = None) -> Tensor:
+        """(M,) int64 anchors that a viewpoint may see; `reach_m` is computed unless it is given."""
+        return select_visible(viewpoint, self.means, self.reach_m() if reach_m is None else reach_m)
 
     @torch.no_grad()
     def reach_m(self) -> Tensor:

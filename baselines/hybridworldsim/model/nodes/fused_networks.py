@@ -28,20 +28,7 @@ _BLOCK: Final = 2 * WIDTH
 def run_fused(
     codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None, *networks: tuple[ModulatedMLP, Tensor]
 ) -> tuple[Tensor, ...]:
-    """Apply several networks to the same rows, each under its own appearance; without gradients.
-
-    The result of a row does not depend on the other rows.
-
-    Args:
-        codes: (M, F).
-        means: (M, 3) in the block's frame, metres.
-        eye: (3,) centre of the camera, in the block's frame, metres.
-        radius_m: radius of the block, the unit of the places; None: the networks read no places.
-        networks: pairs of a network and an appearance (latent,).
-
-    Returns:
-        The output (M, outputs) of each network, as `run_mlps` returns it for `network_inputs`.
-    """
+    """Do what `run_networks` does, without gradients. The result of a row does not depend on the other rows."""
     tables = _array(codes), _array(means), _array(eye)
     inverse_radius = np.float32(0.0 if radius_m is None else 1.0 / radius_m)
     return tuple(

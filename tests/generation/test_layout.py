@@ -17,9 +17,11 @@ from hybridworldsim.generation.layout.boxes import (
     draw_boxes,
     draw_inverse_depth,
 )
+from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.layout.lines import NEAR_M, draw_lines
 from hybridworldsim.generation.layout.map_lines import MapLine, draw_map
 from mirror.errors import UsageError
+from tests.generation.clips import make_clip
 
 LENS = np.array([[30.0, 0.0, 20.0], [0.0, 31.0, 12.0], [0.0, 0.0, 1.0]])
 SIZE = (24, 40)
@@ -174,3 +176,37 @@ def test_map_lines_are_drawn_near_the_vehicle_and_crossings_last() -> None:
     assert not drawn[1].any()
     with pytest.raises(UsageError, match="not finite"):
         draw_map([MapLine("lane", across * np.nan)], np.eye(4), camera_SE3_ego, LENS, SIZE, 2.0)
+
+
+def test_the_lines_of_a_map_are_further_channels_behind_those_of_the_boxes() -> None:
+    clip = make_clip()
+    given = clip.boxes.at(0), clip.intrinsics, clip.ego_SE3_camera, clip.size_px
+    points = np.array([[4.0, 3.0, -1.5], [9.0, -2.0, -1.5], [20.0, -1.0, -1.5]])
+    lines, pose = [MapLine("lane", points), MapLine("drivable", points + 1.0)], np.eye(4)
+    pose[:3, 3] = 1.0, 0.5, 0.2
+    plain, both = draw_layout(*given, OWN_STYLE), draw_layout(*given, OWN_STYLE, lines=lines, ego_SE3_line=pose)
+    assert plain.any() and both.shape[1] == plain.shape[1] + 3
+    np.testing.assert_array_equal(both[:, : plain.shape[1]], plain)
+    for view, (lens, mount) in enumerate(zip(clip.intrinsics, clip.ego_SE3_camera)):
+        drawn = draw_map(lines, pose, np.linalg.inv(mount), lens, clip.size_px, OWN_STYLE.width_px)
+        assert drawn[1].any() and drawn[2].any()
+        np.testing.assert_array_equal(both[view, plain.shape[1] :], drawn)
+
+
+def test_lines_of_a_map_agree_with_the_reference() -> None:
+    """Borders first, then lanes, then crossings, whatever their order; segments beyond 65 m are left out."""
+    rng = np.random.default_rng(3)
+    kinds = ("crossing", "lane", "drivable", "lane")
+    lines = [MapLine(kind, rng.uniform((2.0, -8.0, -1.6), (30.0, 8.0, -1.4), (4, 3))) for kind in kinds]
+    lines.append(MapLine("lane", np.array([[70.0, 0.0, -1.5], [66.0, 1.0, -1.5], [60.0, 0.0, -1.5]])))
+    camera_SE3_ego = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    segments, colours = [], []
+    for kind, colour in (("drivable", (0, 0, 1)), ("lane", (0, 1, 0)), ("crossing", (1, 0, 0))):
+        for line in lines:
+            for start, end in itertools.pairwise(line.points_m):
+                if line.kind == kind and min(np.hypot(*start[:2]), np.hypot(*end[:2])) <= 65.0:
+                    segments.append([(-one[1], -one[2], one[0]) for one in (start, end)])
+                    colours.append(colour)
+    drawn = draw_map(lines, np.eye(4), camera_SE3_ego, LENS, SIZE, 1.5)
+    expected = reference_lines(np.array(segments), np.array(colours, np.float64), 1.5)
+    np.testing.assert_allclose(drawn, expected, atol=1e-6)

@@ -38,6 +38,24 @@ def test_each_frame_is_generated_from_the_frames_before_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CONFIGS)
+def test_adapters_run_once_per_frame_and_references_once_for_all_steps(name: str) -> None:
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 2)
+    adapted: list[int] = []
+    passes: list[int] = []
+    for module, counts in ((network.background_adapter, adapted), (network.transformer_blocks[0], passes)):
+        # Frames of two views each.
+        module.register_forward_hook(lambda _, given, __, counts=counts: counts.append(len(given[0]) // 2))
+    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=3))
+    for conditions in frames[T:]:
+        rollout.step(conditions)
+    if name == "channels":
+        assert (adapted, passes) == ([1, 1], [1, 1, 1] * 2)
+    else:
+        # The references in one pass, whose keys and values all steps use; their features are those of their own frame.
+        assert (adapted, passes) == ([1] * (T + 2), [T, 1, 1, 1] * 2)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
 def test_every_reference_and_every_layout_counts(name: str) -> None:
     network, frames = make_network(CONFIGS[name]), single_frames(T + 1)
     settings, noise = SamplerSettings(steps=1), draw_noise((1, 1, 2, 4, 4, 6), (0,)).double()

@@ -66,8 +66,8 @@ def test_recorded_road_users_of_a_street_are_those_of_the_layer(two_layers: Path
 def test_a_generated_scene_has_the_boxes_of_the_layer(two_layers: Path) -> None:
     dataset = with_box_layer(mirror.open(two_layers), "known@1")
     traversal = dataset.traversals()[0]
-    plan = plan_scene(dataset, traversal, hz=5.0, trajectory=None, references=5, count=3)
-    rig = rig_of(dataset.where(traversal=traversal).frames(), ("front_wide",), (16, 24), PIXELS, 8)
+    plan = plan_scene(dataset, traversal, hz=None, trajectory=None, references=5, count=3)
+    rig = rig_of(dataset.where(traversal=traversal).frames(), ("front_wide",), (16, 24), PIXELS)
     scene = SceneConditions(
         rig, lambda view: np.zeros((view.height_px, view.width_px, 3), np.uint8), plan.rate_hz, plan.light,
         plan.weather, plan.tracks,

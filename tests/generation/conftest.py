@@ -18,6 +18,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     clips = write_clips(folder / "clips", count=1)
     words = ["train", str(clips), "--steps", "1", "--autoencoder-steps", "1", "--batch", "1", "--json"]
+    words += ["--drop-layout", "0.5"]
     assert main([*words, "--out", str(folder / "out")]) == ExitCode.DONE
     return folder / "out"
 

@@ -41,6 +41,19 @@ def test_broken_clips_are_refused(tmp_path: Path) -> None:
             read_clip(tmp_path, "clip-0")
 
 
+def test_the_file_of_a_box_that_is_not_valid_is_named(tmp_path: Path) -> None:
+    write_clip(tmp_path, make_clip())
+    path = clip_path(tmp_path, "clip-0")
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["boxes_ego_SE3_box"][2, 0, 3] = np.nan
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(DatasetError, match="the box of track 3 in frame 2 is not valid") as caught:
+        read_clip(tmp_path, "clip-0")
+    assert (caught.value.file, caught.value.place) == (str(path), "clip-0, box 2")
+    assert caught.value.remedy == "leave the box out, or correct it"
+
+
 @pytest.mark.parametrize(
     ("field", "row", "value"),
     [("ego_SE3_box", (2, 0, 3), np.nan), ("lwh_m", (2, 1), 0.0), ("category", 2, 7), ("frame", 2, 8)],

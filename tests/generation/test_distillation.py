@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from hybridworldsim.generation.clips.folder import write_clip
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
 from hybridworldsim.generation.model_files import read_generator
@@ -28,7 +29,7 @@ from hybridworldsim.generation.training.windows import WindowBatch
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.progress import NullProgress
 from tests.generation.builders import make_network
-from tests.generation.clips import write_clips
+from tests.generation.clips import make_clip, write_clips
 from tests.generation.interrupting import InterruptingProgress
 from tests.generation.trained import NETWORK
 
@@ -133,7 +134,6 @@ def test_the_teacher_is_not_changed_and_the_student_begins_as_it(trained: Path) 
     from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
     from hybridworldsim.generation.layout.boxes import OWN_STYLE
     from hybridworldsim.generation.training.windows import ClipWindows
-    from tests.generation.clips import make_clip
     from tests.generation.trained import CODEC, T
 
     torch.manual_seed(0)
@@ -166,4 +166,11 @@ def test_the_command_and_its_refusals(trained: Path, tmp_path: Path, capsys: pyt
         main(["distil", str(trained / "clips"), str(tmp_path), "--steps", "1", "--out", str(tmp_path / "other")])
     with pytest.raises(DatasetError, match=r"no clips\.json"):
         main(["distil", str(tmp_path), str(trained / "out"), "--steps", "1", "--out", str(tmp_path / "other")])
+    short = write_clips(tmp_path / "short", count=1)
+    write_clip(short, make_clip(frames=5))
+    with pytest.raises(DatasetError, match="the longest clip has 5 frames") as caught:
+        main(["distil", str(short), str(trained / "out"), "--steps", "1", "--out", str(tmp_path / "other")])
+    assert caught.value.file == str(short)
+    with pytest.raises(UsageError, match="--seed: seed -1"):
+        main([*words, "--out", str(tmp_path / "other"), "--seed", "-1"])
     assert not (tmp_path / "other").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 
 from hybridworldsim.generation.command import main
+from hybridworldsim.generation.model_files import read_generator, write_generator
+from hybridworldsim.generation.scenes.backgrounds import open_background
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.errors import DatasetError, ExitCode
+from mirror.errors import DatasetError, ExitCode, UsageError
+from mirror.protocols.document import load_protocol
+from mirror.protocols.views import plan_views
 
 CAMERAS = ("front_wide", "front_left")
 FRAMES, T = 2, 5
@@ -79,9 +84,33 @@ def test_a_missing_file_and_one_of_another_size_are_named(
         generate(tiny_dataset, traversal, models, backgrounds / CAMERAS[0], tmp_path / "out")
     assert str(caught.value.place).startswith("camera front_wide, timestamp_ns ")
     assert caught.value.expected == "a PNG of 48 x 32 px"
-    with pytest.raises(DatasetError, match="a background of 48 x 32 px"):
+    with pytest.raises(DatasetError, match="a background of 48 x 32 px") as caught:
         generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "large", "--size", "32x16")
-    assert not list(tmp_path.rglob("generated.json"))
+    assert str(caught.value.file).endswith(".png") and caught.value.expected == "a PNG of 64 x 32 px"
+    # The last one is missing: it is named before the first frame is generated.
+    last = tiny_dataset.where(traversal=traversal).frames()[T + FRAMES - 1]
+    partial = shutil.copytree(backgrounds, tmp_path / "partial")
+    (partial / CAMERAS[1] / f"{last.timestamp_ns}.png").write_bytes(b"no image")
+    with pytest.raises(DatasetError, match="no PNG") as caught:
+        generate(tiny_dataset, traversal, models, partial, tmp_path / "out")
+    assert str(last.timestamp_ns) in str(caught.value.place)
+    assert not any((tmp_path / name).exists() for name in ("out", "large"))
+
+
+def test_files_in_the_raster_of_a_protocol_are_scaled_to_that_of_the_generator(
+    tiny_dataset: Dataset, tmp_path: Path
+) -> None:
+    plan = plan_views(tiny_dataset, load_protocol("generation"), "novel")
+    view = plan.views[0]
+    file = tmp_path / view.camera / f"{view.timestamp_ns}.png"
+    file.parent.mkdir()
+    ramp = np.linspace(0, 255, view.width_px).round().astype(np.uint8)
+    assert cv2.imwrite(str(file), np.tile(ramp[None, :, None], (view.height_px, 1, 3)))
+    background, _ = open_background(f"files:{tmp_path}", tiny_dataset, "nearest", [view])
+    np.testing.assert_array_equal(background(view)[0, :, 0], ramp)
+    small = background(view.model_copy(update={"width_px": view.width_px // 2, "height_px": view.height_px // 2}))
+    assert small.shape == (view.height_px // 2, view.width_px // 2, 3)
+    np.testing.assert_allclose(small[0, :, 0], ramp.reshape(-1, 2).mean(axis=1), atol=1.0)
 
 
 def test_guidance_changes_generated_frames_and_is_written_down(
@@ -91,6 +120,18 @@ def test_guidance_changes_generated_frames_and_is_written_down(
     generate(tiny_dataset, traversal, models, backgrounds, out, "--no-keep-empty-views", "--guidance", "4")
     assert "guidance=4.0" in json.loads((out / "generated.json").read_text())["inputs"]["rollout"]
     assert not np.array_equal(images(out), plain)
+
+
+def test_a_generator_that_was_never_trained_without_boxes_is_not_guided(
+    tiny_dataset: Dataset, traversal: str, models: Path, backgrounds: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "generator" / "model.safetensors"
+    write_generator(file, *read_generator(models / "generator" / "model.safetensors"))
+    shutil.copytree(models / "autoencoder", tmp_path / "autoencoder")
+    with pytest.raises(UsageError, match="guidance 4 of a generator that was never trained without boxes") as caught:
+        generate(tiny_dataset, traversal, tmp_path, backgrounds, tmp_path / "out", "--guidance", "4")
+    assert (caught.value.file, caught.value.place) == (str(file), "--guidance")
+    assert not (tmp_path / "out").exists()
 
 
 def test_half_precision_changes_frames_by_a_few_grey_levels(

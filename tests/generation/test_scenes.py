@@ -13,18 +13,21 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 import mirror
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import run as run_module
+from hybridworldsim.generation.scenes import submission as submission_module
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
+from hybridworldsim.generation.scenes.rollout import roll_out_sequence
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
-from hybridworldsim.generation.scenes.scene_clip import SceneConditions, make_scene_clip
-from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
+from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, make_scene_clip
+from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
 from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission, render_plan
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -35,24 +38,25 @@ from mirror.geometry import Poses, project_boxes
 from mirror.methods.model_document import DOCUMENT, Reconstruction
 from mirror.metrics import psnr
 from mirror.protocols.document import load_protocol
-from mirror.protocols.views import plan_views
-from mirror.protocols.views.view import RenderView
+from mirror.protocols.views import Plan, plan_views
+from mirror.protocols.views.view import RenderView, to_pose
 from mirror.schema.files import write_json
-from mirror.schema.tables import CALIBRATIONS
+from mirror.schema.tables import BOXES, CALIBRATIONS
 
 SIZE = (16, 24)
 CAMERAS = ("front_wide", "front_left")
 
 
 def rig(dataset: Dataset, traversal: str, size: tuple[int, int] = SIZE) -> SceneRig:
-    return rig_of(dataset.where(traversal=traversal).frames(), CAMERAS, size, PIXELS, 8)
+    return rig_of(dataset.where(traversal=traversal).frames(), CAMERAS, size, PIXELS)
+
+
+def grey(view: RenderView) -> np.ndarray:
+    return np.full((view.height_px, view.width_px, 3), 90, np.uint8)
 
 
 def scene_of(dataset: Dataset, traversal: str, count: int = 6, trajectory: str | None = None):
-    plan = plan_scene(dataset, traversal, hz=5.0, trajectory=trajectory, references=5, count=count)
-
-    def grey(view):
-        return np.full((view.height_px, view.width_px, 3), 90, np.uint8)
+    plan = plan_scene(dataset, traversal, hz=None, trajectory=trajectory, references=5, count=count)
 
     scene = SceneConditions(rig(dataset, traversal), grey, plan.rate_hz, plan.light, plan.weather, plan.tracks)
     return plan, scene
@@ -221,7 +225,7 @@ def test_another_request_is_refused_in_an_interrupted_folder(
     with pytest.raises(KeyboardInterrupt):
         generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path / "out")
     with pytest.raises(UsageError, match="other settings"):
-        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal, hz=2.0), tmp_path / "out")
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal, hz=0.25), tmp_path / "out")
 
 
 def test_a_removed_road_user_leaves_views_that_cost_nothing(
@@ -238,7 +242,12 @@ def test_a_removed_road_user_leaves_views_that_cost_nothing(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"size_px": (17, 24)}, "multiples of"),
+        ({"size_px": (17, 24)}, "--size: images of 24 x 17 px; expected multiples of 8 px along both sides"),
+        ({"size_px": (512, 24)}, "--size: images of 24 x 512 px; expected .* at most 256 px"),
+        ({"cameras": ("front_wide", "front_wide")}, "--cameras: .* expected each camera once"),
+        ({"trajectory": "lane_shift:2"}, "--trajectory: no trajectory 'lane_shift:2'"),
+        ({"edits": ("move:nobody:dy=1",)}, "--edit: no track 'nobody'"),
+        ({"hz": 30.0}, "--hz: 30 frames per second; expected at most 0.5"),
         ({"cameras": ("nose",)}, "no camera nose"),
         ({"traversal": None, "scene": "nowhere"}, "unknown scene 'nowhere'"),
         ({"background": "exact:"}, "exact:PRESET"),
@@ -272,14 +281,92 @@ def test_an_autoencoder_of_another_model_is_refused(models: Path, tmp_path: Path
     torch.manual_seed(0)
     other = TinyAutoencoder(TinySettings(channels=network.config.latent_channels // 2))
     write_autoencoder(tmp_path / "other.safetensors", other)
-    with pytest.raises(DatasetError, match="the generator takes"):
+    with pytest.raises(DatasetError, match="the generator takes") as caught:
         run_module.open_generator(models / "generator" / "model.safetensors", tmp_path / "other.safetensors")
+    assert (caught.value.file, caught.value.place) == (str(tmp_path / "other.safetensors"), "--autoencoder")
+
+
+def test_weights_of_another_program_are_refused_with_the_way_to_load_them(models: Path, tmp_path: Path) -> None:
+    autoencoder = models / "autoencoder" / "model.safetensors"
+    torch.save({"a": torch.zeros(1)}, tmp_path / "released.pth")
+    save_file({"a": torch.zeros(1)}, tmp_path / "released.safetensors")
+    for name, message in (("released.pth", "cannot be read"), ("released.safetensors", "state no format")):
+        with pytest.raises(DatasetError, match=message) as caught:
+            run_module.open_generator(tmp_path / name, autoencoder)
+        assert caught.value.file == str(tmp_path / name)
+        assert "load_transformer" in str(caught.value.remedy)
+
+
+def test_each_background_of_a_sequence_is_rendered_once(
+    tiny_dataset: Dataset, traversal: str, models: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also that of references of a later segment, and of a seed that stands several times."""
+    monkeypatch.setattr("hybridworldsim.generation.scenes.rollout.SEGMENT", 2)
+    plan, scene = scene_of(tiny_dataset, traversal)
+    asked: list[str] = []
+
+    def counted(view: RenderView) -> np.ndarray:
+        asked.append(view.path)
+        return np.full((view.height_px, view.width_px, 3), len(asked) % 251, np.uint8)
+
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    generator, scene = run_module.open_generator(*files), replace(scene, background=counted)
+    frames = [*[plan.frames[0]] * 5, *plan.frames[:5]]
+    list(roll_out_sequence(generator, frames, scene, ClipRolloutOptions(), recorded_seeds=False))
+    assert len(asked) == len(set(asked)) == 5 * len(CAMERAS)
+
+
+def test_a_move_that_changes_no_frame_is_refused(tiny_dataset: Dataset, traversal: str) -> None:
+    plan, _ = scene_of(tiny_dataset, traversal)
+    boxes = boxes_of(plan.frames[5:], plan.tracks)
+    numbers = {number: name for name, number in plan.tracks.items()}
+    there = numbers[int(boxes.track[0])]
+    gone = next(name for name, number in plan.tracks.items() if not (boxes.track == number).any())
+    require_shown([parse_edit(f"move:{there}:dy=1", plan.tracks)], boxes, plan.tracks)
+    require_shown([parse_edit(f"remove:{gone}", plan.tracks)], boxes, plan.tracks)
+    with pytest.raises(UsageError, match=f"--edit: track '{gone}' has no box in the generated frames"):
+        require_shown([parse_edit(f"move:{gone}:dy=1", plan.tracks)], boxes, plan.tracks)
+    both = [parse_edit(f"{text}", plan.tracks) for text in (f"remove:{there}", f"move:{there}:dy=1")]
+    with pytest.raises(UsageError, match=f"track '{there}' is moved after it is removed"):
+        require_shown(both, boxes, plan.tracks)
+
+
+@pytest.fixture(scope="module")
+def broken(tiny_dataset: Dataset, traversal: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset with layers of boxes in which one row, far behind the first frames, is not valid."""
+    root = tmp_path_factory.mktemp("broken") / "dataset"
+    shutil.copytree(tiny_dataset.root, root, copy_function=os.link)
+    table = tiny_dataset.where(traversal=traversal).table("boxes")
+    rows = [{name: row[name] for name in BOXES.schema.names} for row in table.to_pylist()]
+    # Boxes are recorded more often than frames: one that the last frame with boxes shows.
+    shown = [one.boxes() for one in tiny_dataset.where(traversal=traversal).frames()]
+    stamp = next(one.timestamp_ns for one in reversed(shown) if len(one))
+    last = next(place for place, row in enumerate(rows) if row["timestamp_ns"] == stamp)
+    for name, changes in (("lost", {"tx_m": np.nan}), ("flat", {"height_m": 0.0})):
+        own = [{**row, "source": name, "source_version": "1"} for row in rows]
+        own[last] |= changes
+        LayerWriter(Layout(root), traversal, "boxes", name, "1").finish(BOXES, own, {})
+    build_index(root)
+    return root
+
+
+@pytest.mark.parametrize(("layer", "message"), [("lost", "is not finite"), ("flat", "is not valid")])
+def test_boxes_that_are_not_valid_are_named_before_a_frame_is_generated(
+    broken: Path, traversal: str, models: Path, tmp_path: Path, layer: str, message: str
+) -> None:
+    words = ["scene", str(broken), str(models), "--background", "exact:tiny", "--size", "24x16"]
+    words += ["--traversal", traversal, "--boxes", f"{layer}@1", "--out", str(tmp_path / "out")]
+    with pytest.raises((DatasetError, UsageError), match=message) as caught:
+        main(words)
+    assert caught.value.file == str(broken) and caught.value.remedy
+    assert f"boxes {layer}@1 of {traversal}, timestamp_ns " in str(caught.value.place)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_submission_to_the_protocol_of_edits(
     tiny_dataset: Dataset, models: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two groups of few frames: every view is there, and the vehicle's move changes views with it only."""
+    """Three groups of few frames: every view is there, in its own raster."""
     text = (Path(mirror.__file__).parent / "protocols" / "definitions" / "editing-accuracy-small.toml").read_text()
     text, _, rest = text.partition("[frames]")
     begin, *groups = text.split("[[groups]]")
@@ -303,6 +390,78 @@ def test_a_submission_to_the_protocol_of_edits(
         generate_submission(tiny_dataset, request, tmp_path / "out")
     with pytest.raises(UsageError, match="0 threads"):
         replace(request, threads=0)
+
+
+def few_frames(dataset: Dataset, protocol: str, count: int) -> Plan:
+    """The views of a protocol in its first frames."""
+    plan = plan_views(dataset, load_protocol(protocol), "novel")
+    numbers = sorted({view.frame_index for view in plan.views})[:count]
+    return replace(plan, views=tuple(view for view in plan.views if view.frame_index in numbers))
+
+
+def test_vehicles_of_a_protocol_are_where_it_moves_them(tiny_dataset: Dataset) -> None:
+    """The boxes of a group that are drawn: moved ones at their targets, removed ones nowhere, others as recorded."""
+    plan = plan_views(tiny_dataset, load_protocol("editing-accuracy-small"), "novel")
+    kinds: set[bool] = set()
+    for view in {(one.group, one.frame_index): one for one in plan.views if one.edits}.values():
+        frames = tiny_dataset.where(traversal=view.traversal_id).frames()
+        frame = next(one for one in frames if one.frame_index == view.frame_index)
+        tracks = {name: number for number, name in enumerate(frame.track_ids)}
+        ego = Poses(np.array([[0.6, 0.0, 0.0, 0.8]]), np.array([[3.0, -2.0, 1.0]]))
+        recorded, found = (boxes_of([PlannedFrame(frame, ego, edits)], tracks) for edits in ((), view.edits))
+        edited = {tracks[edit.track_id]: edit for edit in view.edits}
+        assert edited.keys() <= set(recorded.track.tolist())
+        wanted = {}
+        for track, pose in zip(recorded.track.tolist(), recorded.ego_SE3_box):
+            if track not in edited:
+                wanted[track] = pose
+            elif (target := edited[track].world_SE3_target) is not None:
+                wanted[track] = np.linalg.inv(ego.matrix()[0]) @ to_pose(target).matrix()[0]
+                assert not np.allclose(wanted[track], pose, atol=1e-3) or view.group == "0m"
+        assert found.track.tolist() == list(wanted)
+        np.testing.assert_allclose(found.ego_SE3_box, np.array([*wanted.values()]).reshape(-1, 4, 4), atol=1e-9)
+        kinds |= {edit.world_SE3_target is None for edit in view.edits}
+    assert kinds == {True, False}
+
+
+def test_a_rollout_of_a_submission_has_the_edits_of_its_group(
+    tiny_dataset: Dataset, models: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, planned = few_frames(tiny_dataset, "editing-accuracy-small", 2), []
+    monkeypatch.setattr(
+        submission_module, "roll_out_sequence", lambda _, frames, *__, **___: planned.append(frames) or ()
+    )
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    generator = run_module.open_generator(*files)
+    list(render_plan(tiny_dataset, plan, generator, lambda _: None, SIZE, ClipRolloutOptions(), plan.views))  # type: ignore[arg-type, return-value]
+    asked = {(one.group, one.traversal_id, one.frame_index): one.edits for one in plan.views}
+    found = [[one.edits for one in frames[5:]] for frames in planned]
+    assert found == [
+        [asked[key] for key in sorted(asked) if key[:2] == group] for group in sorted({key[:2] for key in asked})
+    ]
+    assert any(edits for rollout in found for edits in rollout)
+
+
+def test_a_continued_submission_has_the_images_of_a_whole_one(tiny_dataset: Dataset, models: Path) -> None:
+    """Only missing views are given, but their rollout runs from its beginning."""
+    plan = few_frames(tiny_dataset, "generation", 3)
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    generator, options = run_module.open_generator(*files), ClipRolloutOptions(keep_empty_views=False)
+
+    def made(views: list[RenderView]) -> dict[str, np.ndarray]:
+        rendered = render_plan(tiny_dataset, plan, generator, grey, SIZE, options, views)
+        return {view.path: image for (view,), image in rendered}
+
+    last = max(view.frame_index for view in plan.views)
+    missing = [view for view in plan.views if view.frame_index == last]
+    whole, part = made(list(plan.views)), made(missing)
+    assert part.keys() == {view.path for view in missing} < whole.keys()
+    assert all(np.array_equal(image, whole[path]) for path, image in part.items())
+    # The result of a rollout, not of its last frame alone.
+    alone = replace(plan, views=tuple(missing))
+    rendered = render_plan(tiny_dataset, alone, generator, grey, SIZE, options, missing)
+    other = {view.path: image for (view,), image in rendered}
+    assert any(not np.array_equal(image, other[path]) for path, image in part.items())
 
 
 LAYER = "refined@1"

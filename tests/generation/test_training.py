@@ -15,6 +15,8 @@ import pytest
 import torch
 
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
+from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_list
 from hybridworldsim.generation.devices import exhausted_memory_named
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
@@ -110,6 +112,9 @@ def test_a_batch_may_be_computed_in_parts() -> None:
         assert float((one - other).detach().abs().max()) <= 2.1e-5
     with pytest.raises(UsageError, match="a batch of 4 in 3 parts"):
         GeneratorSettings(NETWORK, T, batch=4, accumulate=3)
+    GeneratorSettings(NETWORK, T, batch=4, accumulate=2).require_shares(2)
+    with pytest.raises(UsageError, match="a batch of 4 on 2 processes in 4 parts; expected a multiple of 8"):
+        GeneratorSettings(NETWORK, T, batch=4, accumulate=4).require_shares(2)
 
 
 def test_the_model_is_the_average_of_its_steps() -> None:
@@ -193,11 +198,38 @@ def test_parts_that_do_not_fit_are_refused(change: dict[str, object], message: s
 
 def test_clips_that_are_too_short_or_of_another_rig_are_refused() -> None:
     codec = TinyAutoencoder(CODEC)
-    with pytest.raises(DatasetError, match="1 clips without a window"):
+    with pytest.raises(DatasetError, match="the longest clip has 2 frames; expected at least 3"):
         ClipWindows([make_clip(frames=T)], codec, NETWORK, OWN_STYLE, T)
     other = replace(make_clip("clip-1"), views=("a", "b"))
-    with pytest.raises(DatasetError, match="clip-1 has views a, b"):
+    with pytest.raises(DatasetError, match="clip-1: views a, b"):
         ClipWindows([make_clip(), other], codec, NETWORK, OWN_STYLE, T)
+
+
+def lower(clip: Clip, height: int) -> Clip:
+    """The upper rows of a clip's images."""
+    return replace(clip, images=clip.images[:, :, :height], background=clip.background[:, :, :height], tracks=None)
+
+
+@pytest.mark.parametrize(
+    ("unfit", "message"),
+    [
+        ([make_clip(frames=T)], "the longest clip has 2 frames"),
+        ([make_clip(), lower(make_clip("clip-1"), 8)], "clip-1: views left, right of 24 x 8 px"),
+        ([make_clip(), replace(make_clip("clip-1"), views=("a", "b"))], "clip-1: views a, b of 24 x 16 px"),
+        # Latents have 4 pixels along a side, tokens 8.
+        ([lower(make_clip(), 12)], "clip-0: images of 24 x 12 px; expected multiples of 8 px along both sides"),
+    ],
+)
+def test_unfit_clips_are_named_before_an_autoencoder_is_trained(
+    tmp_path: Path, unfit: list[Clip], message: str
+) -> None:
+    for clip in unfit:
+        write_clip(tmp_path / "clips", clip)
+    write_list(tmp_path / "clips", ClipList(source="test", training=tuple(one.clip_id for one in unfit), test=()))
+    with pytest.raises(DatasetError, match=message) as caught:
+        train_on_clips(tmp_path / "clips", tmp_path / "run", OPTIONS, NullProgress())
+    assert caught.value.file == str(tmp_path / "clips") and caught.value.remedy
+    assert not (tmp_path / "run").exists()
 
 
 def test_exhausted_memory_is_named(clips: Path, trained: Path, tmp_path: Path) -> None:
@@ -236,8 +268,9 @@ def test_an_autoencoder_that_does_not_fit_leaves_no_folder(clips: Path, trained:
         train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
     write_autoencoder(tmp_path / "other.safetensors", TinyAutoencoder(replace(CODEC, channels=2)))
     wrong = replace(OPTIONS, autoencoder=tmp_path / "other.safetensors")
-    with pytest.raises(UsageError, match="an autoencoder with 2 channels"):
+    with pytest.raises(UsageError, match="an autoencoder with 2 channels") as caught:
         train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
+    assert (caught.value.file, caught.value.place) == (str(tmp_path / "other.safetensors"), "--autoencoder")
     assert not (tmp_path / "run").exists()
 
 

@@ -182,7 +182,7 @@ class Scene:
     """Cameras, without --split."""
     size: Annotated[str, help_text(metavar="WIDTHxHEIGHT")] = "96x64"
     """Raster of generated images: that of the training."""
-    hz: float = 5.0
+    hz: Annotated[float | None, help_text(default="5, or the recording's rate if that is lower")] = None
     """Frames per second, without --split."""
     frames: Annotated[int | None, help_text(default="all")] = None
     """Largest number of generated frames, without --split."""
@@ -222,6 +222,7 @@ def main(argv: Sequence[str]) -> int:
 def _train(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Train, argv, "mirror generate train", examples=_TRAIN_EXAMPLES)
 
+    from hybridworldsim.generation.training.processes import leads_process
     from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
     from mirror.progress import progress_bar
 
@@ -234,13 +235,17 @@ def _train(argv: Sequence[str]) -> int:
         threads=arguments.threads,
         device=arguments.device,
     )
-    with progress_bar(quiet=arguments.json) as bar:
+    with progress_bar(quiet=arguments.json or not leads_process()) as bar:
         result = train_on_clips(arguments.clips, arguments.out, options, bar)
+    if not leads_process():
+        return ExitCode.DONE
     outcome = result.generator_outcome
+    bound = None if result.autoencoder_outcome is None else result.autoencoder_outcome.psnr_db
     if arguments.json:
         document = {
             "generator": str(result.generator),
             "autoencoder": str(result.autoencoder),
+            "autoencoder_psnr_db": bound,
             **outcome.model_dump(exclude={"psnr_db"}),
         }
         print(json.dumps(document))
@@ -248,8 +253,7 @@ def _train(argv: Sequence[str]) -> int:
     print(
         f"{result.generator}: {outcome.steps} steps, {outcome.core_s / 60.0:.1f} core-minutes, loss {outcome.loss:.5f}"
     )
-    if result.autoencoder_outcome is not None:
-        bound = result.autoencoder_outcome.psnr_db
+    if bound is not None:
         print(f"{result.autoencoder}: {bound:.2f} dB on its training images, which bounds what is generated")
     return ExitCode.DONE
 
@@ -283,7 +287,7 @@ def _distil(argv: Sequence[str]) -> int:
 
 def _scene(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Scene, argv, "mirror generate scene", examples=_SCENE_EXAMPLES)
-    for option in ("traversal", "trajectory", "cameras", "frames"):
+    for option in ("scene", "traversal", "trajectory", "cameras", "hz", "frames"):
         if arguments.split is not None and getattr(arguments, option) is not None:
             raise UsageError("the protocol decides it", place=f"--{option}", expected="no such option beside --split")
     if arguments.split is not None and arguments.edit:

@@ -38,14 +38,26 @@ def computing_in(precision: Precision, device: torch.device | str) -> AbstractCo
     return nullcontext() if precision == "float32" else torch.autocast(torch.device(device).type, torch.bfloat16)
 
 
-def require_threads(threads: int) -> None:
-    """Check a number of threads.
+def require_counts(**counts: int) -> None:
+    """Check numbers of steps or threads, given by the names of their options.
 
     Raises:
-        UsageError: it is below 1.
+        UsageError: one is below 1.
     """
-    if threads < 1:
-        raise UsageError(f"{threads} threads", place="--threads", expected="at least 1")
+    for name, count in counts.items():
+        if count < 1:
+            words = name.replace("_", " ")
+            raise UsageError(f"{count} {words}", place=f"--{name.replace('_', '-')}", expected="at least 1")
+
+
+def require_seed(seed: int) -> None:
+    """Check a seed of random numbers.
+
+    Raises:
+        UsageError: it is below 0.
+    """
+    if seed < 0:
+        raise UsageError(f"seed {seed}", place="--seed", expected="0 or above")
 
 
 @contextmanager

@@ -20,11 +20,26 @@ from mirror.schema.strict_json import decode_json
 
 _GENERATOR: Final = "mirror-generator/1"
 _AUTOENCODER: Final = "mirror-autoencoder/1"
+_REMEDY: Final = (
+    "name a file that `mirror generate train` wrote; released weights of other programs are loaded in Python, with"
+    " `load_transformer` and `load_autoencoder`"
+)
 
 
-def write_generator(path: Path, network: Transformer, references: int) -> int:
-    """Write a network and T, the number of its reference frames; returns the size of the file in bytes."""
-    return _write(path, network, _GENERATOR, {"network": asdict(network.config), "references": references})
+def write_generator(path: Path, network: Transformer, references: int, *, drop_layout: float = 0.0) -> int:
+    """Write a network.
+
+    Args:
+        path: the file.
+        network: the network.
+        references: T, number of its reference frames.
+        drop_layout: share of its training windows without boxes; above 0 it can be guided.
+
+    Returns:
+        The size of the file in bytes.
+    """
+    document = {"network": asdict(network.config), "references": references, "drop_layout": drop_layout}
+    return _write(path, network, _GENERATOR, document)
 
 
 def read_generator(path: Path) -> tuple[Transformer, int]:
@@ -37,11 +52,33 @@ def read_generator(path: Path) -> tuple[Transformer, int]:
     try:
         config = TransformerConfig.from_document(document["network"])
     except UsageError as error:
-        raise DatasetError(str(error), file=path, expected="a generator of this version") from error
+        raise DatasetError(
+            str(error), file=path, expected="a generator of this version", remedy="train it again with this version"
+        ) from error
     with torch.device("meta"):
         network = Transformer(config)
     _load(path, network, state)
     return network.eval().requires_grad_(False), int(document["references"])
+
+
+def require_guidance(path: Path, scale: float) -> None:
+    """Check that a generator can be guided with a scale: its training must have had windows without boxes.
+
+    Raises:
+        UsageError: the scale is not 1, and there were none.
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    if scale == 1.0:
+        return
+    document, _ = _read(path, _GENERATOR)
+    if not float(document.get("drop_layout", 0.0)) > 0.0:
+        raise UsageError(
+            f"guidance {scale:g} of a generator that was never trained without boxes",
+            file=path,
+            place="--guidance",
+            expected="a generator of `mirror generate train --drop-layout`; distilled ones take none",
+            remedy="leave out --guidance, or train with --drop-layout 0.1",
+        )
 
 
 def write_autoencoder(path: Path, model: TinyAutoencoder) -> int:
@@ -59,7 +96,12 @@ def read_autoencoder(path: Path) -> TinyAutoencoder:
     try:
         settings = TinySettings(**document["settings"])
     except (TypeError, KeyError) as error:
-        raise DatasetError(f"settings that do not fit ({error})", file=path, expected="a tiny autoencoder") from error
+        raise DatasetError(
+            f"settings that do not fit ({error})",
+            file=path,
+            expected="a tiny autoencoder",
+            remedy="train it again with this version",
+        ) from error
     with torch.device("meta"):
         model = TinyAutoencoder(settings)
     _load(path, model, state)
@@ -84,10 +126,14 @@ def _read(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, torch.Tensor
             metadata = file.metadata() or {}
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
-        raise DatasetError(f"cannot be read ({error})", file=path, expected=f"a file of {kind}") from error
+        raise DatasetError(
+            f"cannot be read ({error})", file=path, expected=f"a file of {kind}", remedy=_REMEDY
+        ) from error
     document = decode_json(metadata.get("document", "{}"))
     if document.get("format") != kind:
-        raise DatasetError(f"of format {document.get('format')!r}", file=path, expected=kind)
+        found = document.get("format")
+        problem = "tensors that state no format" if found is None else f"of format {found!r}"
+        raise DatasetError(problem, file=path, expected=kind, remedy=_REMEDY)
     return document, state
 
 
@@ -96,5 +142,5 @@ def _load(path: Path, model: nn.Module, state: Mapping[str, torch.Tensor]) -> No
         model.load_state_dict(state, strict=True, assign=True)
     except RuntimeError as error:
         raise DatasetError(
-            " ".join(str(error).split())[:300], file=path, expected="the tensors of its model"
+            " ".join(str(error).split())[:300], file=path, expected="the tensors of its model", remedy=_REMEDY
         ) from error

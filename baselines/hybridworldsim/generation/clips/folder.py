@@ -78,6 +78,11 @@ def read_clip(folder: Path, clip_id: str) -> Clip:
             arrays[name] = arrays[name].item()
         arrays["views"] = tuple(arrays["views"].tolist())
         return Clip(**arrays, boxes=boxes)
+    except DatasetError as error:
+        raise DatasetError(
+            error.problem, file=path, place=error.place, expected=error.expected,
+            remedy=error.remedy or "make the clips again: remove this file",
+        ) from error  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise DatasetError(
             f"cannot be read ({error})", file=path, expected="a clip", remedy="make the clips again: remove this file"

@@ -12,6 +12,7 @@ import torch
 from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_bytes, to_tensor
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
+from hybridworldsim.generation.devices import require_seed
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import seed_frames
@@ -43,6 +44,7 @@ class ClipRolloutOptions:
     def __post_init__(self) -> None:
         if self.blend_px is not None and self.blend_px < 0:
             raise UsageError(f"hulls grown by {self.blend_px} px", place="--blend", expected="0 or more")
+        require_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

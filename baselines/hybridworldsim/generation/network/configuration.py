@@ -136,6 +136,15 @@ class TransformerConfig:
         """Pixels per token, along a side."""
         return self.latent_stride * self.patch
 
+    def takes_size(self, size_px: tuple[int, int]) -> bool:
+        """Whether images of this height and width are whole tokens, within the table of positions."""
+        return all(0 < side <= self.grid * self.token_px and side % self.token_px == 0 for side in size_px)
+
+    @property
+    def sizes(self) -> str:
+        """The sizes for which `takes_size` holds, in words."""
+        return f"multiples of {self.token_px} px along both sides, at most {self.grid * self.token_px} px"
+
 
 CTSD_35: Final = TransformerConfig()
 """OpenDWM's layout-conditioned model on Stable Diffusion 3.5 medium (``ctsd_35_tirda_bm_nwao``)."""

@@ -14,6 +14,7 @@ from mirror.arrays import Int64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
+from mirror.protocols.png import HEADER_BYTES, png_size
 from mirror.protocols.views.view import RenderView
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def open_background(
         if appearance != "nearest":
             raise UsageError(f"{appearance!r}", place="--appearance", expected="a static model as background")
         if kind == "files":
-            return _Files(Path(rest)), text
+            return _Files(Path(rest), views), text
         preset, _, seed = rest.partition(":")
         if not preset or not (seed or "0").isdecimal():
             raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
@@ -105,24 +106,47 @@ def _require_preset(preset: str) -> None:
 
 
 class _Files:
-    """Backgrounds in files."""
+    """Backgrounds in files, in the rasters of the views that they are opened for; other rasters are scaled from them.
 
-    def __init__(self, folder: Path) -> None:
+    Raises:
+        DatasetError: a file is missing, or its image has another size than its view.
+    """
+
+    def __init__(self, folder: Path, views: Sequence[RenderView]) -> None:
         if not folder.is_dir():
-            raise DatasetError("no such folder of backgrounds", file=folder, place="--background")
+            raise DatasetError(
+                "no such folder of backgrounds", file=folder, place="--background",
+                expected="<camera>/<timestamp_ns>.png in it",
+            )  # fmt: skip
         self._folder = folder
+        for view in views:
+            file = self._file(view)
+            if not file.is_file():
+                raise self._error("no background image", view)
+            with file.open("rb") as stream:
+                size = png_size(stream.read(HEADER_BYTES))
+            if size != (view.width_px, view.height_px):
+                found = "no PNG" if size is None else f"a background of {size[0]} x {size[1]} px"
+                raise self._error(found, view)
+
+    def _file(self, view: RenderView) -> Path:
+        return self._folder / view.camera / f"{view.timestamp_ns}.png"
+
+    def _error(self, problem: str, view: RenderView) -> DatasetError:
+        return DatasetError(
+            problem,
+            file=self._file(view),
+            place=f"camera {view.camera}, timestamp_ns {view.timestamp_ns}",
+            expected=f"a PNG of {view.width_px} x {view.height_px} px",
+            remedy="add it, or name another --background",
+        )
 
     def __call__(self, view: RenderView) -> UInt8:
-        file = self._folder / view.camera / f"{view.timestamp_ns}.png"
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR) if file.is_file() else None
+        image = cv2.imread(str(self._file(view)), cv2.IMREAD_COLOR)
         if image is None:
-            raise DatasetError(
-                "no background image",
-                file=file,
-                place=f"camera {view.camera}, timestamp_ns {view.timestamp_ns}",
-                expected=f"a PNG of {view.width_px} x {view.height_px} px",
-                remedy="add it, or name another --background",
-            )
+            raise self._error("a background that cannot be read", view)
+        if image.shape[:2] != (view.height_px, view.width_px):
+            image = cv2.resize(image, (view.width_px, view.height_px), interpolation=cv2.INTER_AREA)
         return np.ascontiguousarray(image[..., ::-1])
 
 

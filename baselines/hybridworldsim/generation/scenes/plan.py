@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,10 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.geometry.interpolation import interpolate
 from mirror.protocols.views.trajectories import parse_trajectory
+
+DEFAULT_HZ: Final = 5.0
+"""Frames per second where none are asked for: those of the clips of the synthetic street."""
+_RATE_TOLERANCE: Final = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,27 +38,36 @@ class ScenePlan:
 
 
 def plan_scene(
-    dataset: Dataset, traversal_id: str, *, hz: float, trajectory: str | None, references: int, count: int | None
+    dataset: Dataset, traversal_id: str, *, hz: float | None, trajectory: str | None, references: int, count: int | None
 ) -> ScenePlan:
     """Plan the frames of one traversal.
 
     Args:
         dataset: the dataset.
         traversal_id: the traversal.
-        hz: wanted rate; the nearest rate that takes every so many frames is used.
+        hz: wanted rate; the nearest rate that takes every so many frames is used. None: `DEFAULT_HZ`, or the rate of
+            the recording if that is lower.
         trajectory: line of the vehicle in the generated frames, as for `mirror render`; None: the recorded one.
         references: T, number of seeds.
         count: largest number of generated frames; None: all.
 
     Raises:
-        UsageError: the traversal has too few frames, or the trajectory is unknown.
+        UsageError: the traversal has too few frames, the rate is above that of the recording, or the trajectory is
+            unknown.
     """
     frames = dataset.where(traversal=traversal_id).frames()
     stamps = np.array([frame.timestamp_ns for frame in frames], np.int64)
     if len(stamps) < 2:
         raise UsageError(f"{len(stamps)} frames", place=traversal_id, expected=f"at least {references + 1}")
     recorded_hz = 1e9 / float(np.median(np.diff(stamps)))
-    stride = max(1, round(recorded_hz / hz))
+    if hz is not None and hz > _RATE_TOLERANCE * recorded_hz:
+        raise UsageError(
+            f"{hz:g} frames per second",
+            place="--hz",
+            expected=f"at most {recorded_hz:.3g}, the rate of the recording",
+            remedy="leave it out, or choose a lower one",
+        )
+    stride = max(1, round(recorded_hz / (hz or DEFAULT_HZ)))
     chosen = np.arange(0, len(frames), stride)
     if count is not None:
         chosen = chosen[: references + count]

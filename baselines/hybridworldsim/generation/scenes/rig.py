@@ -75,7 +75,7 @@ class SceneRig:
         Args:
             frames: the traversal's frames with these calibrations.
         """
-        other = rig_of(frames, self.cameras, self.size_px, self.pixels, 1)
+        other = rig_of(frames, self.cameras, self.size_px, self.pixels)
         return replace(self, ego_SE3_camera=other.ego_SE3_camera, recalibrated=other.lenses)
 
     def images(self, frame: Frame) -> tuple[UInt8, Bool]:
@@ -118,7 +118,7 @@ class SceneRig:
 
 
 def rig_of(
-    frames: FrameSequence, cameras: tuple[str, ...] | None, size_px: tuple[int, int], pixels: Pixels, stride: int
+    frames: FrameSequence, cameras: tuple[str, ...] | None, size_px: tuple[int, int], pixels: Pixels
 ) -> SceneRig:
     """The rig of a traversal.
 
@@ -127,16 +127,10 @@ def rig_of(
         cameras: names; None: all cameras of the first frame.
         size_px: height and width of the generator's images.
         pixels: how lenses are undistorted.
-        stride: pixels per token along a side, which must divide the raster.
 
     Raises:
-        UsageError: a camera is unknown, or the raster does not fit the network.
+        UsageError: a camera is unknown, or named twice.
     """
-    height, width = size_px
-    if height % stride or width % stride:
-        raise UsageError(
-            f"images of {width} x {height} px", place="--size", expected=f"multiples of {stride} px along both sides"
-        )
     images = {camera: image for frame in frames[:50] for camera, image in frame.images.items()}
     unknown = sorted(set(cameras or ()) - set(images))
     if unknown or not images:
@@ -146,6 +140,8 @@ def rig_of(
             expected=", ".join(sorted(images)) or "images",
         )
     names = cameras or tuple(images)
+    if len(set(names)) < len(names):
+        raise UsageError(f"{', '.join(names)}", place="--cameras", expected="each camera once")
     mounts = [images[name].calibration.ego_SE3_camera for name in names]
     poses = Poses(np.concatenate([one.rotation for one in mounts]), np.concatenate([one.translation for one in mounts]))
     return SceneRig(names, tuple(images[name].camera_model for name in names), poses, size_px, pixels)

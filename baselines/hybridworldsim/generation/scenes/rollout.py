@@ -14,7 +14,8 @@ from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions,
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, make_scene_clip
-from mirror.errors import DatasetError
+from mirror.arrays import UInt8
+from mirror.errors import DatasetError, UsageError
 
 SEGMENT: Final = 16
 """Frames of a segment."""
@@ -34,9 +35,23 @@ class Generator:
             raise DatasetError(
                 f"latents of {self.codec.channels} channels and {self.codec.stride} px, but the generator takes"
                 f" {config.latent_channels} channels and {config.latent_stride} px",
+                place="--autoencoder",
                 expected="the autoencoder that the generator was trained with",
                 remedy="name it with --autoencoder",
             )
+
+    def require_size(self, size_px: tuple[int, int]) -> None:
+        """Check a height and width of generated images.
+
+        Raises:
+            UsageError: the network does not take it.
+        """
+        if not self.network.config.takes_size(size_px):
+            height, width = size_px
+            raise UsageError(
+                f"images of {width} x {height} px", place="--size", expected=self.network.config.sizes,
+                remedy="choose the size of the training's clips",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +88,8 @@ def roll_out_sequence(
     """
     references = generator.references
     start = references if state is None else state.frame
+    # Of the references of a later segment, so that no view is rendered twice.
+    rendered: UInt8 | None = None
     while start < len(frames):
         end = min(start + SEGMENT, len(frames))
         first = start - references
@@ -82,7 +99,9 @@ def roll_out_sequence(
             frames[first:end],
             scene,
             recorded=references if is_start and recorded_seeds else 0,
+            rendered=rendered,
         )
+        rendered = clip.background[-references:]
         if is_start and not recorded_seeds:
             clip.images[:references] = clip.background[:references]
         edited = None if edit is None else edit(clip, first)

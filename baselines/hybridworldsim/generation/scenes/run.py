@@ -13,15 +13,15 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.devices import require_device, require_threads
+from hybridworldsim.generation.devices import require_counts, require_device
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_guidance
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, roll_out_sequence
-from hybridworldsim.generation.scenes.scene_clip import SceneConditions
-from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit
+from hybridworldsim.generation.scenes.scene_clip import SceneConditions, boxes_of, require_valid_boxes
+from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
@@ -87,7 +87,7 @@ class SceneRequest:
         appearance: appearance of a static model.
         cameras: names; None: all.
         size_px: height and width of generated images.
-        hz: frames per second.
+        hz: frames per second; see `plan_scene`.
         frames: largest number of generated frames; None: all.
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
@@ -104,31 +104,37 @@ class SceneRequest:
     appearance: str = "nearest"
     cameras: tuple[str, ...] | None = None
     size_px: tuple[int, int] = (64, 96)
-    hz: float = 5.0
+    hz: float | None = None
     frames: int | None = None
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.hz) and self.hz > 0.0):
+        if self.hz is not None and not (math.isfinite(self.hz) and self.hz > 0.0):
             raise UsageError(f"{self.hz} frames per second", place="--hz", expected="a finite rate above 0")
         if self.frames is not None and self.frames < 1:
             raise UsageError(f"{self.frames} frames", place="--frames", expected="at least 1")
-        require_threads(self.threads)
+        require_counts(threads=self.threads)
 
 
-def open_generator(generator: Path, autoencoder: Path, device: str = "cpu") -> Generator:
+def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guidance: float = 1.0) -> Generator:
     """Read a generator and its autoencoder, and move them to a device.
 
     Raises:
-        UsageError: there is no such device.
+        UsageError: there is no such device, or the generator cannot be guided.
         DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
     """
     require_device(device)
+    require_guidance(generator, guidance)
     network, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
-    return Generator(network.to(device), codec.to(device), references)
+    try:
+        return Generator(network.to(device), codec.to(device), references)
+    except DatasetError as error:
+        raise DatasetError(
+            error.problem, file=autoencoder, place=error.place, expected=error.expected, remedy=error.remedy
+        ) from error
 
 
 def generate_scene(
@@ -152,7 +158,8 @@ def generate_scene(
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
-    generator = open_generator(request.generator, request.autoencoder, request.device)
+    generator = open_generator(request.generator, request.autoencoder, request.device, request.rollout.sampler.guidance)
+    generator.require_size(request.size_px)
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
@@ -165,9 +172,10 @@ def generate_scene(
         count=request.frames,
     )
     frames = dataset.where(traversal=traversal).frames()
-    stride = generator.network.config.latent_stride * generator.network.config.patch
-    rig = rig_of(frames, request.cameras, request.size_px, PIXELS, stride)
+    rig = rig_of(frames, request.cameras, request.size_px, PIXELS)
     edits = [parse_edit(text, plan.tracks) for text in request.edits]
+    require_valid_boxes(dataset, (one.frame for one in plan.frames))
+    require_shown(edits, boxes_of(plan.frames[generator.references :], plan.tracks), plan.tracks)
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
     background, identity = open_background(request.background, dataset, request.appearance, views)
     inputs = _inputs(dataset, request, traversal, identity)

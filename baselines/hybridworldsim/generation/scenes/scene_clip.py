@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,8 +13,9 @@ from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rig import SceneRig
 from mirror.arrays import UInt8
+from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.views.view import Edit, to_pose
 
@@ -65,7 +66,14 @@ class SceneConditions:
     tracks: Mapping[str, int]
 
 
-def make_scene_clip(clip_id: str, frames: Sequence[PlannedFrame], scene: SceneConditions, *, recorded: int) -> Clip:
+def make_scene_clip(
+    clip_id: str,
+    frames: Sequence[PlannedFrame],
+    scene: SceneConditions,
+    *,
+    recorded: int,
+    rendered: UInt8 | None = None,
+) -> Clip:
     """Make a clip of consecutive frames.
 
     Args:
@@ -73,6 +81,7 @@ def make_scene_clip(clip_id: str, frames: Sequence[PlannedFrame], scene: SceneCo
         frames: F frames.
         scene: what they share.
         recorded: number of leading frames whose recorded images are read (the seeds); the images of others are black.
+        rendered: (K, V, H, W, 3) backgrounds of the first K frames, if they are known; the others are rendered.
 
     Raises:
         DatasetError: a background has another size than its view, or a box is not finite.
@@ -82,9 +91,14 @@ def make_scene_clip(clip_id: str, frames: Sequence[PlannedFrame], scene: SceneCo
     images, background = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
     present = np.ones(shape[:2], np.bool_)
     for place, one in enumerate(frames):
-        views = rig.views(one.frame, one.world_SE3_ego, scene.light, scene.weather)
-        for row, view in enumerate(views):
-            background[place, row] = _resized(scene.background(view), (view.height_px, view.width_px), rig.size_px)
+        if rendered is not None and place < len(rendered):
+            background[place] = rendered[place]
+        elif place and one is frames[place - 1]:
+            background[place] = background[place - 1]
+        else:
+            views = rig.views(one.frame, one.world_SE3_ego, scene.light, scene.weather)
+            for row, view in enumerate(views):
+                background[place, row] = _resized(scene.background(view), (view.height_px, view.width_px), rig.size_px)
         if place < recorded:
             recorded_images, street = rig.images(one.frame)
             present[place] = street.any(axis=(1, 2))
@@ -102,11 +116,40 @@ def make_scene_clip(clip_id: str, frames: Sequence[PlannedFrame], scene: SceneCo
         rig.intrinsics,
         rig.ego_SE3_camera.matrix(),
         np.concatenate([(start @ one.world_SE3_ego).matrix() for one in frames]),
-        _boxes(frames, scene.tracks),
+        boxes_of(frames, scene.tracks),
     )
 
 
-def _boxes(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipBoxes:
+def require_valid_boxes(dataset: Dataset, frames: Iterable[Frame]) -> None:
+    """Check the boxes of frames before the first one is generated; boxes of other classes are not drawn.
+
+    Args:
+        dataset: the dataset, for errors.
+        frames: some of its frames.
+
+    Raises:
+        UsageError: a pose is not finite, or there are several layers of boxes and none was chosen.
+        DatasetError: a size is not finite, or not above 0.
+    """
+    for frame in frames:
+        place = f"boxes {dataset.layers.boxes or ''} of {frame.traversal_id}, timestamp_ns {frame.timestamp_ns}"
+        try:
+            boxes = frame.boxes("world")
+        except UsageError as error:
+            raise UsageError(
+                error.problem, file=str(dataset.root), place=place, expected=error.expected, remedy=error.remedy
+            ) from error
+        good = np.isfinite(boxes.size_m).all(axis=1) & (boxes.size_m > 0.0).all(axis=1)
+        for row in np.flatnonzero(~good):
+            if boxes.category[row] in CLASS_OF:
+                raise DatasetError(
+                    f"the box of track {boxes.track_id[row]} is not valid", file=str(dataset.root),
+                    place=place, expected="finite sizes above 0 m",
+                    remedy="name another layer with --boxes, or correct this one: `mirror check` lists such boxes",
+                )  # fmt: skip
+
+
+def boxes_of(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipBoxes:
     """The boxes of all frames, in the ego frames of the trajectory."""
     frame, track, category, poses, sizes = [], [], [], [np.zeros((0, 4, 4))], [np.zeros((0, 3))]
     for place, one in enumerate(frames):

@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from hybridworldsim.generation.clips.clip import CATEGORIES, Clip
+from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
 from hybridworldsim.generation.clips.edits import add_track, move_track, remove_track
 from mirror.arrays import Float64
 from mirror.errors import UsageError
@@ -79,6 +79,33 @@ def parse_edit(text: str, tracks: Mapping[str, int]) -> SceneEdit:
     except ValueError as error:
         raise UsageError(f"{text!r}", place="--edit", expected=_FORM) from error
     return SceneEdit(kind, name, numbers)  # type: ignore[arg-type]
+
+
+def require_shown(edits: Sequence[SceneEdit], boxes: ClipBoxes, tracks: Mapping[str, int]) -> None:
+    """Check that each moved road user is there to be moved.
+
+    Args:
+        edits: in order.
+        boxes: those of the generated frames.
+        tracks: numbers of road users by track id.
+
+    Raises:
+        UsageError: it has no box in these frames, or an earlier edit removes it.
+    """
+    removed: set[str] = set()
+    for edit in edits:
+        if edit.kind == "remove":
+            removed.add(edit.name)
+        elif edit.kind == "move" and edit.name in removed:
+            raise UsageError(
+                f"track {edit.name!r} is moved after it is removed", place="--edit", expected="one of both"
+            )
+        elif edit.kind == "move" and not (boxes.track == tracks[edit.name]).any():
+            raise UsageError(
+                f"track {edit.name!r} has no box in the generated frames", place="--edit",
+                expected=f"a track of a class that is generated ({', '.join(CATEGORIES)}), recorded behind the seeds",
+                remedy="choose another track, or generate more --frames",
+            )  # fmt: skip
 
 
 def apply_edits(

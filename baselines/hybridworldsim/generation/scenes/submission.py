@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import torch
 
-from hybridworldsim.generation.devices import require_threads
+from hybridworldsim.generation.devices import require_counts
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import open_generator
-from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions
+from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, require_valid_boxes
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.manifest import Appearance, Method
@@ -60,7 +60,7 @@ class SubmissionRequest:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        require_threads(self.threads)
+        require_counts(threads=self.threads)
 
 
 def generate_submission(
@@ -82,11 +82,16 @@ def generate_submission(
         DatasetError: a model, image or background is missing or does not fit.
     """
     torch.set_num_threads(request.threads)
-    generator = open_generator(request.generator, request.autoencoder, request.device)
+    generator = open_generator(request.generator, request.autoencoder, request.device, request.rollout.sampler.guidance)
+    generator.require_size(request.size_px)
     plan = plan_views(dataset, load_protocol(request.protocol), request.split)
     calibrations = calibrations_of(request.background)
     views = recalibrate_views(dataset, plan.views, calibrations)
     background, identity = open_background(request.background, dataset, request.appearance, views)
+    for traversal in dict.fromkeys(view.traversal_id for view in plan.views):
+        wanted = {view.frame_index for view in plan.views if view.traversal_id == traversal}
+        frames = dataset.where(traversal=traversal).frames()
+        require_valid_boxes(dataset, (frame for frame in frames if frame.frame_index in wanted))
     inputs = (
         *(file_sha256(request.generator), file_sha256(request.autoencoder), identity),
         *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
@@ -146,8 +151,7 @@ def render_plan(
         numbers = sorted({view.frame_index for view in views})
         by_view = {(view.frame_index, view.camera): view for view in views}
         cameras = tuple(sorted({view.camera for view in views}))
-        stride = generator.network.config.latent_stride * generator.network.config.patch
-        rig = rig_of(dataset.where(traversal=traversal).frames(), cameras, size_px, plan.protocol.pixels, stride)
+        rig = rig_of(dataset.where(traversal=traversal).frames(), cameras, size_px, plan.protocol.pixels)
         planned = []
         for number in numbers:
             requested = [view for view in views if view.frame_index == number]

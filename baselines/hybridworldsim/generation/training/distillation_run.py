@@ -8,7 +8,13 @@ from pathlib import Path
 import torch
 
 from hybridworldsim.generation.clips.folder import read_clips, read_list
-from hybridworldsim.generation.devices import DISTILLATION_REMEDY, exhausted_memory_named, require_device
+from hybridworldsim.generation.devices import (
+    DISTILLATION_REMEDY,
+    exhausted_memory_named,
+    require_counts,
+    require_device,
+    require_seed,
+)
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
@@ -17,8 +23,8 @@ from hybridworldsim.generation.training.loop import run_steps
 from hybridworldsim.generation.training.run import hash_clips
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows, require_fit
-from mirror.errors import DatasetError, UsageError
+from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit
+from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
 
@@ -48,8 +54,8 @@ class DistillationOptions:
     checkpoint_s: float = 60.0
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.threads) < 1:
-            raise UsageError("steps or threads below 1", expected="at least 1")
+        require_counts(steps=self.steps, threads=self.threads)
+        require_seed(self.seed)
 
 
 def distil_on_clips(
@@ -84,19 +90,22 @@ def distil_on_clips(
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
     teacher, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
-    require_fit(codec, teacher.config, OWN_STYLE, references)
+    require_fit(codec, teacher.config, OWN_STYLE, references, file=autoencoder)
+    clips_hash = hash_clips(clips, listed)
+    loaded = read_clips(clips, listed)
+    require_clips(loaded, teacher.config, references, clips)
     settings = replace(options.settings, network=teacher.config, references=references)
     folder = GenerationRunFolder(out)
     document = {**settings.document, "distillation": options.distillation.document, "teacher": file_sha256(generator)}
     run = GenerationRun(
         part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
-        processes=1, clips_hash=hash_clips(clips, listed), autoencoder_hash=file_sha256(autoencoder),
+        processes=1, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
     )  # fmt: skip
     outcome = folder.begin(run)
     if outcome is not None:
         return folder.model, outcome
     with exhausted_memory_named(options.device, DISTILLATION_REMEDY), folder.lock():
-        windows = ClipWindows(read_clips(clips, listed), codec, teacher.config, OWN_STYLE, references)
+        windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references)
         trainer = DistillationTrainer(
             settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device
         )

@@ -85,6 +85,19 @@ class GeneratorSettings:
             raise UsageError(f"self_rollout {self.self_rollout}", expected="a share from 0 to 1")
         noise_levels(self.self_rollout_steps)
 
+    def require_shares(self, processes: int) -> None:
+        """Check that a batch can be shared.
+
+        Raises:
+            UsageError: its parts on so many processes would differ in size.
+        """
+        if self.batch % (processes * self.accumulate):
+            raise UsageError(
+                f"a batch of {self.batch} on {processes} processes in {self.accumulate} parts",
+                place="--batch",
+                expected=f"a multiple of {processes * self.accumulate}",
+            )
+
     @property
     def document(self) -> dict[str, Any]:
         """All settings as JSON values; those of a self-rollout only where there is one."""
@@ -180,11 +193,7 @@ class GeneratorTrainer:
         rank: int = 0,
         processes: int = 1,
     ) -> None:
-        if settings.batch % (processes * settings.accumulate):
-            raise UsageError(
-                f"a batch of {settings.batch} on {processes} processes in {settings.accumulate} parts",
-                expected="parts of equal size",
-            )
+        settings.require_shares(processes)
         torch.manual_seed(seed)
         self._settings, self._windows, self._steps, self._seed = settings, windows, steps, seed
         self._device, self._rank, self._processes = device, rank, processes

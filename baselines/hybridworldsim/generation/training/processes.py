@@ -39,6 +39,11 @@ class Processes:
             torch.distributed.barrier()
 
 
+def leads_process() -> bool:
+    """Whether this process is the only one or the leading one of those that ``torchrun`` started: it prints."""
+    return int(os.environ.get("RANK", "0")) == 0
+
+
 @contextmanager
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that ``torchrun`` started; without it this process is the only one.

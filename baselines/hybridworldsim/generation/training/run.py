@@ -13,7 +13,13 @@ import torch
 from hybridworldsim.generation.autoencoder.codec import LatentCodec
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_list
-from hybridworldsim.generation.devices import TRAINING_REMEDY, exhausted_memory_named, require_device
+from hybridworldsim.generation.devices import (
+    TRAINING_REMEDY,
+    exhausted_memory_named,
+    require_counts,
+    require_device,
+    require_seed,
+)
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
 from hybridworldsim.generation.training.autoencoder_trainer import (
@@ -26,9 +32,9 @@ from hybridworldsim.generation.training.loop import run_steps
 from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows, require_fit
+from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit
 from mirror.arrays import UInt8
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
 
@@ -60,8 +66,8 @@ class TrainingOptions:
     checkpoint_s: float = 60.0
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.autoencoder_steps, self.threads) < 1:
-            raise UsageError("steps or threads below 1", expected="at least 1")
+        require_counts(steps=self.steps, autoencoder_steps=self.autoencoder_steps, threads=self.threads)
+        require_seed(self.seed)
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,8 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
         reporter: receives the progress.
 
     Raises:
-        DatasetError: clips are missing, broken or too short, the loss is not finite, or memory is exhausted.
+        DatasetError: clips are missing, broken, too short or not of one rig and size, the loss is not finite, or memory
+            is exhausted.
         UsageError: `out` holds another run, or the options do not fit.
     """
     require_device(options.device)
@@ -99,15 +106,17 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     listed = read_list(clips).training
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
+    network, references = options.settings.network, options.settings.references
+    # Before a folder is made that could not be used, and before minutes are spent on an autoencoder.
     if options.autoencoder is not None:
-        # Before a folder is made that could not be used.
-        given = read_autoencoder(options.autoencoder)
-        require_fit(given, options.settings.network, OWN_STYLE, options.settings.references)
+        require_fit(read_autoencoder(options.autoencoder), network, OWN_STYLE, references, file=options.autoencoder)
     clips_hash = hash_clips(clips, listed)
     loaded = read_clips(clips, listed)
+    require_clips(loaded, network, references, clips)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
     with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
+        options.settings.require_shares(processes.count)
         if autoencoder is None:
             with processes.leader_first():
                 autoencoder, outcome = _train_autoencoder(loaded, clips_hash, out / "autoencoder", options, reporter)
@@ -180,7 +189,9 @@ def _train_generator(
             if processes.leads:
                 network = trainer.averaged_network()
                 folder.finish(
-                    lambda file: write_generator(file, network, settings.references), position, settings.weighting
+                    lambda file: write_generator(file, network, settings.references, drop_layout=settings.drop_layout),
+                    position,
+                    settings.weighting,
                 )
     done = folder.outcome
     if done is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -74,7 +75,7 @@ class ClipWindows:
         references: T, number of reference frames.
 
     Raises:
-        DatasetError: clips differ in rig or size, or no clip is longer than T.
+        DatasetError: as `require_clips`.
         UsageError: the autoencoder or the layout does not fit the network.
     """
 
@@ -82,22 +83,13 @@ class ClipWindows:
         self, clips: Sequence[Clip], codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int
     ) -> None:
         require_fit(codec, config, style, references)
-        for clip in clips:
-            if (clip.size_px, clip.views) != (clips[0].size_px, clips[0].views):
-                raise DatasetError(
-                    f"{clip.clip_id} has views {', '.join(clip.views)} of {clip.size_px} pixels",
-                    expected=f"those of {clips[0].clip_id}: {', '.join(clips[0].views)} of {clips[0].size_px}",
-                )
+        require_clips(clips, config, references)
         self._clips, self._config, self._references = clips, config, references
         self._latents = [encode_clip(clip, codec) for clip in clips]
         self._layouts: list[UInt8] = [
             np.round(draw_clip_layout(clip, style) * 255.0).astype(np.uint8) for clip in clips if config.layout
         ]
         self._places = [(row, frame) for row, clip in enumerate(clips) for frame in range(references, len(clip))]
-        if not self._places:
-            raise DatasetError(
-                f"{len(clips)} clips without a window", expected=f"clips of at least {references + 1} frames"
-            )
 
     def __len__(self) -> int:
         """Number of windows."""
@@ -137,7 +129,50 @@ class ClipWindows:
         return frame_conditions(self._clips[row], frame, self._config, layout)
 
 
-def require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int) -> None:
+def require_clips(
+    clips: Sequence[Clip], config: TransformerConfig, references: int, folder: Path | None = None
+) -> None:
+    """Check that a network can be trained on clips.
+
+    Args:
+        clips: at least one clip.
+        config: the network.
+        references: T, number of reference frames.
+        folder: where the clips are, for errors.
+
+    Raises:
+        DatasetError: clips differ in rig or size, their images are not whole tokens, or no clip is longer than T.
+    """
+    first = clips[0]
+    if not config.takes_size(first.size_px):
+        raise DatasetError(
+            f"images of {_pixels(first)}", file=folder, place=first.clip_id, expected=config.sizes,
+            remedy="make the clips again in another size",
+        )  # fmt: skip
+    for clip in clips:
+        if (clip.size_px, clip.views) != (first.size_px, first.views):
+            raise DatasetError(
+                f"views {', '.join(clip.views)} of {_pixels(clip)}", file=folder, place=clip.clip_id,
+                expected=f"those of {first.clip_id}: {', '.join(first.views)} of {_pixels(first)}",
+                remedy="train on clips of one rig and size",
+            )  # fmt: skip
+    longest = max(map(len, clips))
+    if longest <= references:
+        raise DatasetError(
+            f"the longest clip has {longest} frames", file=folder,
+            expected=f"at least {references + 1}: {references} references and a target",
+            remedy="make longer clips",
+        )  # fmt: skip
+
+
+def _pixels(clip: Clip) -> str:
+    height, width = clip.size_px
+    return f"{width} x {height} px"
+
+
+def require_fit(
+    codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int, file: Path | None = None
+) -> None:
     """Check that an autoencoder and a layout belong to a network.
 
     Args:
@@ -145,6 +180,7 @@ def require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, 
         config: the network.
         style: how boxes are drawn.
         references: T, number of reference frames.
+        file: file of the autoencoder, for errors.
 
     Raises:
         UsageError: they have other channels or another resolution.
@@ -152,7 +188,10 @@ def require_fit(codec: LatentCodec, config: TransformerConfig, style: BoxStyle, 
     if (codec.channels, codec.stride) != (config.latent_channels, config.latent_stride):
         raise UsageError(
             f"an autoencoder with {codec.channels} channels and stride {codec.stride}",
+            file=file,
+            place="--autoencoder",
             expected=f"{config.latent_channels} channels and stride {config.latent_stride}, as the network",
+            remedy="name the autoencoder that belongs to the generator, or leave it out where one is trained",
         )
     if config.reference_channels not in (0, references * config.latent_channels):
         raise UsageError(

@@ -41,6 +41,18 @@ def test_broken_clips_are_refused(tmp_path: Path) -> None:
             read_clip(tmp_path, "clip-0")
 
 
+@pytest.mark.parametrize("name", ["background", "boxes_track"])
+def test_a_clip_without_an_array_is_refused_by_its_name(tmp_path: Path, name: str) -> None:
+    write_clip(tmp_path, make_clip())
+    path = clip_path(tmp_path, "clip-0")
+    with np.load(path) as file:
+        arrays = {key: file[key] for key in file.files if key != name}
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(DatasetError, match=rf"cannot be read \(no {name} in it\)") as caught:
+        read_clip(tmp_path, "clip-0")
+    assert caught.value.file == str(path) and caught.value.remedy
+
+
 def test_the_file_of_a_box_that_is_not_valid_is_named(tmp_path: Path) -> None:
     write_clip(tmp_path, make_clip())
     path = clip_path(tmp_path, "clip-0")

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hybridworldsim.generation.clips.clip import CATEGORIES
 from hybridworldsim.generation.layout.boxes import (
     COLOURS,
     OPENDWM_STYLE,
@@ -210,3 +211,12 @@ def test_lines_of_a_map_agree_with_the_reference() -> None:
     drawn = draw_map(lines, np.eye(4), camera_SE3_ego, LENS, SIZE, 1.5)
     expected = reference_lines(np.array(segments), np.array(colours, np.float64), 1.5)
     np.testing.assert_allclose(drawn, expected, atol=1e-6)
+
+
+def test_colours_are_those_that_released_weights_were_trained_with() -> None:
+    published = {
+        "pedestrian": (255, 0, 0), "cyclist": (128, 255, 0), "motorcycle": (0, 255, 128), "bus": (128, 0, 255),
+        "car": (0, 0, 255), "truck": (255, 255, 0),
+    }  # fmt: skip
+    found = dict(zip(CATEGORIES, (255.0 * COLOURS).tolist()))
+    assert {name: tuple(found[name]) for name in published} == published

@@ -19,6 +19,10 @@ from mirror.schema.files import read_json, write_bytes, write_json
 _LIST: Final = "clips.json"
 _SUFFIX: Final = ".npz"
 _BOXES: Final = "boxes_"
+_NEEDED: Final = (
+    *(field.name for field in fields(Clip) if field.name not in ("boxes", "tracks")),
+    *(f"{_BOXES}{field.name}" for field in fields(ClipBoxes)),
+)
 _SCALARS: Final = ("clip_id", "drive_id", "rate_hz")
 
 
@@ -73,6 +77,9 @@ def read_clip(folder: Path, clip_id: str) -> Clip:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+        missing = [name for name in _NEEDED if name not in arrays]
+        if missing:
+            raise ValueError(f"no {', '.join(missing)} in it")
         boxes = ClipBoxes(**{part.name: arrays.pop(f"{_BOXES}{part.name}") for part in fields(ClipBoxes)})
         for name in _SCALARS:
             arrays[name] = arrays[name].item()

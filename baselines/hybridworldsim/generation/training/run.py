@@ -213,7 +213,9 @@ def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:
     for clip_id in clip_ids:
         path = clip_path(folder, clip_id)
         if not path.is_file():
-            raise DatasetError("missing", file=path, expected="a clip that clips.json lists")
+            raise DatasetError(
+                "missing", file=path, expected="a clip that clips.json lists", remedy="make the clips again"
+            )
         digest.update(f"{clip_id} {file_sha256(path)}\n".encode())
     return digest.hexdigest()
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.studies.generation import crops
 from benchmarks.studies.generation.comparison import compare
 from benchmarks.studies.generation.declaration import FILE, load_declaration
 from benchmarks.studies.generation.edits import Edit, EditScore, normalise, plan_edits, score_edit
@@ -281,6 +282,28 @@ def test_fid_and_fvd_are_shown_where_their_weights_are(
     monkeypatch.delenv("MIRROR_WEIGHTS", raising=False)
     with pytest.raises(WeightsUnavailableError):
         load_networks()
+
+
+def test_crops_are_compared_by_class_and_drive(study: Study, tmp_path: Path) -> None:
+    other = replace(study, folder=tmp_path / "study")
+    shutil.copytree(study.folder, other.folder)
+    figures = crops.measure_crops(other, least_crops=1)
+    own = figures["on-0"]
+    assert own["all"] == pytest.approx((other.figures("vehicles") or {})["value"])
+    assert set(own["classes"]) == {"car", "van"} and set(own["drives"]) == {f"drive-{seed}" for seed in range(DRIVES)}
+    parts = {}
+    for name in ("truth", "background", "on-0"):
+        # Clips of even seeds show a car, the others a van.
+        files = [np.load(other.folder / "scores" / name / f"clip-{seed}.npz") for seed in range(0, DRIVES, 2)]
+        parts[name] = np.concatenate([file["crop"] for file in files])
+    expected = [frechet_distance(parts[name], parts["truth"]).value for name in ("on-0", "background")]
+    assert own["classes"]["car"] == pytest.approx(expected[0] / expected[1])
+    assert crops.measure_crops(other, least_crops=10_000)["on-0"]["classes"] == {}
+    other.finish(crops.STAGE, 1.0, figures)
+    row = next(line for line in format_report(other).splitlines() if line.startswith("| on-0 |"))
+    worst = sorted(own["drives"].values())[-2:]
+    values = [own["all"], own["classes"]["car"], own["classes"]["van"], worst[1], worst[0]]
+    assert row == f"| on-0 | {' | '.join(f'{value:.2f}' for value in values)} |"
 
 
 def test_sheets_show_truth_background_and_models(study: Study, tmp_path: Path) -> None:

@@ -20,11 +20,11 @@ class Arguments:
 
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
     docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
-    report shows them without the folder. fid: FID and FVD of finished rollouts, where their weights are there. clips,
-    judges: these stages alone.
+    report shows them without the folder. crops: the distance of crops by class and drive. fid: FID and FVD of finished
+    rollouts, where their weights are there. clips, judges: these stages alone.
     """
 
-    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "fid", "clips", "judges"]]
+    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "crops", "fid", "clips", "judges"]]
     """What to do."""
     out: Path = Path("benchmarks/out/generation")
     """Folder of the study."""
@@ -40,9 +40,9 @@ def main(argv: Sequence[str]) -> int:
     """Run the study, or a part of it."""
     arguments = tyro.cli(Arguments, args=list(argv), prog="python -m benchmarks generation")
 
+    from benchmarks.studies.generation import crops, published
     from benchmarks.studies.generation.declaration import load_declaration
     from benchmarks.studies.generation.make_clips import make_clips
-    from benchmarks.studies.generation.published import STAGE, load_networks, measure_published
     from benchmarks.studies.generation.report import PAGE, format_report, update_page, write_sheets
     from benchmarks.studies.generation.stages import list_stages
     from benchmarks.studies.generation.study import Study, run_stages
@@ -64,10 +64,13 @@ def main(argv: Sequence[str]) -> int:
         if study.figures("clips") is not None:
             print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
         return ExitCode.DONE
-    if arguments.what == "fid":
+    if arguments.what in ("crops", "fid"):
         begin = time.process_time()
-        figures = measure_published(study, *load_networks())
-        study.finish(STAGE, time.process_time() - begin, figures)
+        if arguments.what == "crops":
+            stage, figures = crops.STAGE, crops.measure_crops(study)
+        else:
+            stage, figures = published.STAGE, published.measure_published(study, *published.load_networks())
+        study.finish(stage, time.process_time() - begin, figures)
         print(json.dumps(figures, indent=1))
         return ExitCode.DONE
     if arguments.what == "publish":

@@ -10,7 +10,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from benchmarks.studies.generation.published import STAGE
+from benchmarks.studies.generation import crops, published
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study
 from benchmarks.studies.page import replace_section
@@ -40,11 +40,31 @@ def format_report(study: Study) -> str:
         "|---|---|---|---|",
         *(f"| {' | '.join(row)} |" for row in rows),
         "",
+        *_format_crops(study),
     ]
     if left:
         lines += [f"Not run: {', '.join(left)}.", ""]
     lines += [f"Cut: {'; '.join(f'{name}: {reason}' for name, reason in study.declaration.cut.items())}.", END]
     return "\n".join(lines)
+
+
+def _format_crops(study: Study) -> list[str]:
+    """The table of crops by class and drive, for the models that were measured."""
+    models = study.shown(crops.STAGE) or {}
+    if not models:
+        return []
+    classes = sorted({name for figures in models.values() for name in figures["classes"]})
+    lines = [
+        "Crop distance, generated / empty background, by class; the worst and the second worst drive. Not declared.",
+        "",
+        f"| model | all | {' | '.join(classes)} | worst drive | second worst |",
+        f"|---|{'---|' * (len(classes) + 3)}",
+    ]
+    for model, figures in models.items():
+        drives = sorted(figures["drives"].values(), reverse=True)
+        values = [figures["all"], *(figures["classes"].get(name, math.nan) for name in classes), *drives[:2]]
+        lines.append(f"| {model} | {' | '.join(f'{value:.2f}' for value in values)} |")
+    return [*lines, ""]
 
 
 def update_page(study: Study, page: Path = PAGE) -> None:
@@ -98,7 +118,10 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         _beside(own, "copy_db", "the empty street copied"),
     )
     yield _at_most(
-        "drift of the background, last ten frames less first ten, dB", bars["background_drift_db"], own, "drift_db"
+        "drift of the background: loss against the copy in the last ten frames, less that in the first ten, dB",
+        bars["background_drift_db"],
+        own,
+        "drift_db",
     )
     yield _at_least(
         "background without conditioning on it, next frame from recorded ones, dB (else void)",
@@ -152,7 +175,7 @@ def _list_rows(study: Study) -> Iterator[_Row]:
         yield _ratio(
             f"{kind} distance, distilled / best teacher", bars["distilled"], one, least, most=bars["distilled_upper"]
         )
-    for model, distances in (study.shown(STAGE) or {}).items():
+    for model, distances in (study.shown(published.STAGE) or {}).items():
         shown = ", ".join(f"{name.upper()} {value:.3g}" for name, value in distances.items())
         yield (f"{model}: FID and FVD", "-", shown, "-")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -14,8 +13,8 @@ from benchmarks.studies.generation.comparison import Ratio, Statistics, collect_
 from benchmarks.studies.generation.declaration import Declaration
 from benchmarks.studies.generation.edits import generate_edits, normalise, plan_edits, score_edit
 from benchmarks.studies.generation.rollouts import predict_next, roll_out_all, shorten
+from benchmarks.studies.generation.score_files import EMPTY, TRUTH, read_scores, scores_file
 from benchmarks.studies.generation.scoring import (
-    Scores,
     background_db,
     identity,
     outside_db,
@@ -32,8 +31,6 @@ from hybridworldsim.generation.training.run import TrainingOptions, train_on_cli
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 
-_TRUTH: Final = "truth"
-_COPY: Final = "background"
 _NEXT_EVERY: Final = 5
 """Of so many frames, one is generated from recorded ones, for the rule that makes a comparison void."""
 
@@ -44,8 +41,8 @@ def list_stages(declaration: Declaration) -> list[Stage]:
     stages = [
         Stage("clips", 45.0, _clips),
         Stage("judges", 6.0, _judges),
-        Stage("truth", 2.0, partial(_score_given, name=_TRUTH)),
-        Stage("background", 2.0, partial(_score_given, name=_COPY)),
+        Stage("truth", 2.0, partial(_score_given, name=TRUTH)),
+        Stage("background", 2.0, partial(_score_given, name=EMPTY)),
     ]
     for seed in seeds:
         for kind in ("on", "off"):
@@ -88,7 +85,7 @@ def _judges(study: Study, progress: ProgressReporter) -> Figures:
 def _score_given(study: Study, progress: ProgressReporter, *, name: str) -> Figures:
     first, given = study.references, {}
     for clip in study.test:
-        given[clip.clip_id] = (clip.images if name == _TRUTH else clip.background)[first:]
+        given[clip.clip_id] = (clip.images if name == TRUTH else clip.background)[first:]
     return _write_scores(study, name, given, progress)
 
 
@@ -227,14 +224,14 @@ def _conditioning(study: Study, progress: ProgressReporter, *, seeds: Sequence[i
 def _vehicles(study: Study, progress: ProgressReporter) -> Figures:
     """The distance of crops, as a share of that of the empty background."""
     name = f"on-{study.declaration.training['seeds'][0]}"
-    return asdict(_compare(study, [name], [_COPY], "crop"))
+    return asdict(_compare(study, [name], [EMPTY], "crop"))
 
 
 def _compare(study: Study, first: list[str], second: list[str], kind: str) -> Ratio:
     scoring = study.declaration.scoring
-    truth = collect_statistics(_read_scores(study, _TRUTH), study.drives, kind)
+    truth = collect_statistics(read_scores(study, TRUTH), study.drives, kind)
     models = [
-        [collect_statistics(_read_scores(study, one), study.drives, kind) for one in names] for names in (first, second)
+        [collect_statistics(read_scores(study, one), study.drives, kind) for one in names] for names in (first, second)
     ]
     return compare(models[0], models[1], truth, resamples=int(scoring["resamples"]), level=float(scoring["level"]))
 
@@ -251,7 +248,7 @@ def _write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], pro
     judges = load_judges(study.folder / "judges")
     progress.start("scoring", len(study.test))
     for clip in study.test:
-        path = _scores_file(study, name, clip.clip_id)
+        path = scores_file(study, name, clip.clip_id)
         path.parent.mkdir(parents=True, exist_ok=True)
         scores = score_clip(clip, study.references, images[clip.clip_id], study.features, judges)
         temporary = path.with_name(f".{path.name}")
@@ -259,7 +256,7 @@ def _write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], pro
             np.savez_compressed(file, allow_pickle=False, **scores)
         temporary.replace(path)
         progress.advance(1)
-    every = list(_read_scores(study, name).values())
+    every = list(read_scores(study, name).values())
     scoring = study.declaration.scoring
     classes, found = (np.concatenate([one[key] for one in every]) for key in ("crop_class", "crop_found"))
     ious = np.concatenate([one["iou"] for one in every])
@@ -272,15 +269,3 @@ def _write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], pro
         "masks": len(ious),
         "images": sum(len(one["image"]) for one in every),
     }
-
-
-def _read_scores(study: Study, name: str) -> dict[str, Scores]:
-    found: dict[str, Scores] = {}
-    for clip in study.test:
-        with np.load(_scores_file(study, name, clip.clip_id)) as file:
-            found[clip.clip_id] = {key: file[key] for key in file.files}
-    return found
-
-
-def _scores_file(study: Study, name: str, clip_id: str) -> Path:
-    return study.folder / "scores" / name / f"{clip_id}.npz"

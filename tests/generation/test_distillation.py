@@ -160,6 +160,11 @@ def test_the_command_and_its_refusals(trained: Path, tmp_path: Path, capsys: pyt
     words = ["distil", str(trained / "clips"), str(trained / "out"), "--steps", "1", "--batch", "1"]
     assert main([*words, "--out", str(tmp_path / "out"), "--teacher-steps", "4", "--json"]) == ExitCode.DONE
     assert Path(json.loads(capsys.readouterr().out)["generator"]).is_file()
+    small = ["--teacher-steps", "4", "--accumulate", "2", "--batch", "2", "--recompute", "--precision", "bf16"]
+    assert main([*words[:-2], *small, "--out", str(tmp_path / "small"), "--json"]) == ExitCode.DONE
+    settings = json.loads((tmp_path / "small" / "run.json").read_text())["settings"]
+    assert (settings["accumulate"], settings["precision"], settings["recompute"]) == (2, "bf16", True)
+    assert 0.0 < json.loads(capsys.readouterr().out)["loss"] < 10.0
     with pytest.raises(UsageError, match="in 3 segments"):
         main([*words, "--out", str(tmp_path / "other"), "--segments", "3"])
     with pytest.raises(UsageError, match="no such file"):

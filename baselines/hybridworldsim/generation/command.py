@@ -134,6 +134,12 @@ class Distil:
     """Highest learning rate. It rises in 100 steps, then falls to 0 behind the last step."""
     ema: float = 0.995
     """Highest decay of the averaged parameters, which are the student's targets and those of the model."""
+    accumulate: int = 1
+    """Parts of a batch that are computed one after another, to save memory."""
+    precision: Literal["float32", "bf16"] = "float32"
+    """Precision of the networks' computation."""
+    recompute: bool = False
+    """Compute activations again for the gradient, to save memory."""
     seed: int = 0
     """Seed of all random choices."""
     threads: int = 1
@@ -270,7 +276,14 @@ def _distil(argv: Sequence[str]) -> int:
     options = DistillationOptions(
         steps=arguments.steps,
         distillation=DistillationSettings(arguments.segments, arguments.teacher_steps),
-        settings=GeneratorSettings(batch=arguments.batch, learning_rate=arguments.learning_rate, ema=arguments.ema),
+        settings=GeneratorSettings(
+            batch=arguments.batch,
+            learning_rate=arguments.learning_rate,
+            ema=arguments.ema,
+            accumulate=arguments.accumulate,
+            precision=arguments.precision,
+            recompute=arguments.recompute,
+        ),
         seed=arguments.seed,
         threads=arguments.threads,
         device=arguments.device,

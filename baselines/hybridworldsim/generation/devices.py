@@ -14,7 +14,6 @@ Precision: TypeAlias = Literal["float32", "bf16"]
 """Of the computation of a network, whose parameters are float32."""
 
 TRAINING_REMEDY: Final = "more --accumulate, a smaller --batch, --recompute, or --precision bf16"
-DISTILLATION_REMEDY: Final = "a smaller --batch"
 GENERATION_REMEDY: Final = "a smaller --size, fewer --cameras, or another --device"
 
 

@@ -9,7 +9,7 @@ import torch
 
 from hybridworldsim.generation.clips.folder import read_clips, read_list
 from hybridworldsim.generation.devices import (
-    DISTILLATION_REMEDY,
+    TRAINING_REMEDY,
     exhausted_memory_named,
     require_counts,
     require_device,
@@ -104,7 +104,7 @@ def distil_on_clips(
     outcome = folder.begin(run)
     if outcome is not None:
         return folder.model, outcome
-    with exhausted_memory_named(options.device, DISTILLATION_REMEDY), folder.lock():
+    with exhausted_memory_named(options.device, TRAINING_REMEDY), folder.lock():
         windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references)
         trainer = DistillationTrainer(
             settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device

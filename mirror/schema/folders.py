@@ -38,6 +38,7 @@ class FolderKind(Enum):
     RECORDING = "a recording"
     RECORDINGS = "a folder of recordings"
     SUBMISSION = "a submission"
+    GENERATED = "a scene of `mirror generate`"
     HIDDEN = "hidden truth"
     MODEL = "a reconstructed model"
     RUN = "a training run"
@@ -75,6 +76,7 @@ _KINDS: Final[Mapping[FolderKind, _Signs]] = {
     FolderKind.SUBMISSION: _Signs(
         {"manifest.json": "mirror-submission", "views.json": "mirror-views"}, marks=(".rendering",), sealed=True
     ),
+    FolderKind.GENERATED: _Signs({"generated.json": "mirror-generated"}, marks=(".generating",)),
     FolderKind.HIDDEN: _Signs({"hidden.json": "mirror-hidden-truth"}, sealed=True),
     FolderKind.MODEL: _Signs({"reconstruction.json": "mirror-reconstruction"}),
     FolderKind.RUN: _Signs({"run.json": "mirror-run"}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -13,30 +13,38 @@ from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 
 UNFINISHED_MARK: Final = ".rendering"
-"""Name of a file in a folder that is not complete: a hash of the settings that decide its files."""
+"""Name of a file in a submission that is not complete: a hash of the settings that decide its files."""
+_MARKS: Final[Mapping[FolderKind, str]] = {
+    FolderKind.SUBMISSION: UNFINISHED_MARK,
+    FolderKind.GENERATED: ".generating",
+}
 
 
-def start_render_folder(out: Path, settings: Sequence[str] | None, *, last: str | None = None) -> None:
+def start_render_folder(
+    out: Path, settings: Sequence[str] | None, *, last: str | None = None, kind: FolderKind = FolderKind.SUBMISSION
+) -> None:
     """Require that a folder is new or empty, or holds an interrupted run with the same settings.
 
     Args:
         out: the folder; it is created.
         settings: the settings that decide the files of the folder; None: an interrupted run is not resumed.
         last: name of the file that is written last; None: there is no such file.
+        kind: what the folder becomes, a submission or a generated scene.
 
     Raises:
-        UsageError: the folder holds other files, a complete submission, or an interrupted run with other settings.
+        UsageError: the folder holds other files, a complete result of this kind, or an interrupted run with other
+            settings.
         DatasetError: the folder cannot be written.
     """
     digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
-    mark = out / UNFINISHED_MARK
-    if require_output_folder(out, FolderKind.SUBMISSION) is None:
+    mark = out / _MARKS[kind]
+    if require_output_folder(out, kind) is None:
         if settings is not None:
             write_bytes(mark, digest.encode())
         return
     if last is not None and (out / last).is_file():
         raise UsageError(
-            "it holds a submission already", file=out, place="--out", remedy="use it, or name a new folder with --out"
+            f"it holds {kind.value} already", file=out, place="--out", remedy="use it, or name a new folder with --out"
         )
     if settings is None or not mark.is_file():
         raise UsageError("not an empty folder", file=out, place="--out", remedy="name a new one with --out")
@@ -49,6 +57,6 @@ def start_render_folder(out: Path, settings: Sequence[str] | None, *, last: str 
         )
 
 
-def finish_render_folder(out: Path) -> None:
+def finish_render_folder(out: Path, kind: FolderKind = FolderKind.SUBMISSION) -> None:
     """Mark a folder as complete."""
-    (out / UNFINISHED_MARK).unlink(missing_ok=True)
+    (out / _MARKS[kind]).unlink(missing_ok=True)

@@ -15,6 +15,7 @@ DOCUMENTS = {
     FolderKind.DATASET: ("dataset.json", "mirror"),
     FolderKind.RECORDING: ("recording.json", "mirror-folder"),
     FolderKind.SUBMISSION: ("manifest.json", "mirror-submission"),
+    FolderKind.GENERATED: ("generated.json", "mirror-generated"),
     FolderKind.HIDDEN: ("hidden.json", "mirror-hidden-truth"),
     FolderKind.MODEL: ("reconstruction.json", "mirror-reconstruction"),
     FolderKind.RUN: ("run.json", "mirror-run"),
@@ -69,6 +70,7 @@ def test_linked_path_inside_a_sealed_folder_is_refused(tmp_path: Path) -> None:
     ("mark", "kind"),
     [
         (".rendering", FolderKind.SUBMISSION),
+        (".generating", FolderKind.GENERATED),
         ("work/scored.jsonl", FolderKind.RESULTS),
         (".made-by-mirror-demo", FolderKind.DEMO),
         (".lock", FolderKind.DATASET),

@@ -31,6 +31,7 @@ from mirror.protocols.document import Pixels
 from mirror.protocols.png import encode_png
 from mirror.schema.documents import Document
 from mirror.schema.files import write_bytes, write_json
+from mirror.schema.folders import FolderKind
 from mirror.schema.render_folder import finish_render_folder, start_render_folder
 from mirror.weights.resolve import file_sha256
 
@@ -179,7 +180,8 @@ def generate_scene(
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
     background, identity = open_background(request.background, dataset, request.appearance, views)
     inputs = _inputs(dataset, request, traversal, identity)
-    start_render_folder(out, [f"{name}={value}" for name, value in sorted(inputs.items())], last=DOCUMENT)
+    settings = [f"{name}={value}" for name, value in sorted(inputs.items())]
+    start_render_folder(out, settings, last=DOCUMENT, kind=FolderKind.GENERATED)
     state, counts = _read_state(out)
 
     def edit(clip: Clip, first: int) -> Clip:
@@ -217,7 +219,7 @@ def generate_scene(
     )
     (out / _STATE).unlink(missing_ok=True)
     write_json(out / DOCUMENT, document)
-    finish_render_folder(out)
+    finish_render_folder(out, FolderKind.GENERATED)
     return document
 
 

@@ -16,15 +16,17 @@ import torch
 from safetensors.torch import save_file
 
 import mirror
+from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.command import main
-from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, views_with_boxes
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import run as run_module
 from hybridworldsim.generation.scenes import submission as submission_module
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
-from hybridworldsim.generation.scenes.rollout import roll_out_sequence
+from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, make_scene_clip
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
@@ -39,12 +41,15 @@ from mirror.methods.model_document import DOCUMENT, Reconstruction
 from mirror.metrics import psnr
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import Plan, plan_views
-from mirror.protocols.views.view import RenderView, to_pose
+from mirror.protocols.views.view import Edit, RenderView, to_pose
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES, CALIBRATIONS
+from tests.generation.builders import make_network
+from tests.generation.trained import CODEC, NETWORK, T
 
 SIZE = (16, 24)
 CAMERAS = ("front_wide", "front_left")
+FIXED = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def rig(dataset: Dataset, traversal: str, size: tuple[int, int] = SIZE) -> SceneRig:
@@ -221,7 +226,7 @@ def test_an_interrupted_run_continues_bit_for_bit(
     again = generate_scene(tiny_dataset, wanted, tmp_path / "part")
     assert digest(tmp_path / "part") == digest(tmp_path / "whole")
     assert (again.generated_views, again.kept_views) == (document.generated_views, document.kept_views)
-    with pytest.raises(UsageError, match="other files"):
+    with pytest.raises(UsageError, match="it holds a scene of `mirror generate` already"):
         generate_scene(tiny_dataset, wanted, tmp_path / "part")
 
 
@@ -282,7 +287,7 @@ def test_bad_requests_are_refused_before_anything_is_written(
 
 def test_an_autoencoder_of_another_model_is_refused(models: Path, tmp_path: Path) -> None:
     network, _ = read_generator(models / "generator" / "model.safetensors")
-    from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
+    from hybridworldsim.generation.autoencoder.tiny import TinySettings
     from hybridworldsim.generation.model_files import write_autoencoder
 
     torch.manual_seed(0)
@@ -321,6 +326,28 @@ def test_each_background_of_a_sequence_is_rendered_once(
     frames = [*[plan.frames[0]] * 5, *plan.frames[:5]]
     list(roll_out_sequence(generator, frames, scene, ClipRolloutOptions(), recorded_seeds=False))
     assert len(asked) == len(set(asked)) == 5 * len(CAMERAS)
+
+
+def test_seeds_of_the_empty_street_show_no_box(tiny_dataset: Dataset, traversal: str) -> None:
+    """They seed as frames do whose road users are all removed, to the bit; recorded seeds keep their boxes."""
+    plan, scene = scene_of(tiny_dataset, traversal)
+    generator = Generator(make_network(NETWORK).float(), TinyAutoencoder(CODEC), T)
+    clip = make_scene_clip("c", plan.frames, scene, recorded=0)
+    first = plan.frames[next(place for place in range(len(clip)) if views_with_boxes(clip, place).all())]
+    boxes = first.frame.boxes("world")
+    removed = tuple(
+        Edit(track_id=name, category=kind, size_m=(1, 1, 1), world_SE3_box=FIXED, world_SE3_target=None)
+        for name, kind in zip(boxes.track_id, boxes.category)
+    )
+    empty = PlannedFrame(first.frame, first.world_SE3_ego, removed)
+
+    def generated(seed: PlannedFrame, recorded: bool) -> torch.Tensor:
+        options = ClipRolloutOptions(SamplerSettings(1))
+        ((frame, _),) = roll_out_sequence(generator, [seed] * T + [first], scene, options, recorded_seeds=recorded)
+        return frame.latents
+
+    assert torch.equal(generated(first, False), generated(empty, False))
+    assert not torch.equal(generated(first, True), generated(empty, True))
 
 
 def test_a_move_that_changes_no_frame_is_refused(tiny_dataset: Dataset, traversal: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
@@ -81,7 +81,7 @@ def roll_out_sequence(
         options: how frames are generated.
         edit: changes the boxes of a clip, given it and the number of its first frame; seeds stay as they are.
         state: where an earlier call was after a segment; None: the beginning.
-        recorded_seeds: whether recorded images seed the sequence; else their backgrounds do.
+        recorded_seeds: whether recorded images seed the sequence; else their backgrounds do, without boxes.
 
     Yields:
         Each generated frame, numbered in the sequence, and after the last frame of a segment the state.
@@ -103,7 +103,7 @@ def roll_out_sequence(
         )
         rendered = clip.background[-references:]
         if is_start and not recorded_seeds:
-            clip.images[:references] = clip.background[:references]
+            clip = _without_road_users(clip, references)
         edited = None if edit is None else edit(clip, first)
         latest = [] if state is None else list(state.latents.split(1, dim=1))
         rollout = roll_out_clip(
@@ -134,3 +134,9 @@ def roll_out_sequence(
                 # A segment shorter than T ends the sequence.
                 yield frame, None
         start = end
+
+
+def _without_road_users(clip: Clip, count: int) -> Clip:
+    """The same clip with the empty street in its first frames: training shows no box without its road user."""
+    clip.images[:count] = clip.background[:count]
+    return replace(clip, boxes=clip.boxes[clip.boxes.frame >= count])

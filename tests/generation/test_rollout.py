@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
+from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame, target_velocity
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import join_conditions, seed_frames
 from hybridworldsim.generation.network.conditions import Conditions
@@ -134,6 +134,38 @@ def test_a_guided_rollout_is_pushed_away_from_frames_without_layout(name: str) -
     torch.testing.assert_close(empty, by_hand, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(guided, empty + 2.5 * (plain - empty), rtol=1e-9, atol=1e-9)
     assert not torch.allclose(plain, empty)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_guidance_adapts_each_background_once_and_the_empty_layout_once(name: str) -> None:
+    network, frames = make_network(CONFIGS[name]), single_frames(T + 3)
+    settings = SamplerSettings(steps=2, guidance=2.5)
+    adapted: dict[str, int] = {"background_adapter": 0, "condition_image_adapter": 0}
+    for adapter in adapted:
+
+        def count(_: object, given: tuple[Tensor], __: object, adapter: str = adapter) -> None:
+            adapted[adapter] += len(given[0]) // 2
+
+        getattr(network, adapter).register_forward_hook(count)
+    rollout = Rollout(network, seeds(), frames[:T], settings)
+    generated = [rollout.step(conditions) for conditions in frames[T:]]
+    # As channels, the layouts of a window are one image, and another one without boxes.
+    wanted = (3, 2 * 3) if name == "channels" else (T + 3, T + 3 + 1)
+    assert tuple(adapted.values()) == wanted
+    history = torch.cat([seeds(), *generated], dim=1)
+    for place, latents in enumerate(generated):
+        # Each pass on its own, by the definition of guidance.
+        window = join_conditions(network.config, frames[place : place + T + 1])
+        assert window.layout is not None
+        passes = [
+            target_velocity(network, history[:, place : place + T], network.prepare(one), cache=False)
+            for one in (window, replace(window, layout=torch.zeros_like(window.layout)))
+        ]
+        expected = draw_noise(latents.shape, (0, place)).double()
+        for level in (1.0, 0.5):
+            with_boxes, without = (one(expected, level) for one in passes)
+            expected = expected - 0.5 * (without + 2.5 * (with_boxes - without))
+        torch.testing.assert_close(latents, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_guidance_needs_a_layout_and_a_finite_scale() -> None:

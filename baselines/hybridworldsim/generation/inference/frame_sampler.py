@@ -11,6 +11,7 @@ from torch import Tensor
 
 from hybridworldsim.generation.devices import Precision, computing_in
 from hybridworldsim.generation.inference.sliding_cache import SlidingCache
+from hybridworldsim.generation.network.adapter import add_features
 from hybridworldsim.generation.network.conditions import Conditions, PreparedConditions, ReferenceCache
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import TIMESTEPS, add_noise, noise_levels
@@ -111,6 +112,7 @@ def sample_frame(
     features: list[Tensor] | None = None,
     context_noise: Tensor | None = None,
     unconditional: Conditions | None = None,
+    unconditional_features: list[Tensor] | None = None,
     sliding: SlidingCache | None = None,
 ) -> Tensor:
     """Sample the latents of one frame.
@@ -123,7 +125,8 @@ def sample_frame(
         settings: see `SamplerSettings`.
         features: the adapters' features of the window; None: they are computed.
         context_noise: (B, T, V, C, H, W) standard normal numbers, for `SamplerSettings.context_noise`.
-        unconditional: conditions without layout, for guidance.
+        unconditional: the same conditions without layout, for guidance.
+        unconditional_features: the adapters' features of them; None: they are computed.
         sliding: as in `target_velocity`.
 
     Returns:
@@ -138,16 +141,24 @@ def sample_frame(
             raise UsageError("a level of context noise without noise", expected="context_noise")
         share = torch.full(references.shape[:3], level).to(references)
         references = add_noise(references, context_noise.to(references), share)
+    guided = settings.guidance != 1.0
+    if guided and unconditional is None:
+        raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")
     with computing_in(settings.precision, references.device):
+        if guided and unconditional is not None and unconditional_features is None:
+            # The background is the same in both passes.
+            background = network.encode_background(conditions)
+            unconditional_features = add_features(network.encode_layout(unconditional), background)
+            if features is None:
+                features = add_features(network.encode_layout(conditions), background)
         velocity = target_velocity(
             network, references, network.prepare(conditions, features), reference_level=level, cache=settings.cache,
             sliding=sliding,
         )  # fmt: skip
-        if settings.guidance != 1.0:
-            if unconditional is None:
-                raise UsageError(f"guidance {settings.guidance}", expected="conditions of the unconditional velocity")
+        if guided and unconditional is not None:
             without = target_velocity(
-                network, references, network.prepare(unconditional), reference_level=level, cache=settings.cache
-            )
+                network, references, network.prepare(unconditional, unconditional_features), reference_level=level,
+                cache=settings.cache,
+            )  # fmt: skip
             velocity = guide(velocity, without, settings.guidance)
         return sample(velocity, noise, noise_levels(settings.steps, settings.shift))

@@ -12,6 +12,7 @@ from hybridworldsim.generation.devices import computing_in
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
 from hybridworldsim.generation.inference.sliding_cache import SlidingCache
 from hybridworldsim.generation.inference.windows import join_conditions, join_features, without_layout
+from hybridworldsim.generation.network.adapter import add_features
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.sampler import draw_noise
@@ -73,8 +74,9 @@ class Rollout:
         self._conditions: deque[Conditions] = deque(seed_conditions, maxlen=count)
         # Features of a frame do not depend on its place in the window; as channels, they belong to the whole window.
         self._keeps_features = not network.config.reference_channels
+        self._empty_layout: list[Tensor] = []
         features = [self._encode_images(one) for one in seed_conditions] if self._keeps_features else []
-        self._features: deque[list[Tensor]] = deque(features, maxlen=count)
+        self._features: deque[list[list[Tensor]]] = deque(features, maxlen=count)
 
     @torch.no_grad()
     def step(
@@ -124,15 +126,22 @@ class Rollout:
         self.kept_views += batch * (views - len(chosen))
         return latents
 
-    def _encode_images(self, conditions: Conditions) -> list[Tensor]:
+    def _encode_images(self, conditions: Conditions) -> list[list[Tensor]]:
+        """The adapters' features of one frame, and with guidance those without layout behind them."""
+        network = self._network
         with computing_in(self._settings.precision, conditions.pooled.device):
-            return self._network.encode_images(conditions)
+            layout, background = network.encode_layout(conditions), network.encode_background(conditions)
+            if self._settings.guidance == 1.0:
+                return [add_features(layout, background)]
+            # An empty layout is the same in every frame.
+            self._empty_layout = self._empty_layout or network.encode_layout(without_layout(conditions))
+            return [add_features(one, background) for one in (layout, self._empty_layout)]
 
     def _sample(
         self,
         references: Tensor,
         conditions: Conditions,
-        own: list[Tensor],
+        own: list[list[Tensor]],
         noise: Tensor,
         chosen: list[int],
     ) -> Tensor:
@@ -141,11 +150,13 @@ class Rollout:
         origin = None
         if self.sliding is not None:
             origin = self.sliding.begin(self.frame, chosen, self._conditions[0].ego_to_first)
-        window, features = join_conditions(config, [*self._conditions, conditions], origin).views(chosen), None
+        window = join_conditions(config, [*self._conditions, conditions], origin).views(chosen)
+        features: list[list[Tensor]] = []
         if self._keeps_features:
             shape = (len(references), references.shape[1] + 1, views)
-            joined = join_features([*self._features, own], (shape[0], views))
-            features = [one.unflatten(0, shape)[:, :, chosen].flatten(0, 2) for one in joined]
+            for frames in zip(*self._features, own):
+                joined = join_features(frames, (shape[0], views))
+                features.append([one.unflatten(0, shape)[:, :, chosen].flatten(0, 2) for one in joined])
         context_noise = None
         if self._settings.context_noise > 0.0:
             seeds = self._seed, self.frame, _CONTEXT
@@ -153,5 +164,6 @@ class Rollout:
         without = None if self._settings.guidance == 1.0 else without_layout(window)
         return sample_frame(
             self._network, references[:, :, chosen], window, noise[:, :, chosen], self._settings,
-            features=features, context_noise=context_noise, unconditional=without, sliding=self.sliding,
+            features=features[0] if features else None, context_noise=context_noise, unconditional=without,
+            unconditional_features=features[1] if features[1:] else None, sliding=self.sliding,
         )  # fmt: skip

@@ -93,16 +93,24 @@ class Transformer(nn.Module):
         Raises:
             UsageError: an image has other channels, or no whole number of tokens, or the network has no such adapter.
         """
-        features: list[Tensor] = []
-        for name, images in (("condition_image", conditions.layout), ("background", conditions.background)):
-            if images is None:
-                continue
-            adapter = getattr(self, f"{name}_adapter", None)
-            if adapter is None:
-                raise UsageError(f"images for {name}_adapter, which this network does not have")
-            self._require_tokens(images, adapter.config.channels, self.config.token_px)
-            features = add_features(features, adapter(images.flatten(0, 2)))
-        return features
+        return add_features(self.encode_layout(conditions), self.encode_background(conditions))
+
+    def encode_layout(self, conditions: Conditions) -> list[Tensor]:
+        """The part of the layout in `encode_images`; empty where there is none."""
+        return self._adapt("condition_image_adapter", conditions.layout)
+
+    def encode_background(self, conditions: Conditions) -> list[Tensor]:
+        """The part of the background in `encode_images`; empty where there is none."""
+        return self._adapt("background_adapter", conditions.background)
+
+    def _adapt(self, name: str, images: Tensor | None) -> list[Tensor]:
+        if images is None:
+            return []
+        adapter: ImageAdapter | None = getattr(self, name, None)
+        if adapter is None:
+            raise UsageError(f"images for {name}, which this network does not have")
+        self._require_tokens(images, adapter.config.channels, self.config.token_px)
+        return adapter(images.flatten(0, 2))
 
     def prepare(self, conditions: Conditions, features: list[Tensor] | None = None) -> PreparedConditions:
         """Compute what the steps of a frame share.

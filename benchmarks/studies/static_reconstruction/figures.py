@@ -13,8 +13,8 @@ from benchmarks.studies.static_reconstruction.declaration import NOVEL, TRAINING
 from benchmarks.studies.static_reconstruction.jobs import Job
 from benchmarks.studies.static_reconstruction.scoring import score_image
 from benchmarks.studies.static_reconstruction.tables import JobResult
-from benchmarks.studies.static_reconstruction.tiles import sheet
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
+from benchmarks.studies.tiles import sheet
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes
 

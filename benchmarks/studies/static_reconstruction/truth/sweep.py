@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from benchmarks.studies.static_reconstruction.tiles import sheet
 from benchmarks.studies.static_reconstruction.truth.lighting import EDITS, target_traversal, views_in
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
+from benchmarks.studies.tiles import sheet
 from hybridworldsim.training.appearance import SWEEP
 from mirror.arrays import UInt8
 from mirror.methods.appearance import AppearancePolicy

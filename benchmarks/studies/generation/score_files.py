@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from benchmarks.studies.generation.scoring import Scores
-from benchmarks.studies.generation.study import Study
+from benchmarks.studies.generation.scoring import Scores, background_db, identity, score_clip
+from benchmarks.studies.generation.study import Figures, Study
+from benchmarks.studies.generation.train_judges import load_judges
+from mirror.progress import ProgressReporter
 
 TRUTH: Final = "truth"
 EMPTY: Final = "background"
@@ -36,3 +39,31 @@ def list_scored(study: Study) -> list[str]:
         for name in names
         if name not in (TRUTH, EMPTY) and all(scores_file(study, name, clip.clip_id).is_file() for clip in study.test)
     ]
+
+
+def write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], progress: ProgressReporter) -> Figures:
+    """Score images of all test clips, write the arrays of each clip, and return the figures of all."""
+    judges = load_judges(study.judges)
+    progress.start("scoring", len(study.test))
+    for clip in study.test:
+        path = scores_file(study, name, clip.clip_id)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scores = score_clip(clip, study.references, images[clip.clip_id], study.features, judges)
+        temporary = path.with_name(f".{path.name}")
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **scores)
+        temporary.replace(path)
+        progress.advance(1)
+    every = list(read_scores(study, name).values())
+    scoring = study.declaration.scoring
+    classes, found = (np.concatenate([one[key] for one in every]) for key in ("crop_class", "crop_found"))
+    ious = np.concatenate([one["iou"] for one in every])
+    return {
+        **background_db(every),
+        **identity(every, int(scoring["long_track_frames"]), int(scoring["least_long_tracks"])),
+        "classified": float((classes == found).mean()) if len(classes) else float("nan"),
+        "crops": len(classes),
+        "iou": float(ious.mean()) if len(ious) else float("nan"),
+        "masks": len(ious),
+        "images": sum(len(one["image"]) for one in every),
+    }

@@ -11,16 +11,10 @@ import numpy as np
 
 from benchmarks.studies.generation.comparison import Ratio, Statistics, collect_statistics, compare, measure_distance
 from benchmarks.studies.generation.declaration import Declaration
-from benchmarks.studies.generation.edits import generate_edits, normalise, plan_edits, score_edit
+from benchmarks.studies.generation.edits import Edit, generate_edits, normalise, plan_edits, score_edit
 from benchmarks.studies.generation.rollouts import predict_next, roll_out_all, shorten
-from benchmarks.studies.generation.score_files import EMPTY, TRUTH, read_scores, scores_file
-from benchmarks.studies.generation.scoring import (
-    background_db,
-    identity,
-    outside_db,
-    score_background,
-    score_clip,
-)
+from benchmarks.studies.generation.score_files import EMPTY, TRUTH, read_scores, write_scores
+from benchmarks.studies.generation.scoring import outside_db, score_background, score_clip
 from benchmarks.studies.generation.study import Figures, Stage, Study
 from benchmarks.studies.generation.train_judges import load_judges, train_judges
 from hybridworldsim.generation.clips.clip import Clip
@@ -79,14 +73,14 @@ def _clips(study: Study, progress: ProgressReporter) -> Figures:
 
 
 def _judges(study: Study, progress: ProgressReporter) -> Figures:
-    return train_judges(study.clips, study.folder / "judges", progress, study.judge_steps)
+    return train_judges(study.clips, study.judges, progress, study.judge_steps)
 
 
 def _score_given(study: Study, progress: ProgressReporter, *, name: str) -> Figures:
     first, given = study.references, {}
     for clip in study.test:
         given[clip.clip_id] = (clip.images if name == TRUTH else clip.background)[first:]
-    return _write_scores(study, name, given, progress)
+    return write_scores(study, name, given, progress)
 
 
 def _train(study: Study, progress: ProgressReporter, *, kind: str, seed: int) -> Figures:
@@ -124,7 +118,7 @@ def _score(study: Study, progress: ProgressReporter, *, name: str) -> Figures:
         study.model(name), study.autoencoder, study.test, study.folder / "rollouts" / name, steps, progress,
         context_noise=noise,
     )  # fmt: skip
-    figures = _write_scores(study, name, images, progress)
+    figures = write_scores(study, name, images, progress)
     return figures | _next_frame(study, name) if name.startswith("off") else figures
 
 
@@ -148,22 +142,28 @@ def _next_frame(study: Study, name: str) -> Figures:
 def _edits(study: Study, progress: ProgressReporter) -> Figures:
     scoring = study.declaration.scoring
     name = f"on-{study.declaration.training['seeds'][0]}"
-    segmenter, _ = load_judges(study.folder / "judges")
+    segmenter, _ = load_judges(study.judges)
     least, figures = int(scoring["mask_px"]), {}
     for dy_m in scoring["edits_m"]:
-        edits = plan_edits(
-            study.test,
-            study.references,
-            int(scoring["edit_frames"]),
-            int(scoring["edits_per_clip"]),
-            float(dy_m),
-            least,
-            float(scoring["nearest_m"]),
-        )
+        edits = plan_declared_edits(study, float(dy_m))
         images = generate_edits(study.model(name), study.autoencoder, edits, int(scoring["sampler_steps"]), progress)
         scores = [one for edit, made in zip(edits, images) for one in score_edit(edit, made, segmenter, least)]
         figures[f"{dy_m:g}m"] = {"edits": len(edits), **(normalise(scores) if scores else {"n": 0})}
     return figures
+
+
+def plan_declared_edits(study: Study, dy_m: float) -> list[Edit]:
+    """The edits of the test clips, as declared, by some metres."""
+    scoring = study.declaration.scoring
+    return plan_edits(
+        study.test,
+        study.references,
+        int(scoring["edit_frames"]),
+        int(scoring["edits_per_clip"]),
+        dy_m,
+        int(scoring["mask_px"]),
+        float(scoring["nearest_m"]),
+    )
 
 
 def _teacher_steps(study: Study, progress: ProgressReporter) -> Figures:
@@ -207,7 +207,7 @@ def _score_distilled(study: Study, progress: ProgressReporter) -> Figures:
         images = roll_out_all(
             study.model(model), study.autoencoder, study.test, study.folder / "rollouts" / label, steps, progress
         )
-        _write_scores(study, label, images, progress)
+        write_scores(study, label, images, progress)
     return {kind: asdict(_compare(study, ["distilled"], ["teacher"], kind)) for kind in ("image", "crop")} | {
         "teacher_steps": int(best)
     }
@@ -241,31 +241,3 @@ def _statistics(study: Study, images: Mapping[str, np.ndarray], clips: list[Clip
         clip.clip_id: score_clip(clip, study.references, images[clip.clip_id], study.features, None) for clip in clips
     }
     return collect_statistics(scores, {clip.clip_id: clip.drive_id for clip in clips}, "image")
-
-
-def _write_scores(study: Study, name: str, images: Mapping[str, np.ndarray], progress: ProgressReporter) -> Figures:
-    """Score images of all test clips, write the arrays of each clip, and return the figures of all."""
-    judges = load_judges(study.folder / "judges")
-    progress.start("scoring", len(study.test))
-    for clip in study.test:
-        path = scores_file(study, name, clip.clip_id)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scores = score_clip(clip, study.references, images[clip.clip_id], study.features, judges)
-        temporary = path.with_name(f".{path.name}")
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **scores)
-        temporary.replace(path)
-        progress.advance(1)
-    every = list(read_scores(study, name).values())
-    scoring = study.declaration.scoring
-    classes, found = (np.concatenate([one[key] for one in every]) for key in ("crop_class", "crop_found"))
-    ious = np.concatenate([one["iou"] for one in every])
-    return {
-        **background_db(every),
-        **identity(every, int(scoring["long_track_frames"]), int(scoring["least_long_tracks"])),
-        "classified": float((classes == found).mean()) if len(classes) else float("nan"),
-        "crops": len(classes),
-        "iou": float(ious.mean()) if len(ious) else float("nan"),
-        "masks": len(ious),
-        "images": sum(len(one["image"]) for one in every),
-    }

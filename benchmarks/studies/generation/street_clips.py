@@ -129,7 +129,7 @@ class StreetRecorder:
         return np.stack(
             [
                 np.stack(
-                    [rendered.view.object for rendered in self._with_traffic(float(time_s), egos[place : place + 1])]
+                    [rendered.view.object for rendered in self.with_traffic(float(time_s), egos[place : place + 1])]
                 )
                 for place, time_s in enumerate(times_s)
             ]
@@ -167,7 +167,7 @@ class StreetRecorder:
         """Images, backgrounds and tracks of the views at one time, and the boxes of its visible road users."""
         without = self._empty.around(time_s, ego.translation[0])
         images, backgrounds, tracks = [], [], []
-        for view, rendered in enumerate(self._with_traffic(time_s, ego)):
+        for view, rendered in enumerate(self.with_traffic(time_s, ego)):
             pose = ego @ self._ego_SE3_camera[view : view + 1]
             images.append(rendered.bgr[..., ::-1])
             tracks.append(rendered.view.object.astype(np.int16))
@@ -178,8 +178,8 @@ class StreetRecorder:
             self._boxes(time_s, ego, shown[shown != ABSENT].tolist()),
         )  # fmt: skip
 
-    def _with_traffic(self, time_s: float, ego: Poses) -> Iterator[RenderedImage]:
-        """The street with its road users, view by view."""
+    def with_traffic(self, time_s: float, ego: Poses) -> Iterator[RenderedImage]:
+        """The street with its road users at a time and a pose of the vehicle, view by view."""
         instant = self.street.around(time_s, ego.translation[0])
         for view in range(len(VIEWS)):
             yield self.street.render(instant, self._lens, ego @ self._ego_SE3_camera[view : view + 1])

@@ -52,6 +52,7 @@ class Study:
         load: the features of images.
         judge_steps: steps of the judges' training; None: their own.
         published: outcomes that were published, perhaps on another machine; the report shows them.
+        trained: folder of the study whose models and judges are used; None: this one.
     """
 
     folder: Path
@@ -62,6 +63,7 @@ class Study:
     load: Callable[[], Features] = load_features
     judge_steps: dict[str, int] | None = None
     published: Path = OUTCOMES
+    trained: Path | None = None
 
     @property
     def references(self) -> int:
@@ -91,11 +93,16 @@ class Study:
     @property
     def autoencoder(self) -> Path:
         """The autoencoder of all models: that of the first training."""
-        return self.folder / "models" / "on-0" / "autoencoder" / "model.safetensors"
+        return (self.trained or self.folder) / "models" / "on-0" / "autoencoder" / "model.safetensors"
+
+    @property
+    def judges(self) -> Path:
+        """Folder of the judges."""
+        return (self.trained or self.folder) / "judges"
 
     def model(self, name: str) -> Path:
         """File of a generator."""
-        return self.folder / "models" / name / "generator" / "model.safetensors"
+        return (self.trained or self.folder) / "models" / name / "generator" / "model.safetensors"
 
     def figures(self, stage: str) -> Figures | None:
         """Figures of a stage that is finished in this folder; None: it is not.

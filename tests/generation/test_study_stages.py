@@ -31,9 +31,10 @@ from benchmarks.studies.generation.make_clips import (
     TRAINING_SEEDS,
 )
 from benchmarks.studies.generation.published import FVD_FRAMES, STAGE, load_networks, measure_published
-from benchmarks.studies.generation.report import BEGIN, END, PAGE, format_report, update_page, write_sheets
+from benchmarks.studies.generation.report import BEGIN, END, PAGE, format_report, update_page
 from benchmarks.studies.generation.rollouts import predict_next
 from benchmarks.studies.generation.scoring import background_db, identity, score_clip
+from benchmarks.studies.generation.sheets import write_sheets
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study, run_stages
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
@@ -313,8 +314,9 @@ def test_sheets_show_truth_background_and_models(study: Study, tmp_path: Path) -
     assert len(paths) == DRIVES
     sheet = cv2.imread(str(paths[0]))
     sources = 2 + len([path for path in (study.folder / "rollouts").iterdir() if not path.name.startswith("teacher-")])
-    assert sheet.shape == (sources * 2 * HEIGHT, 8 * WIDTH, 3)
-    assert (sheet[:HEIGHT, :WIDTH, ::-1] == study.test[0].images[T, 0]).all()
+    # Each image is enlarged twice, under a caption of 16 pixels, with gaps of 4.
+    assert sheet.shape == (sources * 2 * (2 * HEIGHT + 20), 8 * (2 * WIDTH + 4), 3)
+    assert (sheet[16 : 16 + 2 * HEIGHT : 2, : 2 * WIDTH : 2, ::-1] == study.test[0].images[T, 0]).all()
 
 
 def test_too_few_clips_are_refused(tmp_path: Path) -> None:

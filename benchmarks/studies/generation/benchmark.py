@@ -21,10 +21,13 @@ class Arguments:
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
     docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
     report shows them without the folder. crops: the distance of crops by class and drive. fid: FID and FVD of finished
-    rollouts, where their weights are there. clips, judges: these stages alone.
+    rollouts, where their weights are there. clips, judges: these stages alone. end-to-end: the addition that
+    `end_to_end.toml` declares, once the clips, the judges and its model are there; publish and report show it too.
     """
 
-    what: tyro.conf.Positional[Literal["list", "run", "report", "publish", "crops", "fid", "clips", "judges"]]
+    what: tyro.conf.Positional[
+        Literal["list", "run", "report", "publish", "crops", "fid", "clips", "judges", "end-to-end"]
+    ]
     """What to do."""
     out: Path = Path("benchmarks/out/generation")
     """Folder of the study."""
@@ -42,27 +45,33 @@ def main(argv: Sequence[str]) -> int:
 
     from benchmarks.studies.generation import crops, published
     from benchmarks.studies.generation.declaration import load_declaration
+    from benchmarks.studies.generation.end_to_end import list_parts, list_roads, load_addition, open_addition
     from benchmarks.studies.generation.make_clips import make_clips
-    from benchmarks.studies.generation.report import PAGE, format_report, update_page, write_sheets
+    from benchmarks.studies.generation.report import PAGE, format_report, update_page
+    from benchmarks.studies.generation.sheets import write_sheets
     from benchmarks.studies.generation.stages import list_stages
     from benchmarks.studies.generation.study import Study, run_stages
     from benchmarks.studies.stages import describe_stages
     from mirror.progress import progress_bar
 
     study = Study(arguments.out, load_declaration(), make_clips)
+    declared = load_addition()
+    addition = open_addition(study, declared)
     print(f"declaration {study.declaration.hash}")
     if arguments.what == "list":
         stages = list_stages(study.declaration)
         print("\n".join(describe_stages((stage, study.figures(stage.name) is not None) for stage in stages)))
         return ExitCode.DONE
     if arguments.what == "report":
-        text = format_report(study)
+        text = format_report(study, addition)
         if arguments.check:
             return ExitCode.DONE if text in PAGE.read_text() else ExitCode.FINDINGS
-        update_page(study)
+        update_page(study, addition=addition)
         print(text)
         if study.figures("clips") is not None:
             print("\n".join(map(str, write_sheets(study, study.folder / "sheets"))))
+        if addition.figures("render") is not None:
+            print("\n".join(map(str, write_sheets(addition, addition.folder / "sheets"))))
         return ExitCode.DONE
     if arguments.what in ("crops", "fid"):
         begin = time.process_time()
@@ -75,7 +84,17 @@ def main(argv: Sequence[str]) -> int:
         return ExitCode.DONE
     if arguments.what == "publish":
         print(study.publish())
+        if addition.outcomes:
+            print(addition.publish())
         return ExitCode.DONE
+    if arguments.what == "end-to-end":
+        print(f"declaration of the addition {declared.hash}")
+        parts = list_parts(study, declared, list_roads(declared, addition.folder))
+        hours = declared.budget["core_minutes"] / 60.0 if arguments.hours is None else arguments.hours
+        with progress_bar(quiet=False) as bar:
+            left = run_stages(addition, parts, bar, only=arguments.stage, hours=hours)
+        print("\n".join(describe_stages((part, addition.figures(part.name) is not None) for part in parts)))
+        return ExitCode.DONE if not left else ExitCode.FINDINGS
     only = arguments.stage if arguments.what == "run" else arguments.what
     with progress_bar(quiet=False) as bar:
         left = run_stages(study, list_stages(study.declaration), bar, only=only, hours=arguments.hours)

@@ -1,4 +1,4 @@
-"""The report of the study: tables for docs/generation.md, and sheets of images."""
+"""The report of the study: tables for docs/generation.md."""
 
 from __future__ import annotations
 
@@ -7,27 +7,26 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
-import numpy as np
-
-from benchmarks.studies.generation import crops, published
+from benchmarks.studies.generation import crops, end_to_end, end_to_end_table, published
 from benchmarks.studies.generation.stages import list_stages
 from benchmarks.studies.generation.study import Study
 from benchmarks.studies.page import replace_section
-from mirror.schema.files import write_bytes
 
 PAGE: Final = Path(__file__).parents[3] / "docs" / "generation.md"
 BEGIN: Final = "<!-- generation study: written by `python -m benchmarks generation report` -->"
 END: Final = "<!-- generation study: end -->"
-_SHEETS: Final = 4
-_COLUMNS: Final = 8
 
 _Row = tuple[str, str, str, str]
 """What is measured, the bar, the figure, and whether it is met: yes, no, void, or not run."""
 
 
-def format_report(study: Study) -> str:
-    """The section of the page, with its markers. It states what has not been run."""
+def format_report(study: Study, addition: Study | None = None) -> str:
+    """The section of the page, with its markers. It states what has not been run.
+
+    Args:
+        study: the study.
+        addition: its addition, see `end_to_end`; None: without.
+    """
     rows = list(_list_rows(study))
     stages = list_stages(study.declaration)
     left = [stage.name for stage in stages if stage.name not in study.outcomes]
@@ -44,7 +43,9 @@ def format_report(study: Study) -> str:
     ]
     if left:
         lines += [f"Not run: {', '.join(left)}.", ""]
-    lines += [f"Cut: {'; '.join(f'{name}: {reason}' for name, reason in study.declaration.cut.items())}.", END]
+    added = [] if addition is None else end_to_end_table.format_addition(study, addition)
+    cut = {name: reason for name, reason in study.declaration.cut.items() if not (added and name == end_to_end.NAME)}
+    lines += [f"Cut: {'; '.join(f'{name}: {reason}' for name, reason in cut.items())}.", *added, END]
     return "\n".join(lines)
 
 
@@ -67,37 +68,13 @@ def _format_crops(study: Study) -> list[str]:
     return [*lines, ""]
 
 
-def update_page(study: Study, page: Path = PAGE) -> None:
-    """Replace the section between the markers of a page.
+def update_page(study: Study, page: Path = PAGE, addition: Study | None = None) -> None:
+    """Replace the section between the markers of a page; see `format_report`.
 
     Raises:
         UsageError: the page has no markers.
     """
-    replace_section(page, BEGIN, END, format_report(study))
-
-
-def write_sheets(study: Study, out: Path) -> list[Path]:
-    """Write sheets of the first test clips: truth, background, and each model that has been rolled out."""
-    names = [
-        path.name for path in sorted((study.folder / "rollouts").glob("*")) if not path.name.startswith("teacher-")
-    ]
-    written = []
-    for clip in study.test[:_SHEETS]:
-        rows = [clip.images[study.references :], clip.background[study.references :]]
-        for name in names:
-            file = study.folder / "rollouts" / name / f"{clip.clip_id}.npz"
-            if file.is_file():
-                with np.load(file) as stored:
-                    rows.append(stored["images"])
-        frames = np.linspace(0, len(rows[0]) - 1, _COLUMNS).astype(int)
-        # One row for each source and view, one column for each instant.
-        sheet = np.concatenate(
-            [np.concatenate(list(images[frames, view]), axis=1) for images in rows for view in range(len(clip.views))]
-        )
-        path = out / f"{clip.clip_id}.png"
-        write_bytes(path, cv2.imencode(".png", sheet[..., ::-1])[1].tobytes())
-        written.append(path)
-    return written
+    replace_section(page, BEGIN, END, format_report(study, addition))
 
 
 def _list_rows(study: Study) -> Iterator[_Row]:

@@ -11,10 +11,10 @@ import torch
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.clips.clip import CATEGORIES
 from hybridworldsim.generation.clips.edits import add_track, move_track, remove_track
+from hybridworldsim.generation.inference.blending import blend, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import (
     ClipRolloutOptions,
-    blend,
-    hull_shares,
+    clip_hulls,
     roll_out_clip,
     views_with_boxes,
 )
@@ -116,7 +116,7 @@ def test_hulls_do_not_shrink() -> None:
 def test_blended_images_are_the_background_away_from_boxes() -> None:
     clip = make_clip()
     for frame, plain in zip(roll(clip, replace(OPTIONS, blend_px=1)), roll(clip)):
-        shares = hull_shares(clip, frame.frame, 1)
+        shares = hull_shares(clip_hulls(clip, frame.frame), 1)
         assert np.array_equal(frame.images[shares == 0.0], clip.background[frame.frame][shares == 0.0])
         assert np.array_equal(frame.images[shares == 1.0], plain.images[shares == 1.0])
         assert (shares == 1.0).any()

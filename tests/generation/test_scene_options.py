@@ -13,14 +13,18 @@ import pytest
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.model_files import read_generator, write_generator
 from hybridworldsim.generation.scenes.backgrounds import open_background
+from hybridworldsim.generation.scenes.rig import rig_of
+from hybridworldsim.generation.scenes.run import PIXELS
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, ExitCode, UsageError
+from mirror.geometry import project_boxes
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 
 CAMERAS = ("front_wide", "front_left")
 FRAMES, T = 2, 5
+EVERYWHERE = ("--no-keep-empty-views", "--blend", "none")
 # Generated images are 24 x 16; backgrounds have twice their sides.
 SHAPE = (32, 48, 3)
 
@@ -60,7 +64,7 @@ def plain(
 ) -> UInt8:
     """The frames without options."""
     out = tmp_path_factory.mktemp("plain") / "out"
-    generate(tiny_dataset, traversal, models, backgrounds, out, "--no-keep-empty-views")
+    generate(tiny_dataset, traversal, models, backgrounds, out, *EVERYWHERE)
     return images(out)
 
 
@@ -71,6 +75,7 @@ def test_files_are_the_background_of_their_camera_and_instant(
     removed = [f"--edit=remove:{name}" for name in sorted({name for one in frames for name in one.boxes().track_id})]
     generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "out", *removed)
     found = images(tmp_path / "out")
+    assert "blend_px=4" in json.loads((tmp_path / "out" / "generated.json").read_text())["inputs"]["rollout"]
     # The first T frames are seeds. The recording is slower than 5 Hz: no frame is left out.
     for place, one in enumerate(frames[T : T + FRAMES]):
         for row, camera in enumerate(CAMERAS):
@@ -113,11 +118,36 @@ def test_files_in_the_raster_of_a_protocol_are_scaled_to_that_of_the_generator(
     np.testing.assert_allclose(small[0, :, 0], ramp.reshape(-1, 2).mean(axis=1), atol=1.0)
 
 
+def test_generated_pixels_are_used_near_boxes_alone(
+    tiny_dataset: Dataset, traversal: str, models: Path, backgrounds: Path, plain: UInt8, tmp_path: Path
+) -> None:
+    options = ("--no-keep-empty-views", "--blend", "0")
+    generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "out", *options)
+    found, frames = images(tmp_path / "out"), tiny_dataset.where(traversal=traversal).frames()
+    rig, used = rig_of(frames, CAMERAS, (16, 24), PIXELS), 0
+    for place, one in enumerate(frames[T : T + FRAMES]):
+        boxes = one.boxes("ego")
+        for row, camera in enumerate(CAMERAS):
+            street = colour(camera, one.timestamp_ns)
+            changed = (found[place, row] != street).any(axis=2)
+            np.testing.assert_array_equal(found[place, row][changed], plain[place, row][changed])
+            seen = project_boxes(rig.rasters[row].final, rig.ego_SE3_camera[row].inverse() @ boxes.pose, boxes.size_m)
+            near = np.zeros(changed.shape, bool)
+            for left, top, right, bottom in seen.bounds_px[seen.visible]:
+                near[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1] = True
+            assert not changed[~near].any()
+            used += int(changed.sum())
+    assert used > 5
+    with pytest.raises(UsageError, match="'wide'; expected pixels, such as 4, or none") as caught:
+        generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "other", "--blend", "wide")
+    assert caught.value.place == "--blend"
+
+
 def test_guidance_changes_generated_frames_and_is_written_down(
     tiny_dataset: Dataset, traversal: str, models: Path, backgrounds: Path, plain: UInt8, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    generate(tiny_dataset, traversal, models, backgrounds, out, "--no-keep-empty-views", "--guidance", "4")
+    generate(tiny_dataset, traversal, models, backgrounds, out, *EVERYWHERE, "--guidance", "4")
     assert "guidance=4.0" in json.loads((out / "generated.json").read_text())["inputs"]["rollout"]
     assert not np.array_equal(images(out), plain)
 
@@ -137,9 +167,7 @@ def test_a_generator_that_was_never_trained_without_boxes_is_not_guided(
 def test_half_precision_changes_frames_by_a_few_grey_levels(
     tiny_dataset: Dataset, traversal: str, models: Path, backgrounds: Path, plain: UInt8, tmp_path: Path
 ) -> None:
-    generate(
-        tiny_dataset, traversal, models, backgrounds, tmp_path / "out", "--no-keep-empty-views", "--precision", "bf16"
-    )
+    generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "out", *EVERYWHERE, "--precision", "bf16")
     difference = np.abs(images(tmp_path / "out").astype(int) - plain)
     assert 0 < difference.max() <= 8
     assert difference.mean() < 1.0

@@ -498,6 +498,38 @@ def test_a_continued_submission_has_the_images_of_a_whole_one(tiny_dataset: Data
     assert any(not np.array_equal(image, other[path]) for path, image in part.items())
 
 
+def test_views_of_a_submission_are_blended_in_their_own_raster(tiny_dataset: Dataset, models: Path) -> None:
+    """Away from boxes they are the background; elsewhere they lie between it and the generated image."""
+    plan = few_frames(tiny_dataset, "generation", 2)
+    files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
+    generator = run_module.open_generator(*files)
+    plain, blended = (
+        {
+            view.path: (view, image.astype(int))
+            for (view,), image in render_plan(
+                tiny_dataset, plan, generator, grey, SIZE, ClipRolloutOptions(blend_px=width), plan.views
+            )
+        }
+        for width in (None, 0)
+    )
+    kept = used = 0
+    for path, (view, image) in blended.items():
+        frames = tiny_dataset.where(traversal=view.traversal_id).frames()
+        boxes = next(one for one in frames if one.frame_index == view.frame_index).boxes("world")
+        seen = project_boxes(view.lens, view.pose.inverse() @ boxes.pose, boxes.size_m)
+        # One pixel of the generator: hulls are drawn in its raster.
+        margin = view.width_px / SIZE[1] + 2.0
+        near = np.zeros(image.shape[:2], bool)
+        for left, top, right, bottom in seen.bounds_px[seen.visible]:
+            rows, columns = (max(int(one - margin), 0) for one in (top, left))
+            near[rows : int(bottom + margin) + 1, columns : int(right + margin) + 1] = True
+        assert (image[~near] == 90).all()
+        low, high = (extreme(plain[path][1], 90) for extreme in (np.minimum, np.maximum))
+        assert (image >= low).all() and (image <= high).all()
+        used, kept = used + int((image == plain[path][1]).all(axis=2)[near].sum()), kept + int((~near).sum())
+    assert used > 100 and kept > 100
+
+
 LAYER = "refined@1"
 TURN = Poses.exp(np.array([[0.0, 0.05, 0.02, 0.0, 0.0, 0.1]]))
 

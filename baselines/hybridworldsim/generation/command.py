@@ -203,8 +203,9 @@ class Scene:
     """Precision of the network's computation."""
     keep_empty_views: bool = True
     """Whether a view without a road user keeps its background, at no cost."""
-    blend: Annotated[int | None, help_text(default="none", metavar="PIXELS")] = None
-    """Use generated pixels only near boxes, grown by this many pixels."""
+    blend: Annotated[str, help_text(metavar="PIXELS|none")] = "4"
+    """Use generated pixels only in the hulls of boxes, grown by this many pixels of --size and with a soft edge of
+    twice as many; elsewhere a view keeps its background. none: use them everywhere."""
     seed: int = 0
     """Seed of the noise."""
     threads: int = 1
@@ -314,7 +315,7 @@ def _scene(argv: Sequence[str]) -> int:
 
     dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
     sampler = SamplerSettings(arguments.steps, guidance=arguments.guidance, precision=arguments.precision)
-    rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, arguments.blend, arguments.seed)
+    rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, _blend_px(arguments.blend), arguments.seed)
     generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
     if arguments.split is not None:
         return _scene_submission(arguments, dataset, generator, autoencoder, rollout, arguments.split)
@@ -404,3 +405,11 @@ def _size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise UsageError(f"{text!r}", place="--size", expected="WIDTHxHEIGHT, such as 96x64")
     return int(height), int(width)
+
+
+def _blend_px(text: str) -> int | None:
+    if text == "none":
+        return None
+    if not text.isdecimal():
+        raise UsageError(f"{text!r}", place="--blend", expected="pixels, such as 4, or none")
+    return int(text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 import torch
 
@@ -13,10 +12,11 @@ from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_bytes, t
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.devices import require_seed
+from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import seed_frames
-from hybridworldsim.generation.layout.boxes import BoxStyle, draw_inverse_depth
+from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
@@ -115,42 +115,18 @@ def roll_out_clip(
             with torch.no_grad():
                 images[generated] = to_bytes(codec.decode(result[0, 0, torch.from_numpy(generated).to(device)]))
         if options.blend_px is not None:
-            images = blend(images, clip.background[frame], hull_shares(source, frame, options.blend_px))
+            images = blend(images, clip.background[frame], hull_shares(clip_hulls(source, frame), options.blend_px))
         yield GeneratedFrame(frame, images, generated, result)
 
 
 def views_with_boxes(clip: Clip, frame: int) -> Bool:
     """Which views (V,) of a frame show some box."""
-    return np.asarray(_hulls(clip, frame).any(axis=(1, 2)))
+    return np.asarray(clip_hulls(clip, frame).any(axis=(1, 2)))
 
 
-def hull_shares(clip: Clip, frame: int, grow_px: int) -> Float32:
-    """Share (V, H, W) of a generated image in each pixel: 1 in hulls grown by some pixels, falling to 0 behind them."""
-    side = 2 * grow_px + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    shares = []
-    for hull in _hulls(clip, frame):
-        grown = cv2.dilate(hull.astype(np.float32), kernel)
-        shares.append(np.maximum(grown, cv2.blur(cv2.dilate(grown, kernel), (side, side))))
-    return np.stack(shares)
-
-
-def blend(images: UInt8, background: UInt8, shares: Float32) -> UInt8:
-    """Images (V, H, W, 3) where shares (V, H, W) are 1, the background where they are 0."""
-    share = shares[..., None]
-    mixed: UInt8 = np.round(share * images + (1.0 - share) * background).astype(np.uint8)
-    return mixed
-
-
-def _hulls(clip: Clip, frame: int) -> Bool:
-    """Pixels (V, H, W) that show the inside of some box."""
-    boxes = clip.boxes.at(frame)
-    return np.stack(
-        [
-            draw_inverse_depth(np.linalg.inv(mount) @ boxes.ego_SE3_box, boxes.lwh_m, lens, clip.size_px, 1.0) > 0.0
-            for mount, lens in zip(clip.ego_SE3_camera, clip.intrinsics)
-        ]
-    )
+def clip_hulls(clip: Clip, frame: int) -> Bool:
+    """Pixels (V, H, W) of a frame that show the inside of some box."""
+    return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px)
 
 
 def _layout(clip: Clip, frame: int, style: BoxStyle) -> Float32:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -12,12 +12,13 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.devices import require_counts
+from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import open_generator
-from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, require_valid_boxes
+from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, require_valid_boxes
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.manifest import Appearance, Method
@@ -124,7 +125,8 @@ def render_plan(
     """Generate every view of a plan, traversal by traversal.
 
     The requested frames of a traversal are one rollout. Backgrounds seed it: a recorded image of a held-out traversal
-    is never read. A view without a road user is its background in the view's own raster.
+    is never read. A view without a road user is its background in the view's own raster; with `blend_px` so is what
+    lies away from the hulls of road users.
 
     Args:
         dataset: the dataset; boxes and poses are read.
@@ -169,14 +171,28 @@ def render_plan(
         placed = {view.path: view for view in recalibrate_views(dataset, views, calibrations)}
         scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks)
         seeds = [planned[0]] * generator.references
-        rollout = roll_out_sequence(generator, [*seeds, *planned], scene, options, recorded_seeds=False)
+        # Blended below, in the raster of the view.
+        rollout = roll_out_sequence(
+            generator, [*seeds, *planned], scene, replace(options, blend_px=None), recorded_seeds=False
+        )
         for frame, _ in rollout:
-            number = numbers[frame.frame - generator.references]
+            place = frame.frame - generator.references
+            number = numbers[place]
+            shares = None
+            if options.blend_px is not None:
+                boxes = boxes_of([planned[place]], tracks)
+                hulls = draw_hulls(boxes, rig.intrinsics, rig.ego_SE3_camera.matrix(), size_px)
+                shares = hull_shares(hulls, options.blend_px)
             for row, camera_name in enumerate(rig.cameras):
                 view = by_view.get((number, camera_name))
                 if view is None or view.path not in wanted:
                     continue
-                image = _enlarged(frame.images[row], view) if frame.generated[row] else background(placed[view.path])
+                image = _enlarged(frame.images[row], view)
+                if not frame.generated[row]:
+                    image = background(placed[view.path])
+                elif shares is not None:
+                    share = cv2.resize(shares[row], (view.width_px, view.height_px), interpolation=cv2.INTER_LINEAR)
+                    image = blend(image, background(placed[view.path]), np.asarray(share, np.float32))
                 yield [view], image
 
 

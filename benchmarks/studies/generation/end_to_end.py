@@ -134,7 +134,7 @@ def list_parts(study: Study, addition: Addition, roads: Sequence[Backgrounds]) -
         parts.append(Stage(f"reconstruct-{one.road.name}", 14.0 + 2.0 * many, partial(_reconstruct, road=one)))
     return [
         *parts,
-        Stage("render", 6.0, partial(_render, exact=study, roads=roads)),
+        Stage("render", 10.0, partial(_render, exact=study, roads=roads)),
         Stage(EMPTY, 1.5, _score_backgrounds),
         Stage(f"score-{addition.model}", 6.0, partial(_score, model=addition.model)),
         Stage("edits", 4.0, partial(_edits, exact=study, model=addition.model)),

@@ -85,7 +85,7 @@ class RoadModel:
         folders = []
         for route in road.routes:
             for seed in road.recordings["seeds"]:
-                drive = self._drive(f"{route}-s{seed}")
+                drive = self.drive(f"{route}-s{seed}")
                 folders.append(recordings / drive.drive_id)
                 write_recording(folders[-1], drive, rig, float(road.recordings["spacing_m"]), road.stretch_m)
         if not (dataset / "index" / "manifest.json").is_file():
@@ -131,7 +131,7 @@ class RoadModel:
     def world_SE3_ego(self, clip: Clip) -> Poses:  # noqa: N802
         """Poses of the vehicle at the frames of a clip, in the world of the road's scene."""
         _, _, first = clip.clip_id.rpartition("-")
-        return self._drive(clip.drive_id).truth.poses((int(first) + np.arange(len(clip))) / clip.rate_hz)
+        return self.drive(clip.drive_id).truth.poses((int(first) + np.arange(len(clip))) / clip.rate_hz)
 
     @cached_property
     def _renderer(self) -> Callable[[RenderView], UInt8]:
@@ -143,13 +143,14 @@ class RoadModel:
         rows = self.dataset.table("traversals", ["traversal_id", "drive_id"]).to_pylist()
         return {row["drive_id"]: row["traversal_id"] for row in rows}
 
-    def _drive(self, drive_id: str) -> SynthDrive:
+    def drive(self, drive_id: str) -> SynthDrive:
+        """A drive along the road; the last one is kept."""
         route, _, seed = drive_id.rpartition("-s")
         return _make_drive(self.road.preset, route, int(seed), self.road.bustle, drive_id)
 
     def _require_true_poses(self) -> None:
         """Require that the world of the dataset is that of the drives: clips are placed in it by their true poses."""
-        drive = self._drive(f"{self.road.routes[-1]}-s{self.road.recordings['seeds'][-1]}")
+        drive = self.drive(f"{self.road.routes[-1]}-s{self.road.recordings['seeds'][-1]}")
         traversal_id = self._traversals[drive.drive_id]
         frames = self.dataset.where(traversal=traversal_id).frames()
         stamps = np.array([frames[0].timestamp_ns, frames[-1].timestamp_ns])

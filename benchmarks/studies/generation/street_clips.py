@@ -110,7 +110,7 @@ class StreetRecorder:
         self.drive, self.rig = drive, rig
         world, condition, clock_s = drive.world, drive.condition, drive.truth.clock_s
         self.street = Scene(world, condition, drive.road_users, Model.empty(), clock_s=clock_s)
-        self._empty = Scene(world, condition, (), Model.empty(), clock_s=clock_s)
+        self.empty = Scene(world, condition, (), Model.empty(), clock_s=clock_s)
         self._lens = make_lens(rig.camera)
         self._ego_SE3_camera = Poses.from_matrix(rig.ego_SE3_camera)
 
@@ -165,13 +165,13 @@ class StreetRecorder:
 
     def _frame(self, time_s: float, ego: Poses) -> tuple[UInt8, UInt8, AnyArray, list[_Box]]:
         """Images, backgrounds and tracks of the views at one time, and the boxes of its visible road users."""
-        without = self._empty.around(time_s, ego.translation[0])
+        without = self.empty.around(time_s, ego.translation[0])
         images, backgrounds, tracks = [], [], []
         for view, rendered in enumerate(self.with_traffic(time_s, ego)):
             pose = ego @ self._ego_SE3_camera[view : view + 1]
             images.append(rendered.bgr[..., ::-1])
             tracks.append(rendered.view.object.astype(np.int16))
-            backgrounds.append(self._empty.render(without, self._lens, pose).bgr[..., ::-1])
+            backgrounds.append(self.empty.render(without, self._lens, pose).bgr[..., ::-1])
         shown = np.unique(np.stack(tracks))
         return (
             np.stack(images), np.stack(backgrounds), np.stack(tracks),

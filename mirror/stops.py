@@ -9,9 +9,11 @@ Nothing is lost by that: what is written is written under a temporary name, and 
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -25,6 +27,7 @@ INTERRUPTED: Final = 130
 """Exit code of a command that was interrupted."""
 
 _GRACE_S: Final = 3.0
+_POLL_S: Final = 0.5
 _SHOW_CURSOR: Final = b"\x1b[?25h"
 
 
@@ -51,6 +54,29 @@ def terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+_finishing = threading.Event()
+
+
+@contextmanager
+def finishing() -> Iterator[None]:
+    """In this block the first signal does not end the process after a few seconds, however long the block takes.
+
+    For work that hears signals itself and ends as soon as it has saved what is worth it. A second signal ends the
+    process within seconds.
+    """
+    before = _finishing.is_set()
+    _finishing.set()
+    try:
+        yield
+    finally:
+        if not before:
+            _finishing.clear()
+
+
+def _is_stop(reader: int) -> bool:
+    return os.read(reader, 1)[0] in (signal.SIGINT, signal.SIGTERM)
 
 
 class Stops:
@@ -126,10 +152,18 @@ class Stops:
         raise KeyboardInterrupt
 
     def _watch(self, reader: int) -> None:
-        while os.read(reader, 1)[0] not in (signal.SIGINT, signal.SIGTERM):
+        while not _is_stop(reader):
             pass
         self._noticed.set()
-        threading.Event().wait(_GRACE_S)
+        end_s = time.monotonic() + _GRACE_S
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            ready, _, _ = select.select([reader], [], [], min(left_s, _POLL_S))
+            if ready and _is_stop(reader):
+                # A second signal: what is being finished is given up.
+                threading.Event().wait(_GRACE_S if _finishing.is_set() else 0.0)
+                break
+            if _finishing.is_set():
+                end_s = time.monotonic() + _GRACE_S
         self.end()
 
     def _silence(self) -> None:

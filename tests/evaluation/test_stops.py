@@ -96,3 +96,33 @@ def test_second_signal_ends_the_process_at_once() -> None:
         assert least_s < time.monotonic() - since < most_s
         assert running.returncode == 130
         assert stderr == b"held: interrupted: run the same command again\n"
+
+
+def test_a_checkpoint_may_take_longer_than_a_command_is_given_to_end(tmp_path: Path) -> None:
+    held = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from hybridworldsim.training.interruption import interruptible\n"
+        "from mirror.command import run_command\n"
+        "from mirror.stops import run_process\n"
+        "def work():\n"
+        "    with interruptible() as interrupted:\n"
+        "        print('working', flush=True)\n"
+        "        interrupted.wait(60)\n"
+        "        time.sleep(4.0)\n"
+        "        Path(sys.argv[1]).write_text('saved')\n"
+        "        raise KeyboardInterrupt\n"
+        "sys.exit(run_process('held', lambda: run_command('held', work)))\n"
+    )
+    for signals, saved in ((1, True), (2, False)):
+        file = tmp_path / f"{signals}"
+        running = subprocess.Popen(
+            [sys.executable, "-c", held, file], stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_again
+        )
+        assert running.stdout is not None and running.stdout.readline() == b"working\n"
+        for _ in range(signals):
+            running.send_signal(signal.SIGINT)
+            time.sleep(0.3)
+        _, stderr = running.communicate(timeout=30.0)
+        assert (file.exists(), running.returncode) == (saved, 130)
+        assert stderr == b"held: interrupted: run the same command again\n"

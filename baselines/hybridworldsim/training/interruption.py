@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from mirror.stops import finishing
+
 
 @contextmanager
 def interruptible() -> Iterator[threading.Event]:
@@ -33,6 +35,8 @@ def interruptible() -> Iterator[threading.Event]:
 
     signal.signal(signal.SIGINT, on_signal)
     try:
-        yield interrupted
+        # A step and a checkpoint may take longer than a process is given to end after a signal.
+        with finishing():
+            yield interrupted
     finally:
         signal.signal(signal.SIGINT, previous)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import socket
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -281,38 +277,3 @@ def test_an_autoencoder_that_does_not_fit_leaves_no_folder(clips: Path, trained:
         train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
     assert (caught.value.file, caught.value.place) == (str(tmp_path / "other.safetensors"), "--autoencoder")
     assert not (tmp_path / "run").exists()
-
-
-def test_two_processes_train_together(clips: Path, trained: Path, tmp_path: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    # The second process is a fork of the first one, which has imported the libraries and computed nothing.
-    script = (
-        "import os, sys; from pathlib import Path; from dataclasses import replace\n"
-        "import torch._dynamo\n"  # The first optimizer would import it.
-        "from tests.generation.test_training import OPTIONS, train_on_clips, NullProgress\n"
-        "autoencoder = Path(sys.argv[3])\n"
-        "options = replace(OPTIONS, autoencoder=autoencoder)\n"
-        "second = os.fork()\n"
-        "os.environ['RANK'] = '0' if second else '1'\n"
-        "train_on_clips(Path(sys.argv[1]), Path(sys.argv[2]), options, NullProgress())\n"
-        "sys.exit(second and os.waitpid(second, 0)[1])\n"
-    )
-    arguments = [str(clips), str(tmp_path / "run"), str(trained / "autoencoder/model.safetensors")]
-    environment = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    done = subprocess.run(
-        [sys.executable, "-c", script, *arguments], env=environment, capture_output=True, text=True, timeout=240,
-        check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    # One process that computes the same parts one after another has the same gradients, up to rounding.
-    settings = replace(OPTIONS.settings, accumulate=2)
-    autoencoder = trained / "autoencoder/model.safetensors"
-    options = replace(OPTIONS, autoencoder=autoencoder, settings=settings)
-    train_on_clips(clips, tmp_path / "alone", options, NullProgress())
-    together, _ = read_generator(tmp_path / "run/generator/model.safetensors")
-    alone, _ = read_generator(tmp_path / "alone/generator/model.safetensors")
-    for (name, one), other in zip(together.named_parameters(), alone.parameters()):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5, msg=name)
-    assert (tmp_path / "run/generator/run.json").read_text().count('"processes": 2') == 1

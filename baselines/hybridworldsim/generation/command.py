@@ -110,8 +110,8 @@ class Train:
 class Distil:
     """Distil a trained generator to few steps, without guidance: its student jumps where the teacher walks.
 
-    Ctrl-C leaves a checkpoint, and the same command continues. At the same number of threads the result is the same,
-    bit for bit.
+    Ctrl-C leaves a checkpoint, and the same command continues; at the same number of threads the result is the same,
+    bit for bit. `torchrun` starts several processes.
     """
 
     clips: tyro.conf.Positional[Path]
@@ -129,7 +129,7 @@ class Distil:
     autoencoder: Annotated[Path | None, help_text(default="beside the generator", metavar="FILE")] = None
     """Autoencoder that the generator was trained with."""
     batch: int = 4
-    """Windows of a step."""
+    """Windows of a step, over all processes."""
     learning_rate: float = 2e-4
     """Highest learning rate. It rises in 100 steps, then falls to 0 behind the last step."""
     ema: float = 0.995
@@ -271,6 +271,7 @@ def _distil(argv: Sequence[str]) -> int:
     from hybridworldsim.generation.training.distillation import DistillationSettings
     from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
     from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+    from hybridworldsim.generation.training.processes import leads_process
     from mirror.progress import progress_bar
 
     generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
@@ -289,8 +290,10 @@ def _distil(argv: Sequence[str]) -> int:
         threads=arguments.threads,
         device=arguments.device,
     )
-    with progress_bar(quiet=arguments.json) as bar:
+    with progress_bar(quiet=arguments.json or not leads_process()) as bar:
         model, outcome = distil_on_clips(arguments.clips, generator, autoencoder, arguments.out, options, bar)
+    if not leads_process():
+        return ExitCode.DONE
     if arguments.json:
         print(json.dumps({"generator": str(model), **outcome.model_dump(exclude={"psnr_db"})}))
         return ExitCode.DONE

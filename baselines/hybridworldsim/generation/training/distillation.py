@@ -135,6 +135,8 @@ class DistillationTrainer(GeneratorTrainer):
         steps: number of steps of the whole training.
         seed: seed of the order of windows and of all noise.
         device: where the networks are.
+        rank: number of this process.
+        processes: number of processes, which share each batch.
     """
 
     def __init__(
@@ -147,11 +149,15 @@ class DistillationTrainer(GeneratorTrainer):
         *,
         seed: int = 0,
         device: str = "cpu",
+        rank: int = 0,
+        processes: int = 1,
     ) -> None:
         self._distillation = distillation
         self._teacher = deepcopy(teacher).eval().requires_grad_(False).to(device)
         student = deepcopy(teacher).train().requires_grad_(True)
-        super().__init__(settings, windows, steps, seed=seed, network=student, device=device)
+        super().__init__(
+            settings, windows, steps, seed=seed, network=student, device=device, rank=rank, processes=processes
+        )
 
     def _make_loss(self) -> nn.Module:
         return ConsistencyLoss(self.network, self._teacher, lambda: self._averaged, self._distillation)

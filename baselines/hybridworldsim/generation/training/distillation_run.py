@@ -19,7 +19,8 @@ from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-from hybridworldsim.generation.training.loop import run_steps
+from hybridworldsim.generation.training.loop import train_together
+from hybridworldsim.generation.training.processes import join_processes
 from hybridworldsim.generation.training.run import hash_clips
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
@@ -95,20 +96,27 @@ def distil_on_clips(
     loaded = read_clips(clips, listed)
     require_clips(loaded, teacher.config, references, clips)
     settings = replace(options.settings, network=teacher.config, references=references)
-    folder = GenerationRunFolder(out)
-    document = {**settings.document, "distillation": options.distillation.document, "teacher": file_sha256(generator)}
-    run = GenerationRun(
-        part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
-        processes=1, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
-    )  # fmt: skip
-    outcome = folder.begin(run)
-    if outcome is not None:
-        return folder.model, outcome
-    with exhausted_memory_named(options.device, TRAINING_REMEDY), folder.lock():
+    with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
+        settings.require_shares(processes.count)
+        folder = GenerationRunFolder(out)
+        document = {
+            **settings.document,
+            "distillation": options.distillation.document,
+            "teacher": file_sha256(generator),
+        }
+        run = GenerationRun(
+            part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
+            processes=processes.count, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
+        )  # fmt: skip
+        with processes.leader_first():
+            outcome = folder.begin(run)
+        if outcome is not None:
+            return folder.model, outcome
         windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references)
         trainer = DistillationTrainer(
-            settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device
-        )
+            settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device,
+            rank=processes.rank, processes=processes.count,
+        )  # fmt: skip
 
         def sample(step: int) -> None:
             write_samples(
@@ -116,10 +124,9 @@ def distil_on_clips(
                 steps=options.distillation.segments,
             )  # fmt: skip
 
-        position = run_steps(
-            trainer, options.steps, folder, reporter, phase="distillation", checkpoint_s=options.checkpoint_s,
-            sample=sample,
+        done = train_together(
+            trainer, options.steps, folder, reporter, processes,
+            lambda file: write_generator(file, trainer.averaged_network(), references),
+            phase="distillation", loss=_LOSS, checkpoint_s=options.checkpoint_s, sample=sample,
         )  # fmt: skip
-        network = trainer.averaged_network()
-        done = folder.finish(lambda file: write_generator(file, network, references), position, _LOSS)
     return folder.model, done

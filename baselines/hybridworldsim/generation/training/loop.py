@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
-from hybridworldsim.generation.training.run_folder import GenerationRunFolder, Trainer
+from hybridworldsim.generation.training.processes import ALONE, Processes
+from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRunFolder, Trainer
 from hybridworldsim.training.budget import Clock
 from hybridworldsim.training.interruption import interruptible
 from hybridworldsim.training.run.checkpoint import Position, Sums
@@ -30,7 +33,7 @@ def run_steps(
     phase: str,
     checkpoint_s: float = 60.0,
     sample: Callable[[int], None] | None = None,
-    leads: bool = True,
+    processes: Processes = ALONE,
 ) -> Position:
     """Train to a number of steps; continue where an earlier call stopped.
 
@@ -44,7 +47,7 @@ def run_steps(
         phase: what is trained, for the progress.
         checkpoint_s: a checkpoint is written at the first step after this many seconds.
         sample: called with the number of steps at each quarter, to write samples.
-        leads: whether this process writes; of several processes one does.
+        processes: those that train together. The leading one writes; Ctrl-C in one stops all after the same step.
 
     Returns:
         The last position.
@@ -71,20 +74,65 @@ def run_steps(
             reporter.advance(1)
             position = replace(position, spent_s=clock.spent_s, wall_s=earlier_s + time.monotonic() - started_s)
             if position.steps * REPORTS >= (position.reports + 1) * steps or position.steps == steps:
-                position = _report(folder, position, steps, reporter, leads)
-                if sample is not None and leads and position.rows % _SAMPLES_EVERY == 0:
+                position = _report(folder, position, steps, reporter, processes.leads)
+                if sample is not None and processes.leads and position.rows % _SAMPLES_EVERY == 0:
                     clock.pause()
                     sample(position.steps)
                     clock.resume()
-            if leads and (interrupted.is_set() or time.monotonic() - saved_s > checkpoint_s):
+            stopped = processes.any(interrupted.is_set())
+            if processes.leads and (stopped or time.monotonic() - saved_s > checkpoint_s):
                 folder.save_checkpoint(trainer, position)
                 saved_s = time.monotonic()
-            if interrupted.is_set():
+            if stopped:
                 reporter.message(f"interrupted at step {position.steps}: the checkpoint is in {folder.path}")
                 raise KeyboardInterrupt
-    if leads:
+    if processes.leads:
         folder.save_checkpoint(trainer, position)
     return position
+
+
+def train_together(
+    trainer: Trainer,
+    steps: int,
+    folder: GenerationRunFolder,
+    reporter: ProgressReporter,
+    processes: Processes,
+    write: Callable[[Path], int],
+    *,
+    phase: str,
+    loss: str,
+    checkpoint_s: float,
+    sample: Callable[[int], None],
+) -> GenerationOutcome:
+    """Train with all processes, and write the model and the outcome in the leading one.
+
+    Args:
+        trainer: as for `run_steps`, as the others that it shares.
+        steps: number of steps.
+        folder: folder of the run.
+        reporter: receives the progress.
+        processes: those that train together.
+        write: writes the trained model to a path, and returns its size in bytes.
+        phase: what is trained.
+        loss: name of the loss in the curves.
+        checkpoint_s: seconds between checkpoints.
+        sample: writes samples.
+
+    Raises:
+        DatasetError: as `run_steps`, or another process stopped.
+        KeyboardInterrupt: as `run_steps`.
+    """
+    with folder.lock() if processes.leads else nullcontext():
+        position = run_steps(
+            trainer, steps, folder, reporter, phase=phase, checkpoint_s=checkpoint_s, sample=sample, processes=processes
+        )
+        with processes.leader_first():
+            if processes.leads:
+                folder.finish(write, position, loss)
+    done = folder.outcome
+    if done is None:
+        raise DatasetError("the leading process did not finish", file=folder.path, expected="an outcome")
+    return done
 
 
 def _report(

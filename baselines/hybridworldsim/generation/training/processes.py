@@ -6,8 +6,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
+from typing import Final
 
+import torch
 import torch.distributed
+
+from mirror.errors import DatasetError
+
+_TIMEOUT: Final = timedelta(days=7)
+"""The others wait while one process trains an autoencoder."""
+_REMEDY: Final = (
+    "see the message of the process that stopped first; the same command continues from the last checkpoint"
+)
 
 
 @dataclass(frozen=True)
@@ -17,26 +28,49 @@ class Processes:
     Attributes:
         rank: number of this one.
         count: number of all.
+        device: where this one computes.
     """
 
     rank: int = 0
     count: int = 1
+    device: str = "cpu"
 
     @property
     def leads(self) -> bool:
         """Whether this process writes files."""
         return self.rank == 0
 
+    def any(self, flag: bool) -> bool:
+        """Whether the flag is set in some process; all must ask."""
+        if self.count == 1:
+            return flag
+        shared = torch.tensor(float(flag), device=self.device)
+        torch.distributed.all_reduce(shared, torch.distributed.ReduceOp.MAX)
+        return bool(shared)
+
     @contextmanager
     def leader_first(self) -> Iterator[None]:
-        """The leading process runs the block first, then the others; each waits for the other part."""
-        if self.count > 1 and not self.leads:
-            torch.distributed.barrier()
-        yield
-        if self.count > 1 and self.leads:
-            torch.distributed.barrier()
-        if self.count > 1:
-            torch.distributed.barrier()
+        """The leading process runs the block first, then the others; each waits for the other part.
+
+        Raises:
+            DatasetError: the leading process failed or was interrupted, in the others.
+        """
+        if self.leads:
+            done = False
+            try:
+                yield
+                done = True
+            finally:
+                self.any(not done)
+        else:
+            if self.any(False):
+                raise DatasetError("the leading process stopped", expected="all processes", remedy=_REMEDY)
+            yield
+        self.any(False)
+
+
+ALONE: Final = Processes()
+"""One process, without others."""
 
 
 def leads_process() -> bool:
@@ -50,13 +84,20 @@ def join_processes(device: str) -> Iterator[Processes]:
 
     Args:
         device: where the model is trained; decides how gradients are exchanged.
+
+    Raises:
+        DatasetError: another process stopped while this one waited for it.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
-        yield Processes()
+        yield ALONE
         return
-    torch.distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
+    torch.distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=_TIMEOUT)
     try:
-        yield Processes(int(os.environ["RANK"]), count)
+        yield Processes(int(os.environ["RANK"]), count, device)
+    except RuntimeError as error:
+        if not isinstance(error, torch.distributed.DistError) and "gloo" not in str(error):
+            raise
+        raise DatasetError("another process of the training stopped", expected=f"{count}", remedy=_REMEDY) from error
     finally:
         torch.distributed.destroy_process_group()

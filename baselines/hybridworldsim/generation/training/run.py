@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from hybridworldsim.generation.training.autoencoder_trainer import (
     reconstruction_psnr_db,
 )
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
-from hybridworldsim.generation.training.loop import run_steps
+from hybridworldsim.generation.training.loop import run_steps, train_together
 from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
@@ -180,22 +179,13 @@ def _train_generator(
     def sample(step: int) -> None:
         write_samples(folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=options.device)
 
-    with folder.lock() if processes.leads else nullcontext():
-        position = run_steps(
-            trainer, options.steps, folder, reporter, phase="generator", checkpoint_s=options.checkpoint_s,
-            sample=sample, leads=processes.leads,
-        )  # fmt: skip
-        with processes.leader_first():
-            if processes.leads:
-                network = trainer.averaged_network()
-                folder.finish(
-                    lambda file: write_generator(file, network, settings.references, drop_layout=settings.drop_layout),
-                    position,
-                    settings.weighting,
-                )
-    done = folder.outcome
-    if done is None:
-        raise DatasetError("the leading process did not finish", file=path, expected="an outcome")
+    done = train_together(
+        trainer, options.steps, folder, reporter, processes,
+        lambda file: write_generator(
+            file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout
+        ),
+        phase="generator", loss=settings.weighting, checkpoint_s=options.checkpoint_s, sample=sample,
+    )  # fmt: skip
     return folder.model, done
 
 

@@ -1,0 +1,102 @@
+"""Two processes that train one model, and that distil one."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
+from hybridworldsim.generation.model_files import read_generator, write_autoencoder, write_generator
+from hybridworldsim.generation.training.distillation import DistillationSettings
+from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
+from hybridworldsim.generation.training.processes import Processes
+from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
+from mirror.errors import DatasetError
+from mirror.progress import NullProgress
+from tests.generation.builders import make_network
+from tests.generation.clips import write_clips
+from tests.generation.trained import CODEC, NETWORK, T
+
+SETTINGS = GeneratorSettings(NETWORK, T, batch=4, warmup=2, context_noise=0.3, drop_layout=0.5)
+
+
+def train(folder: Path, out: Path, settings: GeneratorSettings) -> None:
+    """Train a generator with a given autoencoder."""
+    options = TrainingOptions(6, autoencoder=folder / "autoencoder.safetensors", settings=settings)
+    train_on_clips(folder / "clips", out, options, NullProgress())
+
+
+def distil(folder: Path, out: Path, settings: GeneratorSettings) -> None:
+    """Distil a given generator."""
+    options = DistillationOptions(4, DistillationSettings(2, 4), settings)
+    files = (folder / f"{name}.safetensors" for name in ("teacher", "autoencoder"))
+    distil_on_clips(folder / "clips", *files, out, options, NullProgress())
+
+
+@pytest.fixture(scope="module")
+def together(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with clips and models, and what two processes made of them."""
+    folder = tmp_path_factory.mktemp("together")
+    write_clips(folder / "clips")
+    torch.manual_seed(0)
+    write_autoencoder(folder / "autoencoder.safetensors", TinyAutoencoder(CODEC))
+    write_generator(folder / "teacher.safetensors", make_network(NETWORK).float(), T)
+    # The second process is a fork of the first one, which has imported the libraries and computed nothing.
+    script = (
+        "import os, sys; from pathlib import Path\n"
+        "import torch._dynamo\n"  # The first optimizer would import it.
+        "from tests.generation.test_processes import SETTINGS, distil, train\n"
+        "folder, ports = Path(sys.argv[1]), sys.argv[2:]\n"
+        "second = os.fork()\n"
+        "os.environ['RANK'] = '0' if second else '1'\n"
+        "for name, make, port in zip(('trained', 'distilled'), (train, distil), ports):\n"
+        "    os.environ['MASTER_PORT'] = port\n"
+        "    make(folder, folder / name, SETTINGS)\n"
+        "sys.exit(second and os.waitpid(second, 0)[1])\n"
+    )
+    with socket.socket() as one, socket.socket() as two:
+        for free in (one, two):
+            free.bind(("127.0.0.1", 0))
+        ports = [str(free.getsockname()[1]) for free in (one, two)]
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(folder), *ports], capture_output=True, text=True, timeout=240, check=False,
+        env={**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize(("name", "inner"), [("trained", "generator/"), ("distilled", "")])
+def test_two_processes_make_the_model_of_one(together: Path, tmp_path: Path, name: str, inner: str) -> None:
+    """One process that computes the same parts one after another has the same gradients, up to rounding."""
+    make = train if name == "trained" else distil
+    make(together, tmp_path / name, replace(SETTINGS, accumulate=2))
+    (two, _), (one, _) = (read_generator(root / name / f"{inner}model.safetensors") for root in (together, tmp_path))
+    begun = dict(make_network(NETWORK).float().named_parameters())
+    for (place, found), expected in zip(two.named_parameters(), one.parameters(), strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5, msg=place)
+        if name == "distilled" and place == "proj_out.weight":
+            assert float((found - begun[place]).detach().abs().max()) > 1e-4
+    assert '"processes": 2' in (together / name / f"{inner}run.json").read_text()
+
+
+def test_the_others_are_told_that_the_leading_process_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flag of the leading process, as the others receive it."""
+    told: list[bool] = []
+    monkeypatch.setattr(Processes, "any", lambda _, flag: told.append(flag) or flag)
+    with pytest.raises(KeyboardInterrupt), Processes(0, 2).leader_first():
+        raise KeyboardInterrupt
+    with Processes(0, 2).leader_first():
+        assert told == [True]
+    assert told == [True, False, False]
+    monkeypatch.setattr(Processes, "any", lambda *_: True)
+    with pytest.raises(DatasetError, match="the leading process stopped"), Processes(1, 2).leader_first():
+        pytest.fail("the block must not run")

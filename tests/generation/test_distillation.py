@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from hybridworldsim.generation.clips.folder import write_clip
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
-from hybridworldsim.generation.model_files import read_generator
+from hybridworldsim.generation.model_files import read_generator, trained_rates
 from hybridworldsim.generation.sampling.flow import TIMESTEPS, noise_levels
 from hybridworldsim.generation.sampling.sampler import sample
 from hybridworldsim.generation.training.distillation import (
@@ -124,6 +124,7 @@ def test_an_interrupted_distillation_gives_the_same_bytes(trained: Path, tmp_pat
     teacher, references = read_generator(trained / "out" / "generator" / "model.safetensors")
     student, same = read_generator(whole)
     assert (student.config, same) == (teacher.config, references)
+    assert trained_rates(whole) == (5.0, 5.0)
     changed = [name for name, one in student.named_parameters() if not torch.equal(one, teacher.get_parameter(name))]
     assert len(changed) > 20
     with pytest.raises(UsageError, match="a run of other settings began here"):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hybridworldsim.generation.command import main
-from hybridworldsim.generation.model_files import read_generator, write_generator
+from hybridworldsim.generation.model_files import read_generator, trained_rates, write_generator
 from hybridworldsim.generation.scenes.backgrounds import open_background
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.run import PIXELS
@@ -75,7 +75,11 @@ def test_files_are_the_background_of_their_camera_and_instant(
     removed = [f"--edit=remove:{name}" for name in sorted({name for one in frames for name in one.boxes().track_id})]
     generate(tiny_dataset, traversal, models, backgrounds, tmp_path / "out", *removed)
     found = images(tmp_path / "out")
-    assert "blend_px=4" in json.loads((tmp_path / "out" / "generated.json").read_text())["inputs"]["rollout"]
+    document = json.loads((tmp_path / "out" / "generated.json").read_text())
+    assert "blend_px=4" in document["inputs"]["rollout"]
+    # The tiny dataset has a frame every two seconds; the generator saw five a second.
+    assert (document["rate_hz"], document["trained_rates_hz"]) == (pytest.approx(0.5), [5.0, 5.0])
+    assert document["rate_note"].startswith("frames are generated at 0.5 Hz, the generator was trained at 5 Hz")
     # The first T frames are seeds. The recording is slower than 5 Hz: no frame is left out.
     for place, one in enumerate(frames[T : T + FRAMES]):
         for row, camera in enumerate(CAMERAS):
@@ -157,6 +161,7 @@ def test_a_generator_that_was_never_trained_without_boxes_is_not_guided(
 ) -> None:
     file = tmp_path / "generator" / "model.safetensors"
     write_generator(file, *read_generator(models / "generator" / "model.safetensors"))
+    assert trained_rates(file) is None
     shutil.copytree(models / "autoencoder", tmp_path / "autoencoder")
     with pytest.raises(UsageError, match="guidance 4 of a generator that was never trained without boxes") as caught:
         generate(tiny_dataset, traversal, tmp_path, backgrounds, tmp_path / "out", "--guidance", "4")

@@ -16,7 +16,7 @@ from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_l
 from hybridworldsim.generation.devices import exhausted_memory_named
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_autoencoder
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, trained_rates, write_autoencoder
 from hybridworldsim.generation.network.configuration import AdapterConfig, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.flow import Weighting
@@ -76,6 +76,7 @@ def test_the_run_holds_models_and_curves(trained: Path) -> None:
     network, references = read_generator(trained / "generator/model.safetensors")
     assert network.config == NETWORK
     assert references == T
+    assert trained_rates(trained / "generator/model.safetensors") == (5.0, 5.0)
     rows = (trained / "generator/curves.csv").read_text().splitlines()
     assert rows[0] == "step,core_s,wall_s,velocity"
     assert len(rows) == 1 + OPTIONS.steps

@@ -188,7 +188,7 @@ class Scene:
     """Cameras, without --split."""
     size: Annotated[str, help_text(metavar="WIDTHxHEIGHT")] = "96x64"
     """Raster of generated images: that of the training."""
-    hz: Annotated[float | None, help_text(default="5, or the recording's rate if that is lower")] = None
+    hz: Annotated[float | None, help_text(default="that of the training, or the recording's if that is lower")] = None
     """Frames per second, without --split."""
     frames: Annotated[int | None, help_text(default="all")] = None
     """Largest number of generated frames, without --split."""

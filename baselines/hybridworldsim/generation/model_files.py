@@ -26,7 +26,14 @@ _REMEDY: Final = (
 )
 
 
-def write_generator(path: Path, network: Transformer, references: int, *, drop_layout: float = 0.0) -> int:
+def write_generator(
+    path: Path,
+    network: Transformer,
+    references: int,
+    *,
+    drop_layout: float = 0.0,
+    rates_hz: tuple[float, float] | None = None,
+) -> int:
     """Write a network.
 
     Args:
@@ -34,11 +41,14 @@ def write_generator(path: Path, network: Transformer, references: int, *, drop_l
         network: the network.
         references: T, number of its reference frames.
         drop_layout: share of its training windows without boxes; above 0 it can be guided.
+        rates_hz: lowest and highest rate of its training clips, frames per second; None: not stated.
 
     Returns:
         The size of the file in bytes.
     """
     document = {"network": asdict(network.config), "references": references, "drop_layout": drop_layout}
+    if rates_hz is not None:
+        document["rates_hz"] = list(rates_hz)
     return _write(path, network, _GENERATOR, document)
 
 
@@ -70,7 +80,7 @@ def require_guidance(path: Path, scale: float) -> None:
     """
     if scale == 1.0:
         return
-    document, _ = _read(path, _GENERATOR)
+    document = _read_document(path, _GENERATOR)
     if not float(document.get("drop_layout", 0.0)) > 0.0:
         raise UsageError(
             f"guidance {scale:g} of a generator that was never trained without boxes",
@@ -79,6 +89,16 @@ def require_guidance(path: Path, scale: float) -> None:
             expected="a generator of `mirror generate train --drop-layout`; distilled ones take none",
             remedy="leave out --guidance, or train with --drop-layout 0.1",
         )
+
+
+def trained_rates(path: Path) -> tuple[float, float] | None:
+    """The lowest and highest rate of a generator's training clips, frames per second; None: its file states none.
+
+    Raises:
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    rates = _read_document(path, _GENERATOR).get("rates_hz")
+    return None if rates is None else (float(rates[0]), float(rates[1]))
 
 
 def write_autoencoder(path: Path, model: TinyAutoencoder) -> int:
@@ -119,22 +139,35 @@ def _write(path: Path, model: nn.Module, kind: str, document: Mapping[str, Any])
 
 
 def _read(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    document = _read_document(path, kind)
+    try:
+        return document, load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise _unreadable(path, kind, error) from error
+
+
+def _read_document(path: Path, kind: str) -> dict[str, Any]:
+    """What a file says of its model, without the tensors."""
     from safetensors import SafetensorError, safe_open
 
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
-        raise DatasetError(
-            f"cannot be read ({error})", file=path, expected=f"a file of {kind}", remedy=_REMEDY
-        ) from error
-    document = decode_json(metadata.get("document", "{}"))
+        raise _unreadable(path, kind, error) from error
+    document: dict[str, Any] = decode_json(metadata.get("document", "{}"))
     if document.get("format") != kind:
         found = document.get("format")
         problem = "tensors that state no format" if found is None else f"of format {found!r}"
         raise DatasetError(problem, file=path, expected=kind, remedy=_REMEDY)
-    return document, state
+    return document
+
+
+def _unreadable(path: Path, kind: str, error: Exception) -> DatasetError:
+    return DatasetError(f"cannot be read ({error})", file=path, expected=f"a file of {kind}", remedy=_REMEDY)
 
 
 def _load(path: Path, model: nn.Module, state: Mapping[str, torch.Tensor]) -> None:

@@ -57,10 +57,17 @@ def detections_path(traversal_id: str) -> str:
 
 
 def make_manifest(
-    plan: Plan, method: Method, appearance: Appearance, runtime: Runtime | None = None, seed: int | None = None
+    plan: Plan,
+    method: Method,
+    appearance: Appearance,
+    runtime: Runtime | None = None,
+    seed: int | None = None,
+    notes: str = "",
 ) -> SubmissionManifest:
     """Make the manifest of a submission for a plan."""
-    return SubmissionManifest(**_identify(plan), method=method, appearance=appearance, runtime=runtime, seed=seed)
+    return SubmissionManifest(
+        **_identify(plan), method=method, appearance=appearance, runtime=runtime, seed=seed, notes=notes
+    )
 
 
 def write_manifest(folder: Path, manifest: SubmissionManifest) -> None:

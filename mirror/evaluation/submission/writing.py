@@ -38,6 +38,7 @@ def write_submission(
     progress: ProgressReporter | None = None,
     costs: Runtime | None = None,
     of: str | None = None,
+    notes: str = "",
 ) -> int:
     """Render a plan's views one by one and write them as a submission; the manifest is written last.
 
@@ -55,6 +56,7 @@ def write_submission(
         costs: known costs of the method besides its speed.
         of: identifies everything that the images depend on besides plan, method and appearance, such as the hash of a
             model.
+        notes: entry of the manifest.
 
     Returns:
         The number of views of the submission.
@@ -90,7 +92,7 @@ def write_submission(
     runtime = costs or Runtime(device=f"{platform.machine()} CPU")
     if timed:
         runtime = runtime.model_copy(update={"frames_per_second": timed / max(duration_s, 1e-9)})
-    write_manifest(out, make_manifest(plan, method, appearance, runtime))
+    write_manifest(out, make_manifest(plan, method, appearance, runtime, notes=notes))
     finish_render_folder(out)
     return len(expected)
 

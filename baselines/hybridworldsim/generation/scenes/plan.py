@@ -14,7 +14,7 @@ from mirror.geometry.interpolation import interpolate
 from mirror.protocols.views.trajectories import parse_trajectory
 
 DEFAULT_HZ: Final = 5.0
-"""Frames per second where none are asked for: those of the clips of the synthetic street."""
+"""Frames per second of a generator whose file states no rate: those of the clips of the synthetic street."""
 _RATE_TOLERANCE: Final = 1.05
 
 
@@ -38,18 +38,26 @@ class ScenePlan:
 
 
 def plan_scene(
-    dataset: Dataset, traversal_id: str, *, hz: float | None, trajectory: str | None, references: int, count: int | None
+    dataset: Dataset,
+    traversal_id: str,
+    *,
+    hz: float | None,
+    trajectory: str | None,
+    references: int,
+    count: int | None,
+    trained_hz: float = DEFAULT_HZ,
 ) -> ScenePlan:
     """Plan the frames of one traversal.
 
     Args:
         dataset: the dataset.
         traversal_id: the traversal.
-        hz: wanted rate; the nearest rate that takes every so many frames is used. None: `DEFAULT_HZ`, or the rate of
+        hz: wanted rate; the nearest rate that takes every so many frames is used. None: `trained_hz`, or the rate of
             the recording if that is lower.
         trajectory: line of the vehicle in the generated frames, as for `mirror render`; None: the recorded one.
         references: T, number of seeds.
         count: largest number of generated frames; None: all.
+        trained_hz: rate of the generator's training.
 
     Raises:
         UsageError: the traversal has too few frames, the rate is above that of the recording, or the trajectory is
@@ -67,7 +75,7 @@ def plan_scene(
             expected=f"at most {recorded_hz:.3g}, the rate of the recording",
             remedy="leave it out, or choose a lower one",
         )
-    stride = max(1, round(recorded_hz / (hz or DEFAULT_HZ)))
+    stride = max(1, round(recorded_hz / (hz or trained_hz)))
     chosen = np.arange(0, len(frames), stride)
     if count is not None:
         chosen = chosen[: references + count]

@@ -15,9 +15,10 @@ import torch
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.devices import require_counts, require_device
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_guidance
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_guidance, trained_rates
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
-from hybridworldsim.generation.scenes.plan import plan_scene
+from hybridworldsim.generation.scenes.plan import DEFAULT_HZ, plan_scene
+from hybridworldsim.generation.scenes.rates import rate_note
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, boxes_of, require_valid_boxes
@@ -56,6 +57,8 @@ class GeneratedDocument(Document):
         frames: number of generated frames; seeds are not among them.
         generated_views: views that the network generated.
         kept_views: views without a road user, which kept their background.
+        trained_rates_hz: lowest and highest rate of the generator's training; None: its file states none.
+        rate_note: see `rate_note`; empty where the rate is that of the training.
         seconds: time of this call.
         inputs: everything that determines the frames.
     """
@@ -69,6 +72,8 @@ class GeneratedDocument(Document):
     frames: int
     generated_views: int
     kept_views: int
+    trained_rates_hz: tuple[float, float] | None = None
+    rate_note: str = ""
     seconds: float
     inputs: dict[str, Any]
 
@@ -164,6 +169,7 @@ def generate_scene(
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
+    trained_hz = trained_rates(request.generator)
     plan = plan_scene(
         dataset.where(scene=request.scene),
         traversal,
@@ -171,9 +177,11 @@ def generate_scene(
         trajectory=request.trajectory,
         references=generator.references,
         count=request.frames,
+        trained_hz=DEFAULT_HZ if trained_hz is None else trained_hz[1],
     )
     frames = dataset.where(traversal=traversal).frames()
     rig = rig_of(frames, request.cameras, request.size_px, PIXELS)
+    note = rate_note([plan.rate_hz], trained_hz)
     edits = [parse_edit(text, plan.tracks) for text in request.edits]
     require_valid_boxes(dataset, (one.frame for one in plan.frames))
     require_shown(edits, boxes_of(plan.frames[generator.references :], plan.tracks), plan.tracks)
@@ -190,6 +198,8 @@ def generate_scene(
 
     scene = SceneConditions(rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks)
     total = len(plan.frames) - generator.references
+    if note:
+        progress.message(note)
     progress.start("generating", total)
     progress.advance(0 if state is None else state.frame - generator.references)
     rollout = roll_out_sequence(
@@ -216,6 +226,8 @@ def generate_scene(
         inputs=inputs,
         generated_views=counts["generated_views"],
         kept_views=counts["kept_views"],
+        trained_rates_hz=trained_hz,
+        rate_note=note,
     )
     (out / _STATE).unlink(missing_ok=True)
     write_json(out / DOCUMENT, document)

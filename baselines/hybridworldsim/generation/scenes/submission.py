@@ -14,7 +14,9 @@ import torch
 from hybridworldsim.generation.devices import require_counts
 from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+from hybridworldsim.generation.model_files import trained_rates
 from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
+from hybridworldsim.generation.scenes.rates import plan_rates, rate_note, rate_of
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import open_generator
@@ -93,6 +95,9 @@ def generate_submission(
         wanted = {view.frame_index for view in plan.views if view.traversal_id == traversal}
         frames = dataset.where(traversal=traversal).frames()
         require_valid_boxes(dataset, (frame for frame in frames if frame.frame_index in wanted))
+    note = rate_note(plan_rates(dataset, plan), trained_rates(request.generator))
+    if note and progress is not None:
+        progress.message(note)
     inputs = (
         *(file_sha256(request.generator), file_sha256(request.autoencoder), identity),
         *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
@@ -109,6 +114,7 @@ def generate_submission(
         out,
         progress,
         of="|".join(inputs),
+        notes=note,
     )
 
 
@@ -162,8 +168,7 @@ def render_plan(
             ego = requested[0].pose @ rig.ego_SE3_camera[camera].inverse()
             planned.append(PlannedFrame(frames[number], ego, requested[0].edits))
         tracks = {name: place for place, name in enumerate(planned[0].frame.track_ids)}
-        steps = np.diff([frames[number].timestamp_ns for number in numbers])
-        rate_hz = 1e9 / float(np.median(steps)) if len(steps) else 1.0
+        rate_hz = rate_of([frames[number].timestamp_ns for number in numbers]) if len(numbers) > 1 else 1.0
         first = views[0]
         if calibrations != dataset.layers.calibrations:
             other = dataset.with_layers(calibrations=calibrations)

@@ -21,7 +21,7 @@ from hybridworldsim.generation.training.distillation import DistillationSettings
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.loop import train_together
 from hybridworldsim.generation.training.processes import join_processes
-from hybridworldsim.generation.training.run import hash_clips
+from hybridworldsim.generation.training.run import hash_clips, rates_of
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit
@@ -126,7 +126,7 @@ def distil_on_clips(
 
         done = train_together(
             trainer, options.steps, folder, reporter, processes,
-            lambda file: write_generator(file, trainer.averaged_network(), references),
+            lambda file: write_generator(file, trainer.averaged_network(), references, rates_hz=rates_of(loaded)),
             phase="distillation", loss=_LOSS, checkpoint_s=options.checkpoint_s, sample=sample,
         )  # fmt: skip
     return folder.model, done

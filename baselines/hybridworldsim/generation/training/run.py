@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -182,7 +183,8 @@ def _train_generator(
     done = train_together(
         trainer, options.steps, folder, reporter, processes,
         lambda file: write_generator(
-            file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout
+            file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout,
+            rates_hz=rates_of(clips),
         ),
         phase="generator", loss=settings.weighting, checkpoint_s=options.checkpoint_s, sample=sample,
     )  # fmt: skip
@@ -191,6 +193,12 @@ def _train_generator(
 
 def _flat(images: UInt8) -> UInt8:
     return images.reshape(-1, *images.shape[2:])
+
+
+def rates_of(clips: Sequence[Clip]) -> tuple[float, float]:
+    """The lowest and highest rate of clips, frames per second."""
+    rates = [clip.rate_hz for clip in clips]
+    return min(rates), max(rates)
 
 
 def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:

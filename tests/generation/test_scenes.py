@@ -404,7 +404,7 @@ def test_a_submission_to_the_protocol_of_edits(
     text = (Path(mirror.__file__).parent / "protocols" / "definitions" / "editing-accuracy-small.toml").read_text()
     text, _, rest = text.partition("[frames]")
     begin, *groups = text.split("[[groups]]")
-    rest = "[frames]" + rest.replace("every = 5", "every = 20")
+    rest = "[frames]" + rest.replace("every = 5", "every = 10")
     chosen = [group for group in groups if '"background"' in group or '"0m"' in group or '"left-2m"' in group]
     (tmp_path / "edits.toml").write_text(begin + "[[groups]]".join(["", *chosen]) + rest)
     plan = plan_views(tiny_dataset, load_protocol(str(tmp_path / "edits.toml")), "novel")
@@ -413,6 +413,9 @@ def test_a_submission_to_the_protocol_of_edits(
     words += ["--protocol", str(tmp_path / "edits.toml"), "--size", "24x16", "--out", str(tmp_path / "out")]
     assert main([*words, "--json"]) == ExitCode.DONE
     assert json.loads(capsys.readouterr().out)["views"] == len(plan.views)
+    # Every tenth frame of one in two seconds.
+    notes = json.loads((tmp_path / "out" / "manifest.json").read_text())["notes"]
+    assert notes.startswith("frames are generated at 0.05 Hz, the generator was trained at 5 Hz")
     found = {view.path: cv2.imread(str(tmp_path / "out" / view.path)) for view in plan.views}
     assert all(
         image.shape == (view.height_px, view.width_px, 3)

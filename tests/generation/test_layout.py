@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybridworldsim.generation.clips.clip import CATEGORIES
+from hybridworldsim.generation.clips.map_lines import MapLine
 from hybridworldsim.generation.layout.boxes import (
     COLOURS,
     OPENDWM_STYLE,
@@ -20,7 +21,7 @@ from hybridworldsim.generation.layout.boxes import (
 )
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.layout.lines import NEAR_M, draw_lines
-from hybridworldsim.generation.layout.map_lines import MapLine, draw_map
+from hybridworldsim.generation.layout.map_lines import draw_map
 from mirror.errors import UsageError
 from tests.generation.clips import make_clip
 

@@ -53,6 +53,9 @@ class Train:
     """Number of steps of the autoencoder."""
     background: bool = True
     """Whether the generator receives the images of the empty street."""
+    map: bool = False
+    """Whether the generator is shown lanes, the drivable area and crossings. Clips must have maps, such as those of
+    `python -m benchmarks generation clips --map`."""
     weighting: Literal["velocity", "epsilon", "x0"] = "velocity"
     """Whose square error the loss is: that of the velocity, of the noise, or of the clean latents."""
     batch: int = 4
@@ -68,7 +71,7 @@ class Train:
     self_rollout_steps: int = 2
     """Steps of the sampler for such a reference frame."""
     drop_layout: float = 0.0
-    """Share of windows without boxes, for guidance."""
+    """Share of windows without boxes and map, for guidance."""
     ema: float = 0.995
     """Highest decay of the averaged parameters, which are those of the model."""
     precision: Literal["float32", "bf16"] = "float32"
@@ -88,7 +91,7 @@ class Train:
     def settings(self) -> GeneratorSettings:
         """The settings of the training."""
         from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-        from hybridworldsim.generation.training.run import without_background
+        from hybridworldsim.generation.training.run import with_map, without_background
 
         settings = GeneratorSettings(
             weighting=self.weighting,
@@ -103,6 +106,7 @@ class Train:
             precision=self.precision,
             recompute=self.recompute,
         )
+        settings = with_map(settings) if self.map else settings
         return settings if self.background else without_background(settings)
 
 

@@ -21,8 +21,9 @@ class Arguments:
     list: the stages with their budgets. run: the stages that are not finished. report: the tables of
     docs/generation.md and sheets of images. publish: the figures of finished stages into outcomes.jsonl, so that the
     report shows them without the folder. crops: the distance of crops by class and drive. fid: FID and FVD of finished
-    rollouts, where their weights are there. clips, judges: these stages alone. end-to-end: the addition that
-    `end_to_end.toml` declares, once the clips, the judges and its model are there; publish and report show it too.
+    rollouts, where their weights are there. clips, judges: these stages alone; clips --map: clips with the lines of the
+    map in the folder clips-with-maps, which are no part of the study. end-to-end: the addition that `end_to_end.toml`
+    declares, once the clips, the judges and its model are there; publish and report show it too.
     """
 
     what: tyro.conf.Positional[
@@ -35,6 +36,8 @@ class Arguments:
     """Run this stage alone, so that a queue can take one stage after another."""
     hours: float | None = None
     """Core-hours after which no stage is begun. None: the declaration's."""
+    map: bool = False
+    """Of clips: make clips with the lines of the map, for `mirror generate train --map`."""
     check: bool = False
     """Of report: change nothing, and fail if docs/generation.md has other tables."""
 
@@ -95,6 +98,13 @@ def main(argv: Sequence[str]) -> int:
             left = run_stages(addition, parts, bar, only=arguments.stage, hours=hours)
         print("\n".join(describe_stages((part, addition.figures(part.name) is not None) for part in parts)))
         return ExitCode.DONE if not left else ExitCode.FINDINGS
+    if arguments.what == "clips" and arguments.map:
+        folder = arguments.out / "clips-with-maps"
+        with progress_bar(quiet=False) as bar:
+            clips = make_clips(folder, bar, with_maps=True)
+        print(f"{folder}: {len(clips.training)} training clips, {len(clips.test)} test clips")
+        print(f"next: mirror generate train {folder} --map --steps 4000 --out generator")
+        return ExitCode.DONE
     only = arguments.stage if arguments.what == "run" else arguments.what
     with progress_bar(quiet=False) as bar:
         left = run_stages(study, list_stages(study.declaration), bar, only=only, hours=arguments.hours)

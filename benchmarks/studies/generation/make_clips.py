@@ -61,12 +61,13 @@ def planned_drives() -> list[PlannedDrive]:
     return drives + [PlannedDrive(route, seed, False) for seed in TRAINING_SEEDS for route in ROUTES]
 
 
-def make_clips(folder: Path, progress: ProgressReporter) -> ClipList:
+def make_clips(folder: Path, progress: ProgressReporter, *, with_maps: bool = False) -> ClipList:
     """Make all clips that do not exist yet, then the list.
 
     Args:
-        folder: folder of the clips.
+        folder: folder of the clips; those with and without maps need folders of their own.
         progress: receives the progress.
+        with_maps: whether clips have the lines of the exact map; those of the study have none.
     """
     kept: dict[bool, list[str]] = {False: [], True: []}
     drives = planned_drives()
@@ -74,17 +75,17 @@ def make_clips(folder: Path, progress: ProgressReporter) -> ClipList:
     for drive in drives:
         done = folder / "drives" / f"{drive.drive_id}.txt"
         if not done.is_file():
-            write_bytes(done, "\n".join(_record(folder, drive, progress)).encode())
+            write_bytes(done, "\n".join(_record(folder, drive, progress, with_maps)).encode())
         kept[drive.test] += done.read_text().split()
         progress.advance(1)
         progress.report(f"{drive.drive_id}: {len(kept[False])} training clips, {len(kept[True])} test clips")
-    source = f"{PRESET}, bustle {BUSTLE}, {len(drives)} drives"
+    source = f"{PRESET}, bustle {BUSTLE}, {len(drives)} drives{', with maps' if with_maps else ''}"
     clips = ClipList(source=source, training=tuple(kept[False]), test=tuple(kept[True]))
     write_list(folder, clips)
     return clips
 
 
-def _record(folder: Path, planned: PlannedDrive, progress: ProgressReporter) -> Iterator[str]:
+def _record(folder: Path, planned: PlannedDrive, progress: ProgressReporter, with_maps: bool) -> Iterator[str]:
     """Record a drive; yields the ids of its clips."""
     drive = busy_drive(PRESET, planned.route, planned.seed, BUSTLE, planned.drive_id)
     try:
@@ -100,7 +101,7 @@ def _record(folder: Path, planned: PlannedDrive, progress: ProgressReporter) -> 
         if not planned.test and busy_share(recorder.tracks(times_s[first:last:_LOOKED_AT])) < _LEAST_BUSY:
             continue
         if not clip_path(folder, clip_id).is_file():
-            write_clip(folder, recorder.record(clip_id, times_s[first:last]))
+            write_clip(folder, recorder.record(clip_id, times_s[first:last], with_map=with_maps))
         yield clip_id
 
 

@@ -9,6 +9,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import ABSENT, CATEGORIES, Clip, ClipBoxes
+from hybridworldsim.generation.clips.map_lines import MapLine, crop_lines, move_lines
+from hybridworldsim.generation.clips.road_map import lines_of_map
 from mirror.arrays import AnyArray, Float64, UInt8
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -16,6 +18,7 @@ from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drive
 from mirror.synth.fleet.presets import PRESETS
 from mirror.synth.light.condition import Effects
+from mirror.synth.maps import street_map
 from mirror.synth.model import Model
 from mirror.synth.render.lens import make_lens
 from mirror.synth.render.scene import RenderedImage, Scene
@@ -135,8 +138,14 @@ class StreetRecorder:
             ]
         ).astype(np.int16)
 
-    def record(self, clip_id: str, times_s: Float64) -> Clip:
-        """Render the frames at (F,) times."""
+    def record(self, clip_id: str, times_s: Float64, *, with_map: bool = False) -> Clip:
+        """Render the frames at (F,) times.
+
+        Args:
+            clip_id: id of the clip.
+            times_s: (F,) times.
+            with_map: whether the clip has the lines of the exact map that its frames show.
+        """
         egos = self.ego(times_s)
         frames = [self._frame(float(time_s), egos[place : place + 1]) for place, time_s in enumerate(times_s)]
         rows = [(place, *box) for place, (_, _, _, boxes) in enumerate(frames) for box in boxes]
@@ -161,7 +170,13 @@ class StreetRecorder:
                 np.array(size, np.float64).reshape(-1, 3),
             ),
             np.stack([tracks for _, _, tracks, _ in frames]),
+            self.lines(egos) if with_map else None,
         )
+
+    def lines(self, egos: Poses) -> tuple[MapLine, ...]:
+        """The lines of the exact map near the vehicle's poses, in the frame of the first one."""
+        lines = lines_of_map(street_map(self.drive.world.plan), egos.translation)
+        return move_lines(crop_lines(lines, egos.translation), egos.inverse().matrix()[0])
 
     def _frame(self, time_s: float, ego: Poses) -> tuple[UInt8, UInt8, AnyArray, list[_Box]]:
         """Images, backgrounds and tracks of the views at one time, and the boxes of its visible road users."""

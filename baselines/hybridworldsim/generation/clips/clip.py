@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from hybridworldsim.generation.clips.map_lines import LINE_KINDS, MapLine
 from mirror.arrays import AnyArray, Bool, Float64, Int64, UInt8
 from mirror.errors import DatasetError
 
@@ -65,6 +66,7 @@ class Clip:
         start_SE3_ego: (F, 4, 4) the ego frame of each instant in that of the first.
         boxes: road users.
         tracks: (F, V, H, W) number of the road user in each pixel, `ABSENT` elsewhere; None: not known.
+        lines: lines of the map in the ego frame of the first instant; None: no map is known.
     """
 
     clip_id: str
@@ -79,6 +81,7 @@ class Clip:
     start_SE3_ego: Float64
     boxes: ClipBoxes
     tracks: AnyArray | None = None
+    lines: tuple[MapLine, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.images.ndim != 5 or self.images.shape[1] != len(self.views) or self.images.shape[-1] != 3:
@@ -100,6 +103,7 @@ class Clip:
             if not np.isfinite(getattr(self, name)).all():
                 raise DatasetError(f"{name} is not finite", place=self.clip_id, expected="finite numbers")
         self._check_boxes(frames)
+        self._check_lines()
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -125,4 +129,15 @@ class Clip:
                     f"the box of track {boxes.track[row]} in frame {boxes.frame[row]} is not valid",
                     place=f"{self.clip_id}, box {row}", expected=expected,
                     remedy="leave the box out, or correct it",
+                )  # fmt: skip
+
+    def _check_lines(self) -> None:
+        for number, line in enumerate(self.lines or ()):
+            points = line.points_m
+            shaped = points.ndim == 2 and points.shape[1:] == (3,) and len(points) > 1
+            if line.kind not in LINE_KINDS or not shaped or not np.isfinite(points).all():
+                raise DatasetError(
+                    f"line {number} of the map is not valid", place=f"{self.clip_id}, a line of kind {line.kind!r}",
+                    expected=f"a kind of {', '.join(LINE_KINDS)}, and two or more finite points (P, 3)",
+                    remedy="leave the line out, or correct it",
                 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -12,6 +12,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
+from hybridworldsim.generation.clips.map_lines import MapLine
+from mirror.arrays import AnyArray
 from mirror.errors import DatasetError
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, write_bytes, write_json
@@ -20,9 +22,10 @@ _LIST: Final = "clips.json"
 _SUFFIX: Final = ".npz"
 _BOXES: Final = "boxes_"
 _NEEDED: Final = (
-    *(field.name for field in fields(Clip) if field.name not in ("boxes", "tracks")),
+    *(field.name for field in fields(Clip) if field.name not in ("boxes", "tracks", "lines")),
     *(f"{_BOXES}{field.name}" for field in fields(ClipBoxes)),
 )
+_LINES: Final = ("lines_kind", "lines_count", "lines_points_m")
 _SCALARS: Final = ("clip_id", "drive_id", "rate_hz")
 
 
@@ -60,6 +63,9 @@ def write_clip(folder: Path, clip: Clip) -> None:
         value = getattr(clip, field.name)
         if field.name == "boxes":
             arrays |= {f"{_BOXES}{part.name}": getattr(value, part.name) for part in fields(ClipBoxes)}
+        elif field.name == "lines":
+            # Last, and only where a map is known: files without one have the bytes that they always had.
+            arrays |= {} if value is None else _pack_lines(value)
         elif value is not None:
             arrays[field.name] = np.asarray(value)
     sink = io.BytesIO()
@@ -84,7 +90,8 @@ def read_clip(folder: Path, clip_id: str) -> Clip:
         for name in _SCALARS:
             arrays[name] = arrays[name].item()
         arrays["views"] = tuple(arrays["views"].tolist())
-        return Clip(**arrays, boxes=boxes)
+        lines = _unpack_lines({name: arrays.pop(name) for name in _LINES if name in arrays})
+        return Clip(**arrays, boxes=boxes, lines=lines)
     except DatasetError as error:
         raise DatasetError(
             error.problem, file=path, place=error.place, expected=error.expected,
@@ -94,6 +101,23 @@ def read_clip(folder: Path, clip_id: str) -> Clip:
         raise DatasetError(
             f"cannot be read ({error})", file=path, expected="a clip", remedy="make the clips again: remove this file"
         ) from error
+
+
+def _pack_lines(lines: Sequence[MapLine]) -> dict[str, AnyArray]:
+    """The lines of a map as arrays: kinds (L,), numbers of points (L,), and all points (P, 3)."""
+    points = [np.zeros((0, 3)), *(line.points_m for line in lines)]
+    kinds = np.array([line.kind for line in lines], np.str_)
+    return dict(zip(_LINES, (kinds, np.array([len(one) for one in points[1:]], np.int64), np.concatenate(points))))
+
+
+def _unpack_lines(arrays: Mapping[str, AnyArray]) -> tuple[MapLine, ...] | None:
+    if not arrays:
+        return None
+    kinds, counts, points = (arrays[name] for name in _LINES)
+    if kinds.shape != counts.shape or counts.sum() != len(points):
+        raise ValueError(f"{len(points)} points for lines of {counts.sum()}")
+    parts = np.split(points, np.cumsum(counts)[:-1]) if len(counts) else []
+    return tuple(MapLine(kind, part) for kind, part in zip(kinds.tolist(), parts))
 
 
 def write_list(folder: Path, clips: ClipList) -> None:

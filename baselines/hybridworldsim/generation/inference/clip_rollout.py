@@ -17,7 +17,7 @@ from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.inference.rollout import Rollout
 from hybridworldsim.generation.inference.windows import seed_frames
 from hybridworldsim.generation.layout.boxes import BoxStyle
-from hybridworldsim.generation.layout.images import draw_layout
+from hybridworldsim.generation.layout.images import draw_frame_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from mirror.arrays import Bool, Float32, UInt8
@@ -82,7 +82,8 @@ def roll_out_clip(
     Args:
         network: the network; the rollout runs on its device.
         codec: the autoencoder, on the same device.
-        clip: recorded images seed the rollout; later ones are not read. Backgrounds and boxes of all frames are read.
+        clip: recorded images seed the rollout; later ones are not read. Backgrounds and boxes of all frames are read,
+            and lines of the map, if the network takes one.
         style: how boxes are drawn.
         first: first generated frame; the `references` frames before it seed the rollout.
         references: T, number of reference frames.
@@ -96,8 +97,7 @@ def roll_out_clip(
         UsageError: fewer than T frames stand before the first one, or a part does not fit the network.
     """
     seeds = seed_frames(first, references)
-    layouts = {frame: _layout(clip, frame, style) for frame in seeds}
-    conditions = [_conditions(clip, frame, network, layouts[frame]) for frame in seeds]
+    conditions = [_conditions(clip, frame, network, style) for frame in seeds]
     device = next(network.parameters()).device
     if latents is None:
         latents = torch.stack([_encode(codec, clip.images[frame], device) for frame in seeds])[None]
@@ -108,7 +108,7 @@ def roll_out_clip(
         generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
         generated &= clip.present[frame]
         kept = None if generated.all() else _encode(codec, clip.background[frame], device)[None, None]
-        of_frame = _conditions(source, frame, network, _layout(source, frame, style))
+        of_frame = _conditions(source, frame, network, style)
         result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=kept)
         images = clip.background[frame].copy()
         if generated.any():
@@ -129,11 +129,8 @@ def clip_hulls(clip: Clip, frame: int) -> Bool:
     return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px)
 
 
-def _layout(clip: Clip, frame: int, style: BoxStyle) -> Float32:
-    return draw_layout(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style)
-
-
-def _conditions(clip: Clip, frame: int, network: Transformer, layout: Float32) -> Conditions:
+def _conditions(clip: Clip, frame: int, network: Transformer, style: BoxStyle) -> Conditions:
+    layout = draw_frame_layout(clip, frame, style, network.config)
     return frame_conditions(clip, frame, network.config, layout).to(next(network.parameters()).device)
 
 

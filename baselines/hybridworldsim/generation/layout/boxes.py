@@ -48,7 +48,7 @@ class BoxStyle:
 
     @property
     def channels(self) -> int:
-        """Channels of the images."""
+        """Channels of the images of boxes; a map has `MAP_CHANNELS` more."""
         return 4 if self.depth else 3
 
 

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import Clip, ClipBoxes
+from hybridworldsim.generation.clips.map_lines import MapLine
 from hybridworldsim.generation.layout.boxes import BoxStyle, draw_boxes
-from hybridworldsim.generation.layout.map_lines import MapLine, draw_map
+from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS, draw_map
+from hybridworldsim.generation.network.configuration import TransformerConfig
 from mirror.arrays import Float32, Float64
 
 
@@ -51,11 +53,31 @@ def draw_layout(
     return np.stack(views)
 
 
-def draw_clip_layout(clip: Clip, style: BoxStyle) -> Float32:
-    """The layout of all frames of a clip: (F, V, channels, height, width)."""
-    return np.stack(
-        [
-            draw_layout(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style)
-            for frame in range(len(clip))
-        ]
-    )
+def takes_map(config: TransformerConfig, style: BoxStyle) -> bool:
+    """Whether a network is shown a map: in each frame its layout has the channels of boxes and three more."""
+    channels = config.layout_frames * (style.channels + MAP_CHANNELS)
+    return config.layout is not None and config.layout.channels == channels
+
+
+def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: TransformerConfig) -> Float32:
+    """The layout of one frame of a clip, as a network takes it.
+
+    Args:
+        clip: the clip.
+        frame: number of the frame.
+        style: what is drawn of a box.
+        config: the network.
+
+    Returns:
+        (V, channels, height, width); where the network takes a map and the clip has none, its channels are 0.
+    """
+    lines = (clip.lines or ()) if takes_map(config, style) else None
+    return draw_layout(
+        clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style,
+        lines=lines, ego_SE3_line=np.linalg.inv(clip.start_SE3_ego[frame]),
+    )  # fmt: skip
+
+
+def draw_clip_layout(clip: Clip, style: BoxStyle, config: TransformerConfig) -> Float32:
+    """The layout of all frames of a clip, as a network takes it: (F, V, channels, height, width)."""
+    return np.stack([draw_frame_layout(clip, frame, style, config) for frame in range(len(clip))])

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 import numpy as np
 
+from hybridworldsim.generation.clips.map_lines import FARTHEST_M, LineKind, MapLine
 from hybridworldsim.generation.layout.lines import draw_lines
 from mirror.arrays import Float32, Float64
 
-LineKind: TypeAlias = Literal["drivable", "lane", "crossing"]
+MAP_CHANNELS: Final = 3
+"""Channels of the images: red, green and blue."""
 
 _COLOURS: Final[dict[LineKind, tuple[float, float, float]]] = {
     "drivable": (0.0, 0.0, 1.0),
@@ -19,21 +20,6 @@ _COLOURS: Final[dict[LineKind, tuple[float, float, float]]] = {
     "crossing": (1.0, 0.0, 0.0),
 }
 _ORDER: Final[tuple[LineKind, ...]] = ("drivable", "lane", "crossing")
-FARTHEST_M: Final = 65.0
-"""Lines are drawn up to this distance from the vehicle, as those that OpenDWM's weights were trained with."""
-
-
-@dataclass(frozen=True, eq=False)
-class MapLine:
-    """One line of a map.
-
-    Attributes:
-        kind: border of the drivable area, lane, or crossing.
-        points_m: (P, 3) points, P at least 2; the first is repeated at the end of a closed line.
-    """
-
-    kind: LineKind
-    points_m: Float64
 
 
 def draw_map(

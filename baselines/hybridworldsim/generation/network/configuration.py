@@ -65,7 +65,8 @@ class TransformerConfig:
         temporal_attention: ``pointwise``: among the frames at each token. ``full``: among all tokens of all frames.
         causal: whether frames attend only to themselves and to earlier ones. Released weights are not causal.
         cross_view_layers: joint blocks that a cross-view block follows.
-        layout: the adapter of the layout images, or None.
+        layout: the adapter of the layout images, or None. Its channels are those of boxes, or these and three of a map,
+            for each of `layout_frames`.
         background: the adapter of the background images, or None. Released weights have none.
     """
 
@@ -135,6 +136,11 @@ class TransformerConfig:
     def token_px(self) -> int:
         """Pixels per token, along a side."""
         return self.latent_stride * self.patch
+
+    @property
+    def layout_frames(self) -> int:
+        """Frames whose layouts one input holds, as channels: the target, and the T references if they are channels."""
+        return 1 + self.reference_channels // self.latent_channels
 
     def takes_size(self, size_px: tuple[int, int]) -> bool:
         """Whether images of this height and width are whole tokens, within the table of positions."""

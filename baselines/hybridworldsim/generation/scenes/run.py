@@ -23,6 +23,7 @@ from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, boxes_of, require_valid_boxes
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
+from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
@@ -159,7 +160,7 @@ def generate_scene(
 
     Raises:
         UsageError: the request does not fit the dataset, or the folder holds other files.
-        DatasetError: a model, image or background is missing or does not fit.
+        DatasetError: a model, image, background or map is missing, broken or does not fit.
     """
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
@@ -187,7 +188,8 @@ def generate_scene(
     require_shown(edits, boxes_of(plan.frames[generator.references :], plan.tracks), plan.tracks)
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
     background, identity = open_background(request.background, dataset, request.appearance, views)
-    inputs = _inputs(dataset, request, traversal, identity)
+    scene_map = open_scene_map(dataset, request.scene, generator, progress)
+    inputs = _inputs(dataset, request, traversal, identity, scene_map)
     settings = [f"{name}={value}" for name, value in sorted(inputs.items())]
     start_render_folder(out, settings, last=DOCUMENT, kind=FolderKind.GENERATED)
     state, counts = _read_state(out)
@@ -196,7 +198,7 @@ def generate_scene(
         one = plan.frames[first]
         return apply_edits(clip, edits, plan.tracks, one.world_SE3_ego, float(one.world_SE3_ego.translation[0, 2]))
 
-    scene = SceneConditions(rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks)
+    scene = SceneConditions(rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks, scene_map.lines)
     total = len(plan.frames) - generator.references
     if note:
         progress.message(note)
@@ -235,7 +237,9 @@ def generate_scene(
     return document
 
 
-def _inputs(dataset: Dataset, request: SceneRequest, traversal: str, background: str) -> dict[str, Any]:
+def _inputs(
+    dataset: Dataset, request: SceneRequest, traversal: str, background: str, scene_map: SceneMap
+) -> dict[str, Any]:
     return {
         "generator": file_sha256(request.generator),
         "autoencoder": file_sha256(request.autoencoder),
@@ -254,6 +258,7 @@ def _inputs(dataset: Dataset, request: SceneRequest, traversal: str, background:
         "rollout": repr(request.rollout),
         "threads": request.threads,
         "device": request.device,
+        **scene_map.inputs,
     }
 
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
+from hybridworldsim.generation.clips.map_lines import MapLine, move_lines
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rig import SceneRig
 from mirror.arrays import UInt8
@@ -56,6 +57,7 @@ class SceneConditions:
         light: light of the traversal.
         weather: weather of the traversal.
         tracks: numbers of road users by track id.
+        lines: lines of the scene's map in the world frame; None: no map is known, or none is wanted.
     """
 
     rig: SceneRig
@@ -64,6 +66,7 @@ class SceneConditions:
     light: str
     weather: str
     tracks: Mapping[str, int]
+    lines: tuple[MapLine, ...] | None = None
 
 
 def make_scene_clip(
@@ -117,6 +120,7 @@ def make_scene_clip(
         rig.ego_SE3_camera.matrix(),
         np.concatenate([(start @ one.world_SE3_ego).matrix() for one in frames]),
         boxes_of(frames, scene.tracks),
+        lines=None if scene.lines is None else move_lines(scene.lines, start.matrix()[0]),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -21,11 +21,12 @@ from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import open_generator
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, require_valid_boxes
+from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.manifest import Appearance, Method
 from mirror.evaluation.submission.writing import Render, write_submission
-from mirror.progress import ProgressReporter
+from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
@@ -82,7 +83,7 @@ def generate_submission(
 
     Raises:
         UsageError: the request does not fit the dataset, or the folder holds other files.
-        DatasetError: a model, image or background is missing or does not fit.
+        DatasetError: a model, image, background or map is missing, broken or does not fit.
     """
     torch.set_num_threads(request.threads)
     generator = open_generator(request.generator, request.autoencoder, request.device, request.rollout.sampler.guidance)
@@ -98,16 +99,19 @@ def generate_submission(
     note = rate_note(plan_rates(dataset, plan), trained_rates(request.generator))
     if note and progress is not None:
         progress.message(note)
+    scenes = dict.fromkeys(view.scene_id for view in plan.views)
+    maps = {scene: open_scene_map(dataset, scene, generator, progress or NullProgress()) for scene in scenes}
     inputs = (
         *(file_sha256(request.generator), file_sha256(request.autoencoder), identity),
         *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
         *(str(request.threads), request.device),
+        *(f"{name} of {scene}: {value}" for scene, one in maps.items() for name, value in one.inputs.items()),
     )
     return write_submission(
         dataset,
         plan,
         lambda _, requested: render_plan(
-            dataset, plan, generator, background, request.size_px, request.rollout, requested.views, calibrations
+            dataset, plan, generator, background, request.size_px, request.rollout, requested.views, calibrations, maps
         ),
         Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
         Appearance(policy="other", description=f"of the background: {request.appearance}"),
@@ -127,6 +131,7 @@ def render_plan(
     options: ClipRolloutOptions,
     missing: Sequence[RenderView],
     calibrations: str = "recorded",
+    maps: Mapping[str, SceneMap] | None = None,
 ) -> Iterator[Render]:
     """Generate every view of a plan, traversal by traversal.
 
@@ -145,6 +150,7 @@ def render_plan(
             images do not depend on what an earlier call wrote.
         calibrations: layer of calibrations that places the cameras, as for `mirror render`; rasters are the plan's. A
             traversal without it has the recorded ones.
+        maps: maps by scene; None: no map is shown to the generator.
 
     Yields:
         One view with its image at a time.
@@ -174,7 +180,8 @@ def render_plan(
             other = dataset.with_layers(calibrations=calibrations)
             rig = rig.at_calibrations(other.where(traversal=traversal).frames())
         placed = {view.path: view for view in recalibrate_views(dataset, views, calibrations)}
-        scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks)
+        lines = None if maps is None else maps[first.scene_id].lines
+        scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks, lines)
         seeds = [planned[0]] * generator.references
         # Blended below, in the raster of the view.
         rollout = roll_out_sequence(

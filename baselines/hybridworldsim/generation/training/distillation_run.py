@@ -24,7 +24,7 @@ from hybridworldsim.generation.training.processes import join_processes
 from hybridworldsim.generation.training.run import hash_clips, rates_of
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit
+from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -95,6 +95,9 @@ def distil_on_clips(
     clips_hash = hash_clips(clips, listed)
     loaded = read_clips(clips, listed)
     require_clips(loaded, teacher.config, references, clips)
+    without_map = require_maps(loaded, teacher.config, OWN_STYLE, clips)
+    if without_map is not None:
+        reporter.message(without_map)
     settings = replace(options.settings, network=teacher.config, references=references)
     with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
         settings.require_shares(processes.count)

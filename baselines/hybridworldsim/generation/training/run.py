@@ -21,6 +21,7 @@ from hybridworldsim.generation.devices import (
     require_seed,
 )
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
 from hybridworldsim.generation.training.autoencoder_trainer import (
     AutoencoderSettings,
@@ -32,9 +33,9 @@ from hybridworldsim.generation.training.loop import run_steps, train_together
 from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
-from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit
+from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
 from mirror.arrays import UInt8
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
 
@@ -97,8 +98,8 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
         reporter: receives the progress.
 
     Raises:
-        DatasetError: clips are missing, broken, too short or not of one rig and size, the loss is not finite, or memory
-            is exhausted.
+        DatasetError: clips are missing, broken, too short or not of one rig and size, no clip has the map that the
+            network takes, the loss is not finite, or memory is exhausted.
         UsageError: `out` holds another run, or the options do not fit.
     """
     require_device(options.device)
@@ -113,6 +114,9 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     clips_hash = hash_clips(clips, listed)
     loaded = read_clips(clips, listed)
     require_clips(loaded, network, references, clips)
+    without_map = require_maps(loaded, network, OWN_STYLE, clips)
+    if without_map is not None:
+        reporter.message(without_map)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
     with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
@@ -221,3 +225,16 @@ def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:
 def without_background(settings: GeneratorSettings) -> GeneratorSettings:
     """The same settings for a network that does not receive the background."""
     return replace(settings, network=replace(settings.network, background=None))
+
+
+def with_map(settings: GeneratorSettings) -> GeneratorSettings:
+    """The same settings for a network that is also shown the lines of a map.
+
+    Raises:
+        UsageError: the network takes no layout.
+    """
+    network = settings.network
+    if network.layout is None:
+        raise UsageError("a network without layout", place="--map", expected="one that takes layout images")
+    channels = network.layout_frames * (OWN_STYLE.channels + MAP_CHANNELS)
+    return replace(settings, network=replace(network, layout=replace(network.layout, channels=channels)))

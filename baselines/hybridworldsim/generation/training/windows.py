@@ -15,7 +15,8 @@ from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions, stack_conditions
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import BoxStyle
-from hybridworldsim.generation.layout.images import draw_clip_layout
+from hybridworldsim.generation.layout.images import draw_clip_layout, takes_map
+from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
 from mirror.arrays import UInt8
@@ -87,7 +88,7 @@ class ClipWindows:
         self._clips, self._config, self._references = clips, config, references
         self._latents = [encode_clip(clip, codec) for clip in clips]
         self._layouts: list[UInt8] = [
-            np.round(draw_clip_layout(clip, style) * 255.0).astype(np.uint8) for clip in clips if config.layout
+            np.round(draw_clip_layout(clip, style, config) * 255.0).astype(np.uint8) for clip in clips if config.layout
         ]
         self._places = [(row, frame) for row, clip in enumerate(clips) for frame in range(references, len(clip))]
 
@@ -165,6 +166,32 @@ def require_clips(
         )  # fmt: skip
 
 
+def require_maps(clips: Sequence[Clip], config: TransformerConfig, style: BoxStyle, folder: Path) -> str | None:
+    """Check that some clip has a map, if the network takes one.
+
+    Args:
+        clips: the clips.
+        config: the network.
+        style: how boxes are drawn.
+        folder: where the clips are, for errors.
+
+    Returns:
+        How many clips have no map, in words; None: all have one, or the network takes none.
+
+    Raises:
+        DatasetError: no clip has a map.
+    """
+    missing = sum(clip.lines is None for clip in clips)
+    if not missing or not takes_map(config, style):
+        return None
+    if missing == len(clips):
+        raise DatasetError(
+            "no training clip has a map", file=folder, expected="clips with the lines of a map, for a model with --map",
+            remedy="make clips with maps: python -m benchmarks generation clips --map; or train without --map",
+        )  # fmt: skip
+    return f"{missing} of {len(clips)} training clips have no map: no line is drawn in them"
+
+
 def _pixels(clip: Clip) -> str:
     height, width = clip.size_px
     return f"{width} x {height} px"
@@ -198,8 +225,10 @@ def require_fit(
             f"{references} references for a network with {config.reference_channels} further channels",
             expected=f"{config.reference_channels // config.latent_channels} references",
         )
-    frames = references + 1 if config.reference_channels else 1
-    if config.layout is not None and config.layout.channels != frames * style.channels:
+    frames = config.layout_frames
+    wanted = [frames * channels for channels in (style.channels, style.channels + MAP_CHANNELS)]
+    if config.layout is not None and config.layout.channels not in wanted:
         raise UsageError(
-            f"layouts of {frames} x {style.channels} channels", expected=f"{config.layout.channels}, as the network"
+            f"layouts of {frames} x {style.channels} channels, or of {MAP_CHANNELS} more with a map",
+            expected=f"{config.layout.channels} channels, as the network",
         )

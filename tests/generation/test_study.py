@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import torch
 
+from benchmarks.studies.generation import make_clips
+from benchmarks.studies.generation.benchmark import main as generation_benchmark
 from benchmarks.studies.generation.judge_data import CROP_PX, crop, judged_boxes
 from benchmarks.studies.generation.judges import (
     Classifier,
@@ -22,9 +25,11 @@ from benchmarks.studies.generation.judges import (
     segment,
     segmenter_loss,
 )
-from benchmarks.studies.generation.make_clips import ROUTES, TEST_SEEDS, busy_share, planned_drives
+from benchmarks.studies.generation.make_clips import ROUTES, TEST_SEEDS, PlannedDrive, busy_share, planned_drives
 from benchmarks.studies.generation.street_clips import StreetRecorder, StreetRig, busy_drive
 from hybridworldsim.generation.clips.clip import ABSENT, CATEGORIES, Clip
+from hybridworldsim.generation.clips.folder import read_clip, read_list
+from hybridworldsim.generation.clips.map_lines import LINE_KINDS, move_lines
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
 from mirror.arrays import Float64
@@ -104,6 +109,45 @@ def test_ego_motion_agrees_with_the_poses_of_static_boxes(street_clip: Clip) -> 
         for track in set(first.track.tolist()) & set(second.track.tolist())
     ]
     assert min(moved) < 1e-6
+
+
+def test_clips_have_the_lines_of_the_exact_map_where_they_are_asked_for(
+    recorder: StreetRecorder, times_s: Float64, street_clip: Clip
+) -> None:
+    """On the ground; borders of the drivable area on that of the carriageways, those of lanes half a width aside."""
+    clip = recorder.record("with-map", times_s[:1], with_map=True)
+    assert street_clip.lines is None and clip.lines is not None
+    np.testing.assert_array_equal(clip.images[0], street_clip.images[0])
+    plan, counts = recorder.drive.world.plan, dict.fromkeys(LINE_KINDS, 0)
+    middles = [(shapely.LineString(one.line[:, :2]), one.width_m) for one in plan.network.lanes.values()]
+    for line in move_lines(clip.lines, recorder.ego(times_s[:1]).matrix()[0]):
+        counts[line.kind] += 1
+        points = [shapely.Point(point) for point in line.points_m[:, :2].tolist()]
+        # A kerb is up to 0.15 m high.
+        assert np.abs(line.points_m[:, 2] - plan.height_m(*line.points_m[:, :2].T)).max() < 0.2
+        assert np.hypot(*(line.points_m[:, :2] - recorder.ego(times_s[:1]).translation[0, :2]).T).min() <= 65.0
+        if line.kind == "drivable":
+            assert max(plan.carriageways.boundary.distance(point) for point in points) < 1e-6
+        if line.kind == "lane":
+            away = [max(abs(middle.distance(one) - 0.5 * width) for one in points[1:-1]) for middle, width in middles]
+            assert min(away) < 0.02
+    assert all(counts.values())
+
+
+def test_clips_with_maps_are_no_part_of_the_study(
+    recorder: StreetRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One drive of one frame."""
+    monkeypatch.setattr(make_clips, "planned_drives", lambda: [PlannedDrive("guangzhou-urban-01", 3, True)])
+    monkeypatch.setattr(make_clips, "TEST_FRAMES", 1)
+    monkeypatch.setattr(make_clips, "busy_drive", lambda *_: recorder.drive)
+    monkeypatch.setattr(make_clips, "StreetRecorder", lambda *_: recorder)
+    assert generation_benchmark(["clips", "--map", "--out", str(tmp_path)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["clips-with-maps"]
+    listed = read_list(tmp_path / "clips-with-maps")
+    assert listed.source.endswith("1 drives, with maps") and len(listed.test) == 1
+    assert read_clip(tmp_path / "clips-with-maps", listed.test[0]).lines
+    assert "mirror generate train" in capsys.readouterr().out
 
 
 def test_drives_of_the_study_are_distinct() -> None:

@@ -27,7 +27,7 @@ def lines_of_map(road_map: RoadMap, driven_m: Float64) -> tuple[MapLine, ...]:
             lanes.
 
     Returns:
-        Lines in the map's frame, with points at most 2 m apart.
+        Lines in the map's frame, with points at most 2 m apart on the ground plane.
     """
     lanes = [_dense(lane.center_m) for lane in road_map.lanes.values()]
     ground = np.concatenate(lanes) if lanes else driven_m

@@ -20,7 +20,7 @@ from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_frame_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
-from mirror.arrays import Bool, Float32, UInt8
+from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
 
 

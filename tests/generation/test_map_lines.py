@@ -24,7 +24,7 @@ from hybridworldsim.generation.layout.map_lines import draw_map
 from hybridworldsim.generation.network.configuration import CTSD_35, TINY, UNIMLVG, AdapterConfig
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.run import with_map
-from hybridworldsim.generation.training.windows import ClipWindows
+from hybridworldsim.generation.training.windows import ClipWindows, require_maps
 from mirror.arrays import Float64
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.road_map import LaneKind, MapArea, MapCrossing, MapLane, RoadMap
@@ -152,6 +152,16 @@ def test_the_channels_of_a_layout_say_whether_a_network_takes_a_map() -> None:
     names = {"reference_channels", "layout", "layout_frames", "map"}
     assert names & settings.document["network"].keys() == {"reference_channels", "layout"}
     assert {key for key in settings.document if settings.document[key] != changed.document[key]} == {"network"}
+
+
+def test_training_says_how_many_clips_have_no_map() -> None:
+    clips, folder = [clip_with(ACROSS), make_clip(), clip_with(), make_clip()], Path("clips")
+    text = require_maps(clips, WITH_MAP, OWN_STYLE, folder)
+    assert text == "2 of 4 training clips have no map: no line is drawn in them"
+    assert require_maps(clips[::2], WITH_MAP, OWN_STYLE, folder) is None
+    assert require_maps(clips, NETWORK, OWN_STYLE, folder) is None
+    with pytest.raises(DatasetError, match="no training clip has a map"):
+        require_maps(clips[1::2], WITH_MAP, OWN_STYLE, folder)
 
 
 def test_windows_have_the_map_of_all_their_frames() -> None:

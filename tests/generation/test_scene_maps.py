@@ -121,7 +121,7 @@ def test_without_a_map_the_generator_says_so_and_gets_no_lines(
 
 
 def test_a_generator_that_takes_no_map_ignores_that_of_the_dataset(mapped: Dataset, models: Path) -> None:
-    """A broken map as well; its inputs have no entry of a map, so that interrupted scenes continue."""
+    """No map is looked for; the inputs have no entry of one, so that scenes begun before there were maps continue."""
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
     messages = Messages()
     one = open_scene_map(mapped, "no such scene", open_generator(*files), messages)

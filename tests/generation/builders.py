@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from hybridworldsim.generation.network.conditions import Conditions
-from hybridworldsim.generation.network.configuration import CTSD_35, AdapterConfig, TransformerConfig
+from hybridworldsim.generation.network.configuration import CTSD_35, UNIMLVG, AdapterConfig, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
+from tests.generation.ctsd35_keys import keys, unimlvg_keys
 
 SMALL = replace(
     CTSD_35,
@@ -23,11 +25,25 @@ SMALL = replace(
 )
 """The released model with all its blocks, eight channels wide."""
 
+SMALL_UNIMLVG = replace(
+    UNIMLVG, heads=2, head_channels=4, text_channels=6, pooled_channels=5, grid=8, grid_base=2,
+    layout=AdapterConfig(6, 8),
+)  # fmt: skip
+
 SHORT = replace(
     SMALL, layers=4, dual_layers=(0, 1), temporal_layers=(1, 3), cross_view_layers=(0, 2),
     layout=AdapterConfig(6, 8, scales=(1, 1)), causal=True, background=AdapterConfig(3, 4, scales=(1, 2)),
 )  # fmt: skip
 """Four blocks of it, causal, with a background adapter."""
+
+
+def released_checkpoint(path: Path, base: str = "ctsd-35", dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+    """Write a file with the released names of a base, eight channels wide; returns its tensors."""
+    generator = torch.Generator().manual_seed(0)
+    shapes = {"ctsd-35": keys, "unimlvg": unimlvg_keys}[base](w=8, h=4, text=6, pooled=5, grid=8)
+    state = {name: 0.3 * torch.randn(shape, generator=generator, dtype=dtype) for name, shape in shapes.items()}
+    torch.save(state, path)
+    return state
 
 
 def make_network(config: TransformerConfig, seed: int = 0) -> Transformer:

@@ -306,7 +306,7 @@ def test_weights_of_another_program_are_refused_with_the_way_to_load_them(models
         with pytest.raises(DatasetError, match=message) as caught:
             run_module.open_generator(tmp_path / name, autoencoder)
         assert caught.value.file == str(tmp_path / name)
-        assert "load_transformer" in str(caught.value.remedy)
+        assert "--base NAME --vae FOLDER" in str(caught.value.remedy)
 
 
 def test_each_background_of_a_sequence_is_rendered_once(

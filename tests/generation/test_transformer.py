@@ -17,7 +17,15 @@ from hybridworldsim.generation.network.joint_block import JointAttention, JointB
 from hybridworldsim.generation.network.transformer import Transformer
 from mirror.errors import UsageError
 from mirror.weights.errors import WeightsUnavailableError
-from tests.generation.builders import SHORT, SMALL, make_conditions, make_latents, make_network
+from tests.generation.builders import (
+    SHORT,
+    SMALL,
+    SMALL_UNIMLVG,
+    make_conditions,
+    make_latents,
+    make_network,
+    released_checkpoint,
+)
 from tests.generation.ctsd35_keys import keys, unimlvg_keys
 from tests.generation.reference import Reference
 
@@ -25,17 +33,6 @@ from tests.generation.reference import Reference
 def shapes_of(config: TransformerConfig) -> dict[str, tuple[int, ...]]:
     with torch.device("meta"):
         return {name: tuple(tensor.shape) for name, tensor in Transformer(config).state_dict().items()}
-
-
-def synthetic_checkpoint(path: Path, seed: int = 0) -> Path:
-    """A file with the 1,443 released names, eight channels wide."""
-    generator = torch.Generator().manual_seed(seed)
-    shapes = keys(w=8, h=4, text=6, pooled=5, grid=8)
-    torch.save(
-        {name: 0.3 * torch.randn(shape, generator=generator, dtype=torch.float64) for name, shape in shapes.items()},
-        path,
-    )
-    return path
 
 
 def run(network: Transformer, conditions: Conditions, latents: torch.Tensor, timestep: torch.Tensor) -> torch.Tensor:
@@ -98,7 +95,8 @@ def test_unimlvg_has_the_released_names_and_the_published_number_of_parameters()
 
 
 def test_loaded_checkpoint_gives_the_output_of_the_plain_reference(tmp_path: Path) -> None:
-    path = synthetic_checkpoint(tmp_path / "ctsd.pth")
+    path = tmp_path / "ctsd.pth"
+    released_checkpoint(path)
     network = load_transformer(path, SMALL)
     conditions = make_conditions(SMALL, frames=2, views=2, rows=1, columns=2)
     conditions = replace(conditions, present=torch.tensor([[[True, True], [True, False]]]))
@@ -110,23 +108,8 @@ def test_loaded_checkpoint_gives_the_output_of_the_plain_reference(tmp_path: Pat
     np.testing.assert_allclose(ours, reference, rtol=1e-9, atol=1e-9)
 
 
-SMALL_UNIMLVG = replace(
-    UNIMLVG, heads=2, head_channels=4, text_channels=6, pooled_channels=5, grid=8, grid_base=2,
-    layout=AdapterConfig(6, 8),
-)  # fmt: skip
-
-
-def unimlvg_checkpoint(path: Path) -> dict[str, torch.Tensor]:
-    """A file with the 1,034 names of UniMLVG, eight channels wide."""
-    generator = torch.Generator().manual_seed(0)
-    shapes = unimlvg_keys(w=8, h=4, text=6, pooled=5, grid=8)
-    state = {name: 0.3 * torch.randn(shape, generator=generator) for name, shape in shapes.items()}
-    torch.save(state, path)
-    return state
-
-
 def test_unimlvg_is_loaded_strictly_by_key(tmp_path: Path) -> None:
-    state = unimlvg_checkpoint(tmp_path / "unimlvg.pth")
+    state = released_checkpoint(tmp_path / "unimlvg.pth", "unimlvg", torch.float32)
     loaded = load_transformer(tmp_path / "unimlvg.pth", SMALL_UNIMLVG).state_dict()
     assert loaded.keys() == state.keys()
     assert all(torch.equal(loaded[name], tensor) for name, tensor in state.items())
@@ -141,7 +124,7 @@ def test_unimlvg_is_loaded_strictly_by_key(tmp_path: Path) -> None:
 
 
 def test_loaded_unimlvg_attends_among_all_tokens_of_all_frames_in_both_directions(tmp_path: Path) -> None:
-    unimlvg_checkpoint(tmp_path / "unimlvg.pth")
+    released_checkpoint(tmp_path / "unimlvg.pth", "unimlvg")
     network = load_transformer(tmp_path / "unimlvg.pth", SMALL_UNIMLVG, dtype=torch.float64)
     conditions = make_conditions(SMALL_UNIMLVG, frames=2, views=1, rows=1, columns=2)
     latents, timestep = make_latents(SMALL_UNIMLVG, conditions)
@@ -166,7 +149,8 @@ def test_explicit_cameras_and_adjacent_views_agree_with_the_plain_reference() ->
 
 
 def test_new_background_adapter_does_not_change_the_output(tmp_path: Path) -> None:
-    path = synthetic_checkpoint(tmp_path / "ctsd.pth")
+    path = tmp_path / "ctsd.pth"
+    released_checkpoint(path)
     with_background = replace(SMALL, background=AdapterConfig(3, 4, scales=(1, 2)))
     conditions = make_conditions(with_background, frames=2, views=2)
     latents, timestep = make_latents(SMALL, conditions)

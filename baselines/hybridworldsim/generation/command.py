@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,12 +15,16 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
+    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+    from hybridworldsim.generation.scenes.released import ReleasedModel
     from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
     from mirror.dataset.dataset import Dataset
 
 _SCENE_EXAMPLES = (
     "mirror generate scene demo/block/dataset generator --background demo/block/model --out generated",
     "mirror generate scene dataset generator --background exact:block --edit move:7:dy=1.5 --frames 20 --out moved",
+    "mirror generate scene dataset ctsd_35_tirda_bm_nwao_40k.pth --base ctsd-35 --vae stable-diffusion-3.5-medium/vae "
+    "--background exact:block --device cuda --out released",
 )
 _DISTIL_EXAMPLES = (
     "mirror generate distil clips generator --steps 2000 --out distilled",
@@ -51,6 +55,9 @@ class Train:
     """A trained autoencoder: model.safetensors of an earlier run."""
     autoencoder_steps: int = 2000
     """Number of steps of the autoencoder."""
+    captions: Annotated[Path | None, help_text(default="no text", metavar="FILE")] = None
+    """Embedded captions: safetensors with NAME/tokens and NAME/pooled, where NAME is a clip, CLIP/CAMERA, a camera, or
+    all. The network takes the width that they have."""
     background: bool = True
     """Whether the generator receives the images of the empty street."""
     map: bool = False
@@ -91,7 +98,7 @@ class Train:
     def settings(self) -> GeneratorSettings:
         """The settings of the training."""
         from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-        from hybridworldsim.generation.training.run import with_map, without_background
+        from hybridworldsim.generation.training.run import with_map, with_text_of, without_background
 
         settings = GeneratorSettings(
             weighting=self.weighting,
@@ -107,6 +114,8 @@ class Train:
             recompute=self.recompute,
         )
         settings = with_map(settings) if self.map else settings
+        if self.captions is not None:
+            settings = with_text_of(settings, self.captions)
         return settings if self.background else without_background(settings)
 
 
@@ -132,6 +141,8 @@ class Distil:
     """Small steps of the teacher, a multiple of --segments."""
     autoencoder: Annotated[Path | None, help_text(default="beside the generator", metavar="FILE")] = None
     """Autoencoder that the generator was trained with."""
+    captions: Annotated[Path | None, help_text(default="no text", metavar="FILE")] = None
+    """Embedded captions, for a generator that was trained with such."""
     batch: int = 4
     """Windows of a step, over all processes."""
     learning_rate: float = 2e-4
@@ -165,7 +176,8 @@ class Scene:
     dataset: tyro.conf.Positional[Path]
     """Folder of the dataset: it has boxes, poses, lenses, and the images of the seeds."""
     generator: tyro.conf.Positional[Path]
-    """Folder that `mirror generate train` wrote, or model.safetensors of a generator."""
+    """Folder that `mirror generate train` wrote, or model.safetensors of a generator; with --base a released state
+    dict."""
     background: Annotated[str, help_text(metavar="MODEL|exact:PRESET[:SEED]|files:FOLDER")]
     """The static street: a model that `mirror reconstruct` wrote, the exact synthetic street, or
     <camera>/<timestamp_ns>.png."""
@@ -190,17 +202,24 @@ class Scene:
     editing-accuracy-small, or a .toml file."""
     cameras: Annotated[str | None, help_text(default="all of the rig", metavar="NAME,...")] = None
     """Cameras, without --split."""
-    size: Annotated[str, help_text(metavar="WIDTHxHEIGHT")] = "96x64"
+    size: Annotated[str | None, help_text(default="96x64; 448x256 with --base", metavar="WIDTHxHEIGHT")] = None
     """Raster of generated images: that of the training."""
     hz: Annotated[float | None, help_text(default="that of the training, or the recording's if that is lower")] = None
-    """Frames per second, without --split."""
+    """Frames per second, without --split. Released models (--base) were trained at 10."""
     frames: Annotated[int | None, help_text(default="all")] = None
     """Largest number of generated frames, without --split."""
     autoencoder: Annotated[Path | None, help_text(default="beside the generator", metavar="FILE")] = None
     """Autoencoder that the generator was trained with."""
-    steps: int = 4
+    base: Annotated[str | None, help_text(default="none", metavar="ctsd-35|unimlvg")] = None
+    """Released model of OpenDWM whose state dict GENERATOR is. It does not follow the background."""
+    vae: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """With --base: folder `vae` of the Stable Diffusion pipeline that the released model was trained on."""
+    captions: Annotated[Path | None, help_text(default="no text", metavar="FILE")] = None
+    """Embedded captions: safetensors with NAME/tokens and NAME/pooled, where NAME is a camera, or all. For released
+    models, and for generators that were trained with captions."""
+    steps: Annotated[int | None, help_text(default="4; with --base its own")] = None
     """Steps of the sampler."""
-    guidance: float = 1.0
+    guidance: Annotated[float | None, help_text(default="1; with --base its own")] = None
     """Scale of guidance by boxes: above 1 they are followed more closely, at twice the cost. For a generator that was
     trained with --drop-layout."""
     precision: Literal["float32", "bf16"] = "float32"
@@ -241,6 +260,7 @@ def _train(argv: Sequence[str]) -> int:
         steps=arguments.steps,
         autoencoder_steps=arguments.autoencoder_steps,
         autoencoder=arguments.autoencoder,
+        captions=arguments.captions,
         settings=arguments.settings,
         seed=arguments.seed,
         threads=arguments.threads,
@@ -290,6 +310,7 @@ def _distil(argv: Sequence[str]) -> int:
             precision=arguments.precision,
             recompute=arguments.recompute,
         ),
+        captions=arguments.captions,
         seed=arguments.seed,
         threads=arguments.threads,
         device=arguments.device,
@@ -317,16 +338,20 @@ def _scene(argv: Sequence[str]) -> int:
     import mirror
     from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
     from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
     from mirror.annotation.box_layer import with_box_layer
 
     dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
-    sampler = SamplerSettings(arguments.steps, guidance=arguments.guidance, precision=arguments.precision)
+    base = _base(arguments)
+    sampler = _sampler(arguments, base)
     rollout = ClipRolloutOptions(sampler, arguments.keep_empty_views, _blend_px(arguments.blend), arguments.seed)
-    generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
+    if base is None or arguments.vae is None:
+        generator, autoencoder = _model_files(arguments.generator, arguments.autoencoder)
+    else:
+        generator, autoencoder = arguments.generator, arguments.vae
     if arguments.split is not None:
-        return _scene_submission(arguments, dataset, generator, autoencoder, rollout, arguments.split)
+        return _scene_submission(arguments, dataset, generator, autoencoder, rollout, arguments.split, base)
 
+    from hybridworldsim.generation.scenes.released import NO_BACKGROUND
     from hybridworldsim.generation.scenes.run import SceneRequest, describe, generate_scene
     from mirror.progress import progress_bar
 
@@ -340,12 +365,14 @@ def _scene(argv: Sequence[str]) -> int:
         edits=arguments.edit,
         appearance=arguments.appearance,
         cameras=None if arguments.cameras is None else tuple(arguments.cameras.split(",")),
-        size_px=_size(arguments.size),
+        size_px=_size(arguments.size, base),
         hz=arguments.hz,
         frames=arguments.frames,
         rollout=rollout,
         threads=arguments.threads,
         device=arguments.device,
+        base=base,
+        captions=arguments.captions,
     )
     with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
         document = generate_scene(dataset, request, arguments.out, bar)
@@ -353,14 +380,23 @@ def _scene(argv: Sequence[str]) -> int:
         print(json.dumps({"out": str(arguments.out), **document.model_dump()}))
     else:
         print(f"{arguments.out}: {describe(document)}")
+        if base is not None:
+            print(f"note: {NO_BACKGROUND}")
         print(f"video: {arguments.out / 'video.mp4'}")
     return ExitCode.DONE
 
 
 def _scene_submission(
-    arguments: Scene, dataset: Dataset, generator: Path, autoencoder: Path, rollout: ClipRolloutOptions, split: str
+    arguments: Scene,
+    dataset: Dataset,
+    generator: Path,
+    autoencoder: Path,
+    rollout: ClipRolloutOptions,
+    split: str,
+    base: ReleasedModel | None,
 ) -> int:
     from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
+    from hybridworldsim.generation.scenes.released import NO_BACKGROUND
     from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
     from mirror.progress import progress_bar
 
@@ -371,10 +407,12 @@ def _scene_submission(
         split,
         arguments.background,
         arguments.appearance,
-        _size(arguments.size),
+        _size(arguments.size, base),
         rollout,
         arguments.threads,
         arguments.device,
+        base,
+        arguments.captions,
     )
     with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
         count = generate_submission(dataset, request, arguments.out, bar)
@@ -382,8 +420,39 @@ def _scene_submission(
         print(json.dumps({"out": str(arguments.out), "views": count}))
     else:
         print(f"{count} views: {arguments.out}")
+        if base is not None:
+            print(f"note: {NO_BACKGROUND}")
         print(f"next: mirror evaluate {arguments.dataset} {arguments.out}")
     return ExitCode.DONE
+
+
+def _base(arguments: Scene) -> ReleasedModel | None:
+    from hybridworldsim.generation.scenes.released import released_model
+
+    if arguments.base is None:
+        if arguments.vae is not None:
+            raise UsageError("an autoencoder of a released model", place="--vae", expected="--base beside it")
+        return None
+    base = released_model(arguments.base)
+    if arguments.autoencoder is not None:
+        raise UsageError("a released model", place="--autoencoder", expected="--vae FOLDER in its place")
+    if arguments.vae is None:
+        raise UsageError(
+            "no autoencoder", place="--vae", expected="folder `vae` of the Stable Diffusion pipeline of the base"
+        )
+    return base
+
+
+def _sampler(arguments: Scene, base: ReleasedModel | None) -> SamplerSettings:
+    from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+
+    plain = SamplerSettings() if base is None else SamplerSettings(base.steps, base.shift, base.guidance)
+    return replace(
+        plain,
+        steps=plain.steps if arguments.steps is None else arguments.steps,
+        guidance=plain.guidance if arguments.guidance is None else arguments.guidance,
+        precision=arguments.precision,
+    )
 
 
 def _model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, Path]:
@@ -407,7 +476,9 @@ def _only_scene(dataset: Dataset) -> str:
     return scenes[0]
 
 
-def _size(text: str) -> tuple[int, int]:
+def _size(text: str | None, base: ReleasedModel | None) -> tuple[int, int]:
+    if text is None:
+        return (64, 96) if base is None else base.size_px
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise UsageError(f"{text!r}", place="--size", expected="WIDTHxHEIGHT, such as 96x64")

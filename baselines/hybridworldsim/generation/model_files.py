@@ -21,8 +21,8 @@ from mirror.schema.strict_json import decode_json
 _GENERATOR: Final = "mirror-generator/1"
 _AUTOENCODER: Final = "mirror-autoencoder/1"
 _REMEDY: Final = (
-    "name a file that `mirror generate train` wrote; released weights of other programs are loaded in Python, with"
-    " `load_transformer` and `load_autoencoder`"
+    "name a file that `mirror generate train` wrote; `mirror generate scene --base NAME --vae FOLDER` loads released"
+    " weights of OpenDWM"
 )
 
 
@@ -33,6 +33,7 @@ def write_generator(
     *,
     drop_layout: float = 0.0,
     rates_hz: tuple[float, float] | None = None,
+    captions: bool = False,
 ) -> int:
     """Write a network.
 
@@ -42,6 +43,7 @@ def write_generator(
         references: T, number of its reference frames.
         drop_layout: share of its training windows without boxes; above 0 it can be guided.
         rates_hz: lowest and highest rate of its training clips, frames per second; None: not stated.
+        captions: whether it was trained with captions.
 
     Returns:
         The size of the file in bytes.
@@ -49,6 +51,9 @@ def write_generator(
     document = {"network": asdict(network.config), "references": references, "drop_layout": drop_layout}
     if rates_hz is not None:
         document["rates_hz"] = list(rates_hz)
+    if captions:
+        # Only then: without captions the same model has the same bytes as before they existed.
+        document["captions"] = True
     return _write(path, network, _GENERATOR, document)
 
 
@@ -99,6 +104,24 @@ def trained_rates(path: Path) -> tuple[float, float] | None:
     """
     rates = _read_document(path, _GENERATOR).get("rates_hz")
     return None if rates is None else (float(rates[0]), float(rates[1]))
+
+
+def require_captions(path: Path) -> None:
+    """Check that a generator was trained with captions; else the parameters that read them are random.
+
+    Raises:
+        UsageError: it was not.
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    document, _ = _read(path, _GENERATOR)
+    if document.get("captions") is not True:
+        raise UsageError(
+            "captions for a generator that was trained without text",
+            file=path,
+            place="--captions",
+            expected="a generator of `mirror generate train --captions`, or released weights (--base)",
+            remedy="leave out --captions, or train with it",
+        )
 
 
 def write_autoencoder(path: Path, model: TinyAutoencoder) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+import torch
 from torch import Tensor
 
 from hybridworldsim.generation.network.checkpoints import read_weights
@@ -13,8 +14,8 @@ from mirror.installation import install_command
 from mirror.schema.strict_json import decode_json
 from mirror.weights.errors import WeightsUnavailableError
 
-_CONFIG: Final = "config.json"
-_WEIGHTS: Final = "diffusion_pytorch_model.safetensors"
+CONFIG: Final = "config.json"
+WEIGHTS: Final = "diffusion_pytorch_model.safetensors"
 _CLASSES: Final = ("AutoencoderKL", "AutoencoderTiny")
 
 
@@ -34,6 +35,11 @@ class DiffusersAutoencoder:
         self.stride = 2 ** (len(blocks) - 1)
         self._shift = float(config.get("shift_factor") or 0.0) if self._kl else 0.0
         self._scale = float(config.scaling_factor) if self._kl else 1.0
+
+    def to(self, device: torch.device | str) -> DiffusersAutoencoder:
+        """Move the autoencoder to a device, and return it."""
+        self._model.to(device)
+        return self
 
     def encode(self, images: Tensor) -> Tensor:
         """Images (N, 3, height, width) from 0 to 1 to latents: the mean of the posterior, shifted and scaled."""
@@ -70,21 +76,21 @@ def load_autoencoder(folder: Path) -> DiffusersAutoencoder:
             "autoencoders of released models need diffusers", remedy=install_command("generation")
         ) from error
     try:
-        config = decode_json((folder / _CONFIG).read_text())
+        config = decode_json((folder / CONFIG).read_text())
     except (OSError, ValueError) as error:
         raise WeightsUnavailableError(
-            f"cannot be read ({error})", file=folder / _CONFIG, expected="the folder of an autoencoder"
+            f"cannot be read ({error})", file=folder / CONFIG, expected="the folder of an autoencoder"
         ) from error
     name = config.get("_class_name")
     if name not in _CLASSES:
-        raise WeightsUnavailableError(f"an autoencoder {name!r}", file=folder / _CONFIG, expected=" or ".join(_CLASSES))
+        raise WeightsUnavailableError(f"an autoencoder {name!r}", file=folder / CONFIG, expected=" or ".join(_CLASSES))
     model = getattr(diffusers, name).from_config(config)
-    state = read_weights(folder / _WEIGHTS)
+    state = read_weights(folder / WEIGHTS)
     try:
         model.load_state_dict(state, strict=True)
     except RuntimeError as error:
         problem = " ".join(str(error).split())
         raise WeightsUnavailableError(
-            problem[:300], file=folder / _WEIGHTS, expected=f"the tensors of {name}"
+            problem[:300], file=folder / WEIGHTS, expected=f"the tensors of {name}"
         ) from error
     return DiffusersAutoencoder(model)

@@ -13,13 +13,19 @@ from torch import Tensor
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
-from hybridworldsim.generation.text import TextEmbedding
+from hybridworldsim.generation.text import Captions, TextEmbedding, embed_views, require_equal_lengths
 from mirror.arrays import Float32
 from mirror.errors import UsageError
 
 
 def frame_conditions(
-    clip: Clip, frame: int, config: TransformerConfig, layout: Float32 | None, text: TextEmbedding | None = None
+    clip: Clip,
+    frame: int,
+    config: TransformerConfig,
+    layout: Float32 | None,
+    captions: Captions | None = None,
+    *,
+    ring: bool = False,
 ) -> Conditions:
     """The conditions of one frame.
 
@@ -28,16 +34,17 @@ def frame_conditions(
         frame: number of the frame.
         config: the network; conditions that it does not take are left out.
         layout: (V, channels, height, width) from `draw_layout`.
-        text: caption of all views; None: no text.
+        captions: captions of the views; None: no text.
+        ring: whether a view attends only to the views before and behind it in the rig, the first being behind the last.
 
     Raises:
-        UsageError: the network takes a layout and none is given.
+        UsageError: the network takes a layout and none is given, or a caption does not fit.
     """
     if config.layout is not None and layout is None:
         raise UsageError("no layout", place=f"{clip.clip_id}, frame {frame}", expected="the images of `draw_layout`")
     height, width = clip.size_px
     views = len(clip.views)
-    embedding = TextEmbedding.empty(config) if text is None else text
+    text = TextEmbedding.empty(config) if captions is None else embed_views(captions, clip, frame, config)
     unit = clip.intrinsics / np.array([width, height, 1.0])[:, None]
     background = torch.from_numpy(clip.background[frame]).movedim(-1, -3).float() / 255.0
     return Conditions(
@@ -46,22 +53,34 @@ def frame_conditions(
         _batched(clip.ego_SE3_camera),
         _batched(clip.start_SE3_ego[frame]),
         torch.tensor([clip.rate_hz]),
-        embedding.tokens.expand(1, 1, views, -1, -1),
-        embedding.pooled.expand(1, 1, views, -1),
+        text.tokens.expand(1, 1, views, -1, -1),
+        text.pooled.expand(1, 1, views, -1),
         None if config.layout is None or layout is None else torch.from_numpy(layout)[None, None],
         None if config.background is None else background[None, None],
         torch.from_numpy(clip.present[frame])[None, None],
+        _ring(views)[None] if ring else None,
     )
 
 
 def stack_conditions(windows: Sequence[Conditions]) -> Conditions:
-    """Stack conditions of single sequences to a batch; all must have the same tensors."""
+    """Stack conditions of single sequences to a batch; all must have the same tensors.
+
+    Raises:
+        UsageError: captions have different numbers of tokens.
+    """
+    require_equal_lengths(one.text for one in windows)
     stacked: dict[str, Any] = {}
     for field in fields(Conditions):
         tensors = [getattr(one, field.name) for one in windows]
         if isinstance(tensors[0], Tensor) and field.name != "view_index":
             stacked[field.name] = torch.cat(tensors)
     return replace(windows[0], **stacked)
+
+
+def _ring(views: int) -> Tensor:
+    """Whether a view attends to another (V, V): to itself, the one before it and the one behind it."""
+    step = (torch.arange(views)[:, None] - torch.arange(views)) % views
+    return (step <= 1) | (step == views - 1)
 
 
 def _batched(matrix: Any) -> Tensor:

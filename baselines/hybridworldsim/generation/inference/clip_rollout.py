@@ -20,6 +20,7 @@ from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_frame_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
+from hybridworldsim.generation.text import Captions
 from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
 
@@ -76,6 +77,8 @@ def roll_out_clip(
     edited: Clip | None = None,
     latents: torch.Tensor | None = None,
     offset: int = 0,
+    captions: Captions | None = None,
+    ring: bool = False,
 ) -> Iterator[GeneratedFrame]:
     """Generate the frames of a clip from a first one on, frame by frame.
 
@@ -92,24 +95,38 @@ def roll_out_clip(
         latents: (1, T, V, C, H, W) of the references, from an earlier rollout over the frames before; None: those of
             the recorded images.
         offset: number of the clip's first frame in a longer sequence; the noise of a frame depends on its number there.
+        captions: captions of the views of each frame; None: no text.
+        ring: as in `frame_conditions`.
 
     Raises:
         UsageError: fewer than T frames stand before the first one, or a part does not fit the network.
     """
     seeds = seed_frames(first, references)
-    conditions = [_conditions(clip, frame, network, style) for frame in seeds]
     device = next(network.parameters()).device
+
+    def conditions_of(source: Clip, frame: int) -> Conditions:
+        layout = draw_frame_layout(source, frame, style, network.config)
+        return frame_conditions(source, frame, network.config, layout, captions, ring=ring).to(device)
+
+    conditions = [conditions_of(clip, frame) for frame in seeds]
     if latents is None:
         latents = torch.stack([_encode(codec, clip.images[frame], device) for frame in seeds])[None]
     latents = latents.to(device)
-    rollout = Rollout(network, latents, conditions, options.sampler, seed=options.seed, first=first + offset)
+    rollout = Rollout(
+        network,
+        latents,
+        conditions,
+        options.sampler,
+        seed=options.seed,
+        first=first + offset,
+        dropped_layout=style.dropped,
+    )
     source = clip if edited is None else edited
     for frame in range(first, len(clip)):
         generated = views_with_boxes(source, frame) if options.keep_empty_views else np.ones(len(clip.views), bool)
         generated &= clip.present[frame]
         kept = None if generated.all() else _encode(codec, clip.background[frame], device)[None, None]
-        of_frame = _conditions(source, frame, network, style)
-        result = rollout.step(of_frame, active=np.flatnonzero(generated).tolist(), kept=kept)
+        result = rollout.step(conditions_of(source, frame), active=np.flatnonzero(generated).tolist(), kept=kept)
         images = clip.background[frame].copy()
         if generated.any():
             with torch.no_grad():
@@ -127,11 +144,6 @@ def views_with_boxes(clip: Clip, frame: int) -> Bool:
 def clip_hulls(clip: Clip, frame: int) -> Bool:
     """Pixels (V, H, W) of a frame that show the inside of some box."""
     return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px)
-
-
-def _conditions(clip: Clip, frame: int, network: Transformer, style: BoxStyle) -> Conditions:
-    layout = draw_frame_layout(clip, frame, style, network.config)
-    return frame_conditions(clip, frame, network.config, layout).to(next(network.parameters()).device)
 
 
 @torch.no_grad()

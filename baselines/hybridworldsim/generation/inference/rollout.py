@@ -31,6 +31,7 @@ class Rollout:
         settings: how a frame is sampled.
         seed: seed of the noise; the noise of a frame depends on it and on the number of the frame only.
         first: number of the first generated frame.
+        dropped_layout: value of layout images that guidance leaves out; see `without_layout`.
 
     Attributes:
         frame: number of the next frame.
@@ -52,6 +53,7 @@ class Rollout:
         *,
         seed: int = 0,
         first: int = 0,
+        dropped_layout: float = 0.0,
     ) -> None:
         if seeds.shape[1] != len(seed_conditions) or not seed_conditions:
             raise UsageError(
@@ -66,6 +68,7 @@ class Rollout:
                 expected="a causal network with references as frames", remedy="leave it at 1",
             )  # fmt: skip
         self._network, self._settings, self._seed = network, settings, seed
+        self._dropped_layout = dropped_layout
         self.sliding = SlidingCache(settings.refresh_every) if settings.refresh_every > 1 else None
         self.frame = first
         self.generated_views = self.kept_views = 0
@@ -134,7 +137,9 @@ class Rollout:
             if self._settings.guidance == 1.0:
                 return [add_features(layout, background)]
             # An empty layout is the same in every frame.
-            self._empty_layout = self._empty_layout or network.encode_layout(without_layout(conditions))
+            self._empty_layout = self._empty_layout or network.encode_layout(
+                without_layout(conditions, self._dropped_layout)
+            )
             return [add_features(one, background) for one in (layout, self._empty_layout)]
 
     def _sample(
@@ -161,7 +166,7 @@ class Rollout:
         if self._settings.context_noise > 0.0:
             seeds = self._seed, self.frame, _CONTEXT
             context_noise = draw_noise(references.shape, seeds, device=references.device)[:, :, chosen]
-        without = None if self._settings.guidance == 1.0 else without_layout(window)
+        without = None if self._settings.guidance == 1.0 else without_layout(window, self._dropped_layout)
         return sample_frame(
             self._network, references[:, :, chosen], window, noise[:, :, chosen], self._settings,
             features=features[0] if features else None, context_noise=context_noise, unconditional=without,

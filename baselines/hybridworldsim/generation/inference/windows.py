@@ -10,6 +10,7 @@ from torch import Tensor
 
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
+from hybridworldsim.generation.text import require_equal_lengths
 from mirror.errors import UsageError
 
 REFERENCES = 5
@@ -50,6 +51,9 @@ def join_conditions(
     Returns:
         For references as frames: T + 1 frames, with `ego_to_first` relative to the origin. For references as
         channels: the target frame, with the layouts of all frames in its channels, the target's last.
+
+    Raises:
+        UsageError: a part is given in some frames only, or captions have different numbers of tokens.
     """
     target = frames[-1]
     if config.reference_channels:
@@ -60,6 +64,8 @@ def join_conditions(
             ego_to_first=own.expand_as(target.ego_to_first),
             layout=torch.cat(layouts, dim=3) if layouts else None,
         )
+
+    require_equal_lengths(one.text for one in frames)
 
     def join(name: str) -> Tensor | None:
         tensors = [getattr(one, name) for one in frames]
@@ -83,15 +89,19 @@ def join_conditions(
     return replace(target, **joined)  # type: ignore[arg-type]
 
 
-def without_layout(conditions: Conditions) -> Conditions:
+def without_layout(conditions: Conditions, value: float = 0.0) -> Conditions:
     """The conditions of a window without boxes and lanes in any of its frames, as `drop_layout` of training has them.
+
+    Args:
+        conditions: of the window.
+        value: value of all pixels of a layout that is left out.
 
     Raises:
         UsageError: the window has no layout.
     """
     if conditions.layout is None:
         raise UsageError("guidance of a network without layout", expected="a network that takes boxes")
-    return replace(conditions, layout=torch.zeros_like(conditions.layout))
+    return replace(conditions, layout=torch.full_like(conditions.layout, value))
 
 
 def join_features(frames: Sequence[list[Tensor]], shape: tuple[int, int]) -> list[Tensor]:

@@ -39,12 +39,14 @@ class BoxStyle:
         width_px: width of lines.
         depth: whether a fourth channel holds the inverse depth of the solid.
         depth_m: depth that is 1 in this channel; the value at depth z is ``min(depth_m / z, 1)``.
+        dropped: value of the channels of what is not known or left out: of a map, and of a layout without guidance.
     """
 
     marks: tuple[tuple[int, int], ...]
     width_px: float
     depth: bool
     depth_m: float = 4.0
+    dropped: float = 0.0
 
     @property
     def channels(self) -> int:
@@ -55,8 +57,9 @@ class BoxStyle:
 OWN_STYLE: Final = BoxStyle(_FRONT_CROSS, width_px=1.0, depth=True)
 """Both diagonals of the front face, and the depth: for networks that are trained here."""
 
-OPENDWM_STYLE: Final = BoxStyle(_OPENDWM_MARKS, width_px=2.0, depth=False)
-"""One diagonal of the front face and one of the left face. OpenDWM draws lines 8 pixels wide in images of 1,600."""
+OPENDWM_STYLE: Final = BoxStyle(_OPENDWM_MARKS, width_px=2.0, depth=False, dropped=0.1255)
+"""One diagonal of the front face and one of the left face. OpenDWM draws lines 8 pixels wide in images of 1,600; its
+configuration states the value of what is left out."""
 
 
 def draw_boxes(

@@ -69,13 +69,18 @@ def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: Transform
         config: the network.
 
     Returns:
-        (V, channels, height, width); where the network takes a map and the clip has none, its channels are 0.
+        (V, channels, height, width); where the network takes a map and the clip has none, its channels have the
+        style's value of what is not known.
     """
-    lines = (clip.lines or ()) if takes_map(config, style) else None
-    return draw_layout(
+    shown = takes_map(config, style)
+    layout = draw_layout(
         clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style,
-        lines=lines, ego_SE3_line=np.linalg.inv(clip.start_SE3_ego[frame]),
+        lines=clip.lines if shown else None, ego_SE3_line=np.linalg.inv(clip.start_SE3_ego[frame]),
     )  # fmt: skip
+    if not shown or clip.lines is not None:
+        return layout
+    unknown = np.full((len(layout), MAP_CHANNELS, *clip.size_px), style.dropped, np.float32)
+    return np.concatenate([layout, unknown], axis=1)
 
 
 def draw_clip_layout(clip: Clip, style: BoxStyle, config: TransformerConfig) -> Float32:

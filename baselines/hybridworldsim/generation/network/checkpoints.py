@@ -11,7 +11,6 @@ from torch import Tensor
 from hybridworldsim.generation.network.adapter import ImageAdapter
 from hybridworldsim.generation.network.configuration import BASES, TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
-from mirror.errors import UsageError
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.load import load_state_dict
 
@@ -73,7 +72,11 @@ def _require_same(
     missing, unknown = sorted(expected.keys() - state.keys()), sorted(state.keys() - expected.keys())
     if missing or unknown:
         found = [name for name, base in BASES.items() if base != config and _keys_of(base) == state.keys()]
-        remedy = f"load it as {found[0]}" if found else "give the checkpoint of the model that was asked for"
+        remedy = (
+            f"load it as {found[0]} (--base {found[0]})"
+            if found
+            else "give the checkpoint of the model that was asked for"
+        )
         parts = [f"{len(missing)} tensors are missing{_some(missing)}"] if missing else []
         parts += [f"{len(unknown)} are unknown{_some(unknown)}"] if unknown else []
         raise WeightsUnavailableError(
@@ -96,14 +99,3 @@ def _keys_of(config: TransformerConfig) -> set[str]:
 
 def _some(names: list[str]) -> str:
     return f" ({', '.join(names[:_NAMED])}{', ...' if len(names) > _NAMED else ''})"
-
-
-def base_config(name: str) -> TransformerConfig:
-    """The configuration of a released model.
-
-    Raises:
-        UsageError: no released model has this name.
-    """
-    if name not in BASES:
-        raise UsageError(f"no base {name!r}", expected=f"one of {', '.join(BASES)}")
-    return BASES[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import torch
@@ -11,7 +12,8 @@ import torch
 from hybridworldsim.generation.autoencoder.codec import LatentCodec
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, GeneratedFrame, roll_out_clip
-from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.layout.boxes import OWN_STYLE, BoxStyle
+from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, make_scene_clip
 from mirror.arrays import UInt8
@@ -23,22 +25,21 @@ SEGMENT: Final = 16
 
 @dataclass(frozen=True, eq=False)
 class Generator:
-    """A network with its autoencoder; T is the number of its reference frames."""
+    """A network with its autoencoder.
+
+    Attributes:
+        network: the network.
+        codec: the autoencoder, on the same device.
+        references: T, number of reference frames.
+        style: how layouts are drawn.
+        ring: as in `frame_conditions`.
+    """
 
     network: Transformer
     codec: LatentCodec
     references: int
-
-    def __post_init__(self) -> None:
-        config = self.network.config
-        if config.latent_channels != self.codec.channels or config.latent_stride != self.codec.stride:
-            raise DatasetError(
-                f"latents of {self.codec.channels} channels and {self.codec.stride} px, but the generator takes"
-                f" {config.latent_channels} channels and {config.latent_stride} px",
-                place="--autoencoder",
-                expected="the autoencoder that the generator was trained with",
-                remedy="name it with --autoencoder",
-            )
+    style: BoxStyle = OWN_STYLE
+    ring: bool = False
 
     def require_size(self, size_px: tuple[int, int]) -> None:
         """Check a height and width of generated images.
@@ -46,12 +47,44 @@ class Generator:
         Raises:
             UsageError: the network does not take it.
         """
-        if not self.network.config.takes_size(size_px):
-            height, width = size_px
-            raise UsageError(
-                f"images of {width} x {height} px", place="--size", expected=self.network.config.sizes,
-                remedy="choose the size of the training's clips",
-            )  # fmt: skip
+        require_size(self.network.config, size_px, "choose the size of the training's clips")
+
+
+def require_size(config: TransformerConfig, size_px: tuple[int, int], remedy: str) -> None:
+    """Check a height and width of generated images.
+
+    Raises:
+        UsageError: the network does not take it.
+    """
+    if not config.takes_size(size_px):
+        height, width = size_px
+        raise UsageError(
+            f"images of {width} x {height} px", place="--size", expected=config.sizes, remedy=remedy
+        )  # fmt: skip
+
+
+def require_codec(
+    config: TransformerConfig, codec: LatentCodec, file: Path, place: str, expected: str, remedy: str
+) -> None:
+    """Check that an autoencoder has the latents of a network.
+
+    Args:
+        config: the network.
+        codec: the autoencoder.
+        file: file or folder of the autoencoder, for errors.
+        place: option that names it.
+        expected: the right one.
+        remedy: how to name it.
+
+    Raises:
+        DatasetError: they have other channels or another resolution.
+    """
+    if (codec.channels, codec.stride) != (config.latent_channels, config.latent_stride):
+        raise DatasetError(
+            f"latents of {codec.channels} channels and {codec.stride} px, but the generator takes"
+            f" {config.latent_channels} channels and {config.latent_stride} px",
+            file=file, place=place, expected=expected, remedy=remedy,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +144,15 @@ def roll_out_sequence(
             generator.codec,
             # The references of a later segment were generated with the edit.
             clip if is_start or edited is None else edited,
-            OWN_STYLE,
+            generator.style,
             references,
             references,
             options,
             edited=edited,
             latents=None if state is None else state.latents,
             offset=first,
+            captions=scene.captions,
+            ring=generator.ring,
         )
         held: list[GeneratedFrame] = []
         for one in rollout:

@@ -15,15 +15,24 @@ import torch
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.devices import require_counts, require_device
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_guidance, trained_rates
+from hybridworldsim.generation.model_files import (
+    read_autoencoder,
+    read_generator,
+    require_captions,
+    require_guidance,
+    trained_rates,
+)
+from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import DEFAULT_HZ, plan_scene
 from hybridworldsim.generation.scenes.rates import rate_note
+from hybridworldsim.generation.scenes.released import ReleasedModel, autoencoder_hash, open_released
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
-from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, roll_out_sequence
+from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, require_codec, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, boxes_of, require_valid_boxes
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
 from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
+from hybridworldsim.generation.text import CachedCaptions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
@@ -84,8 +93,8 @@ class SceneRequest:
     """What is generated.
 
     Attributes:
-        generator: ``model.safetensors`` of a generator.
-        autoencoder: that of its autoencoder.
+        generator: ``model.safetensors`` of a generator, or the state dict of a released model.
+        autoencoder: that of its autoencoder, or the folder ``vae`` of its pipeline.
         scene: the scene.
         background: see `open_background`.
         traversal: gives boxes, cameras and seeds; None: the first of the scene.
@@ -99,6 +108,8 @@ class SceneRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
+        base: the released model; None: the generator was trained here.
+        captions: file of embedded captions, see `CachedCaptions`; None: no text.
     """
 
     generator: Path
@@ -116,6 +127,8 @@ class SceneRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
+    base: ReleasedModel | None = None
+    captions: Path | None = None
 
     def __post_init__(self) -> None:
         if self.hz is not None and not (math.isfinite(self.hz) and self.hz > 0.0):
@@ -136,12 +149,77 @@ def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guid
     require_guidance(generator, guidance)
     network, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
-    try:
-        return Generator(network.to(device), codec.to(device), references)
-    except DatasetError as error:
-        raise DatasetError(
-            error.problem, file=autoencoder, place=error.place, expected=error.expected, remedy=error.remedy
-        ) from error
+    require_codec(
+        network.config, codec, autoencoder, "--autoencoder", "the autoencoder that the generator was trained with",
+        "name it with --autoencoder",
+    )  # fmt: skip
+    return Generator(network.to(device), codec.to(device), references)
+
+
+def open_requested(
+    generator: Path,
+    autoencoder: Path,
+    size_px: tuple[int, int],
+    device: str,
+    guidance: float,
+    base: ReleasedModel | None,
+) -> Generator:
+    """Open a generator that was trained here, or a released one; the network takes the size.
+
+    Raises:
+        UsageError: there is no such device, the generator cannot be guided, or it does not take the size.
+        DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
+        WeightsUnavailableError: released weights are missing or broken, or those of another model.
+    """
+    if base is not None:
+        return open_released(base, generator, autoencoder, size_px, device)
+    opened = open_generator(generator, autoencoder, device, guidance)
+    opened.require_size(size_px)
+    return opened
+
+
+def open_captions(
+    path: Path | None, generator: Path, config: TransformerConfig, base: ReleasedModel | None
+) -> CachedCaptions | None:
+    """Read embedded captions for a generator; None: no text.
+
+    Raises:
+        UsageError: the generator was trained without text.
+        WeightsUnavailableError: the file is missing or broken, or a caption has another size than the network takes.
+    """
+    if path is None:
+        return None
+    if base is None:
+        require_captions(generator)
+    return CachedCaptions(path, config)
+
+
+def model_hashes(
+    generator: Path, autoencoder: Path, base: ReleasedModel | None, captions: Path | None
+) -> dict[str, str]:
+    """The hashes of everything that a model is read from, by name; the base and captions only where they are given."""
+    hashes = {
+        "generator": file_sha256(generator),
+        "autoencoder": file_sha256(autoencoder) if base is None else autoencoder_hash(autoencoder),
+    }
+    if base is not None:
+        hashes["base"] = base.name
+    if captions is not None:
+        hashes["captions"] = file_sha256(captions)
+    return hashes
+
+
+def rates_of_model(generator: Path, base: ReleasedModel | None) -> tuple[float, float] | None:
+    """The lowest and highest rate at which a generator was trained, frames per second; None: its file states none.
+
+    Args:
+        generator: its file.
+        base: which released model it is; None: a generator that was trained here.
+
+    Raises:
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    return trained_rates(generator) if base is None else (base.rate_hz, base.rate_hz)
 
 
 def generate_scene(
@@ -161,16 +239,20 @@ def generate_scene(
     Raises:
         UsageError: the request does not fit the dataset, or the folder holds other files.
         DatasetError: a model, image, background or map is missing, broken or does not fit.
+        WeightsUnavailableError: released weights or captions are missing or do not fit.
     """
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
-    generator = open_generator(request.generator, request.autoencoder, request.device, request.rollout.sampler.guidance)
-    generator.require_size(request.size_px)
+    generator = open_requested(
+        request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
+        request.base,
+    )  # fmt: skip
+    captions = open_captions(request.captions, request.generator, generator.network.config, request.base)
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
-    trained_hz = trained_rates(request.generator)
+    trained_hz = rates_of_model(request.generator, request.base)
     plan = plan_scene(
         dataset.where(scene=request.scene),
         traversal,
@@ -183,6 +265,8 @@ def generate_scene(
     frames = dataset.where(traversal=traversal).frames()
     rig = rig_of(frames, request.cameras, request.size_px, PIXELS)
     note = rate_note([plan.rate_hz], trained_hz)
+    if captions is not None:
+        captions.require((traversal,), rig.cameras)
     edits = [parse_edit(text, plan.tracks) for text in request.edits]
     require_valid_boxes(dataset, (one.frame for one in plan.frames))
     require_shown(edits, boxes_of(plan.frames[generator.references :], plan.tracks), plan.tracks)
@@ -198,7 +282,9 @@ def generate_scene(
         one = plan.frames[first]
         return apply_edits(clip, edits, plan.tracks, one.world_SE3_ego, float(one.world_SE3_ego.translation[0, 2]))
 
-    scene = SceneConditions(rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks, scene_map.lines)
+    scene = SceneConditions(
+        rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks, captions, scene_map.lines
+    )
     total = len(plan.frames) - generator.references
     if note:
         progress.message(note)
@@ -241,8 +327,7 @@ def _inputs(
     dataset: Dataset, request: SceneRequest, traversal: str, background: str, scene_map: SceneMap
 ) -> dict[str, Any]:
     return {
-        "generator": file_sha256(request.generator),
-        "autoencoder": file_sha256(request.autoencoder),
+        **model_hashes(request.generator, request.autoencoder, request.base, request.captions),
         "scene": request.scene,
         "traversal": traversal,
         "boxes": dataset.layers.boxes,

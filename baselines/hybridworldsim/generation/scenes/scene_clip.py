@@ -13,6 +13,7 @@ from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
 from hybridworldsim.generation.clips.map_lines import MapLine, move_lines
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rig import SceneRig
+from hybridworldsim.generation.text import Captions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
@@ -57,6 +58,7 @@ class SceneConditions:
         light: light of the traversal.
         weather: weather of the traversal.
         tracks: numbers of road users by track id.
+        captions: captions of the views; None: no text.
         lines: lines of the scene's map in the world frame; None: no map is known, or none is wanted.
     """
 
@@ -66,6 +68,7 @@ class SceneConditions:
     light: str
     weather: str
     tracks: Mapping[str, int]
+    captions: Captions | None = None
     lines: tuple[MapLine, ...] | None = None
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from hybridworldsim.generation.clips.map_lines import MapLine
 from hybridworldsim.generation.clips.road_map import lines_of_map
-from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import takes_map
 from hybridworldsim.generation.scenes.rollout import Generator
 from mirror.dataset.dataset import Dataset
@@ -42,7 +41,7 @@ def open_scene_map(dataset: Dataset, scene: str, generator: Generator, progress:
         DatasetError: the map's file is missing or was changed.
         SchemaError: the file is not a road map, or a feature is invalid.
     """
-    if not takes_map(generator.network.config, OWN_STYLE):
+    if not takes_map(generator.network.config, generator.style):
         return SceneMap(None, {})
     road_map = dataset.road_map(scene)
     if road_map is None:

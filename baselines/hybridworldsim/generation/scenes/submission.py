@@ -14,14 +14,15 @@ import torch
 from hybridworldsim.generation.devices import require_counts
 from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.model_files import trained_rates
 from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
 from hybridworldsim.generation.scenes.rates import plan_rates, rate_note, rate_of
+from hybridworldsim.generation.scenes.released import ReleasedModel
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
-from hybridworldsim.generation.scenes.run import open_generator
+from hybridworldsim.generation.scenes.run import model_hashes, open_captions, open_requested, rates_of_model
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, require_valid_boxes
 from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
+from hybridworldsim.generation.text import Captions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.submission.manifest import Appearance, Method
@@ -32,7 +33,6 @@ from mirror.protocols.views import plan_views
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.recalibration import recalibrate_views
 from mirror.protocols.views.view import RenderView
-from mirror.weights.resolve import file_sha256
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class SubmissionRequest:
     """What is submitted.
 
     Attributes:
-        generator: ``model.safetensors`` of a generator.
-        autoencoder: that of its autoencoder.
+        generator: ``model.safetensors`` of a generator, or the state dict of a released model.
+        autoencoder: that of its autoencoder, or the folder ``vae`` of its pipeline.
         protocol: name or file of the protocol that asks for the views.
         split: split that the views are of.
         background: see `open_background`.
@@ -50,6 +50,8 @@ class SubmissionRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
+        base: the released model; None: the generator was trained here.
+        captions: file of embedded captions, see `CachedCaptions`; None: no text.
     """
 
     generator: Path
@@ -62,6 +64,20 @@ class SubmissionRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
+    base: ReleasedModel | None = None
+    captions: Path | None = None
+
+    @property
+    def method(self) -> Method:
+        """What the submission states of the generator."""
+        if self.base is None:
+            return Method(
+                name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"
+            )  # fmt: skip
+        return Method(
+            name=f"hybridworldsim-{self.base.name}", url="https://github.com/SenseTime-FVG/OpenDWM", licence="MIT",
+            trained_on=self.base.trained_on,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         require_counts(threads=self.threads)
@@ -84,11 +100,18 @@ def generate_submission(
     Raises:
         UsageError: the request does not fit the dataset, or the folder holds other files.
         DatasetError: a model, image, background or map is missing, broken or does not fit.
+        WeightsUnavailableError: released weights or captions are missing or do not fit.
     """
     torch.set_num_threads(request.threads)
-    generator = open_generator(request.generator, request.autoencoder, request.device, request.rollout.sampler.guidance)
-    generator.require_size(request.size_px)
+    generator = open_requested(
+        request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
+        request.base,
+    )  # fmt: skip
+    captions = open_captions(request.captions, request.generator, generator.network.config, request.base)
     plan = plan_views(dataset, load_protocol(request.protocol), request.split)
+    for view in plan.views:
+        if captions is not None:
+            captions.require((view.traversal_id,), [view.camera])
     calibrations = calibrations_of(request.background)
     views = recalibrate_views(dataset, plan.views, calibrations)
     background, identity = open_background(request.background, dataset, request.appearance, views)
@@ -96,13 +119,13 @@ def generate_submission(
         wanted = {view.frame_index for view in plan.views if view.traversal_id == traversal}
         frames = dataset.where(traversal=traversal).frames()
         require_valid_boxes(dataset, (frame for frame in frames if frame.frame_index in wanted))
-    note = rate_note(plan_rates(dataset, plan), trained_rates(request.generator))
+    note = rate_note(plan_rates(dataset, plan), rates_of_model(request.generator, request.base))
     if note and progress is not None:
         progress.message(note)
     scenes = dict.fromkeys(view.scene_id for view in plan.views)
     maps = {scene: open_scene_map(dataset, scene, generator, progress or NullProgress()) for scene in scenes}
     inputs = (
-        *(file_sha256(request.generator), file_sha256(request.autoencoder), identity),
+        *(*model_hashes(request.generator, request.autoencoder, request.base, request.captions).values(), identity),
         *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
         *(str(request.threads), request.device),
         *(f"{name} of {scene}: {value}" for scene, one in maps.items() for name, value in one.inputs.items()),
@@ -111,9 +134,18 @@ def generate_submission(
         dataset,
         plan,
         lambda _, requested: render_plan(
-            dataset, plan, generator, background, request.size_px, request.rollout, requested.views, calibrations, maps
+            dataset,
+            plan,
+            generator,
+            background,
+            request.size_px,
+            request.rollout,
+            requested.views,
+            calibrations,
+            captions,
+            maps,
         ),
-        Method(name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"),
+        request.method,
         Appearance(policy="other", description=f"of the background: {request.appearance}"),
         out,
         progress,
@@ -131,6 +163,7 @@ def render_plan(
     options: ClipRolloutOptions,
     missing: Sequence[RenderView],
     calibrations: str = "recorded",
+    captions: Captions | None = None,
     maps: Mapping[str, SceneMap] | None = None,
 ) -> Iterator[Render]:
     """Generate every view of a plan, traversal by traversal.
@@ -150,6 +183,7 @@ def render_plan(
             images do not depend on what an earlier call wrote.
         calibrations: layer of calibrations that places the cameras, as for `mirror render`; rasters are the plan's. A
             traversal without it has the recorded ones.
+        captions: captions of the views; None: no text.
         maps: maps by scene; None: no map is shown to the generator.
 
     Yields:
@@ -181,7 +215,7 @@ def render_plan(
             rig = rig.at_calibrations(other.where(traversal=traversal).frames())
         placed = {view.path: view for view in recalibrate_views(dataset, views, calibrations)}
         lines = None if maps is None else maps[first.scene_id].lines
-        scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks, lines)
+        scene = SceneConditions(rig, background, rate_hz, first.light, first.weather, tracks, captions, lines)
         seeds = [planned[0]] * generator.references
         # Blended below, in the raster of the view.
         rollout = roll_out_sequence(

@@ -16,12 +16,12 @@ from hybridworldsim.generation.devices import (
     require_seed,
 )
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator, write_generator
+from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_captions, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.loop import train_together
 from hybridworldsim.generation.training.processes import join_processes
-from hybridworldsim.generation.training.run import hash_clips, rates_of
+from hybridworldsim.generation.training.run import captions_document, hash_clips, rates_of, read_clip_captions
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
@@ -43,6 +43,7 @@ class DistillationOptions:
         seed: seed of all random numbers.
         threads: number of torch threads.
         device: where the networks are.
+        captions: file of embedded captions, for a teacher that was trained with such; None: no text.
         checkpoint_s: a checkpoint is written at the first step after this many seconds.
     """
 
@@ -52,6 +53,7 @@ class DistillationOptions:
     seed: int = 0
     threads: int = 1
     device: str = "cpu"
+    captions: Path | None = None
     checkpoint_s: float = 60.0
 
     def __post_init__(self) -> None:
@@ -82,13 +84,16 @@ def distil_on_clips(
 
     Raises:
         DatasetError: clips or models are missing or broken, the loss is not finite, or memory is exhausted.
-        UsageError: `out` holds another run, or the models do not fit the clips.
+        UsageError: `out` holds another run, or the models or the captions do not fit.
+        WeightsUnavailableError: the captions are missing, broken or of another size.
     """
     require_device(options.device)
     torch.set_num_threads(options.threads)
     listed = read_list(clips).training
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
+    if options.captions is not None:
+        require_captions(generator)
     teacher, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
     require_fit(codec, teacher.config, OWN_STYLE, references, file=autoencoder)
@@ -98,6 +103,7 @@ def distil_on_clips(
     without_map = require_maps(loaded, teacher.config, OWN_STYLE, clips)
     if without_map is not None:
         reporter.message(without_map)
+    captions = read_clip_captions(options.captions, teacher.config, loaded)
     settings = replace(options.settings, network=teacher.config, references=references)
     with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
         settings.require_shares(processes.count)
@@ -106,6 +112,7 @@ def distil_on_clips(
             **settings.document,
             "distillation": options.distillation.document,
             "teacher": file_sha256(generator),
+            **captions_document(options.captions),
         }
         run = GenerationRun(
             part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
@@ -115,7 +122,7 @@ def distil_on_clips(
             outcome = folder.begin(run)
         if outcome is not None:
             return folder.model, outcome
-        windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references)
+        windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references, captions)
         trainer = DistillationTrainer(
             settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device,
             rank=processes.rank, processes=processes.count,
@@ -129,7 +136,9 @@ def distil_on_clips(
 
         done = train_together(
             trainer, options.steps, folder, reporter, processes,
-            lambda file: write_generator(file, trainer.averaged_network(), references, rates_hz=rates_of(loaded)),
+            lambda file: write_generator(
+                file, trainer.averaged_network(), references, rates_hz=rates_of(loaded), captions=captions is not None
+            ),
             phase="distillation", loss=_LOSS, checkpoint_s=options.checkpoint_s, sample=sample,
         )  # fmt: skip
     return folder.model, done

@@ -23,6 +23,8 @@ from hybridworldsim.generation.devices import (
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
+from hybridworldsim.generation.network.configuration import TransformerConfig
+from hybridworldsim.generation.text import CachedCaptions, embedding_widths
 from hybridworldsim.generation.training.autoencoder_trainer import (
     AutoencoderSettings,
     AutoencoderTrainer,
@@ -53,6 +55,7 @@ class TrainingOptions:
         seed: seed of all random numbers.
         threads: number of torch threads.
         device: where the generator is trained.
+        captions: file of embedded captions, see `CachedCaptions`; None: no text.
         checkpoint_s: a checkpoint is written at the first step after this many seconds.
     """
 
@@ -64,6 +67,7 @@ class TrainingOptions:
     seed: int = 0
     threads: int = 1
     device: str = "cpu"
+    captions: Path | None = None
     checkpoint_s: float = 60.0
 
     def __post_init__(self) -> None:
@@ -100,7 +104,8 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     Raises:
         DatasetError: clips are missing, broken, too short or not of one rig and size, no clip has the map that the
             network takes, the loss is not finite, or memory is exhausted.
-        UsageError: `out` holds another run, or the options do not fit.
+        UsageError: `out` holds another run, the options do not fit, or a view has no caption.
+        WeightsUnavailableError: the captions are missing, broken or of another size.
     """
     require_device(options.device)
     torch.set_num_threads(options.threads)
@@ -117,6 +122,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     without_map = require_maps(loaded, network, OWN_STYLE, clips)
     if without_map is not None:
         reporter.message(without_map)
+    captions = read_clip_captions(options.captions, network, loaded)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
     with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
@@ -125,7 +131,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
             with processes.leader_first():
                 autoencoder, outcome = _train_autoencoder(loaded, clips_hash, out / "autoencoder", options, reporter)
         generator, done = _train_generator(
-            loaded, clips_hash, autoencoder, out / "generator", options, processes, reporter
+            loaded, clips_hash, autoencoder, captions, out / "generator", options, processes, reporter
         )
     return TrainingResult(generator, autoencoder, done, outcome)
 
@@ -160,6 +166,7 @@ def _train_generator(
     clips: list[Clip],
     clips_hash: str,
     autoencoder: Path,
+    captions: CachedCaptions | None,
     path: Path,
     options: TrainingOptions,
     processes: Processes,
@@ -167,15 +174,16 @@ def _train_generator(
 ) -> tuple[Path, GenerationOutcome]:
     folder, settings = GenerationRunFolder(path), options.settings
     run = GenerationRun(
-        part="generator", settings=settings.document, seed=options.seed, steps=options.steps, threads=options.threads,
-        processes=processes.count, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
+        part="generator", settings={**settings.document, **captions_document(options.captions)}, seed=options.seed,
+        steps=options.steps, threads=options.threads, processes=processes.count, clips_hash=clips_hash,
+        autoencoder_hash=file_sha256(autoencoder),
     )  # fmt: skip
     with processes.leader_first():
         outcome = folder.begin(run)
     if outcome is not None:
         return folder.model, outcome
     codec: LatentCodec = read_autoencoder(autoencoder)
-    windows = ClipWindows(clips, codec, settings.network, OWN_STYLE, settings.references)
+    windows = ClipWindows(clips, codec, settings.network, OWN_STYLE, settings.references, captions)
     trainer = GeneratorTrainer(
         settings, windows, options.steps, seed=options.seed, device=options.device, rank=processes.rank,
         processes=processes.count,
@@ -189,6 +197,7 @@ def _train_generator(
         lambda file: write_generator(
             file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout,
             rates_hz=rates_of(clips),
+            captions=captions is not None,
         ),
         phase="generator", loss=settings.weighting, checkpoint_s=options.checkpoint_s, sample=sample,
     )  # fmt: skip
@@ -203,6 +212,37 @@ def rates_of(clips: Sequence[Clip]) -> tuple[float, float]:
     """The lowest and highest rate of clips, frames per second."""
     rates = [clip.rate_hz for clip in clips]
     return min(rates), max(rates)
+
+
+def with_text_of(settings: GeneratorSettings, captions: Path) -> GeneratorSettings:
+    """The same settings for a network that takes captions of the width that a file of embeddings has.
+
+    Raises:
+        WeightsUnavailableError: the file is missing or broken, or its embeddings differ in width.
+    """
+    text_channels, pooled_channels = embedding_widths(captions)
+    network = replace(settings.network, text_channels=text_channels, pooled_channels=pooled_channels)
+    return replace(settings, network=network)
+
+
+def read_clip_captions(path: Path | None, config: TransformerConfig, clips: list[Clip]) -> CachedCaptions | None:
+    """Read the captions of clips; None: no text.
+
+    Raises:
+        UsageError: a view of a clip has none.
+        WeightsUnavailableError: the file is missing or broken, or a caption has another size than the network takes.
+    """
+    if path is None:
+        return None
+    captions = CachedCaptions(path, config)
+    for clip in clips:
+        captions.require((clip.clip_id, clip.drive_id), clip.views)
+    return captions
+
+
+def captions_document(path: Path | None) -> dict[str, str]:
+    """What a run's settings state of its captions; nothing without, so that such runs keep their documents."""
+    return {} if path is None else {"captions": file_sha256(path)}
 
 
 def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:

@@ -19,6 +19,7 @@ from hybridworldsim.generation.layout.images import draw_clip_layout, takes_map
 from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
+from hybridworldsim.generation.text import Captions
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
 
@@ -74,6 +75,7 @@ class ClipWindows:
         config: the network.
         style: how boxes are drawn.
         references: T, number of reference frames.
+        captions: captions of the views of each frame; None: no text.
 
     Raises:
         DatasetError: as `require_clips`.
@@ -81,11 +83,17 @@ class ClipWindows:
     """
 
     def __init__(
-        self, clips: Sequence[Clip], codec: LatentCodec, config: TransformerConfig, style: BoxStyle, references: int
+        self,
+        clips: Sequence[Clip],
+        codec: LatentCodec,
+        config: TransformerConfig,
+        style: BoxStyle,
+        references: int,
+        captions: Captions | None = None,
     ) -> None:
         require_fit(codec, config, style, references)
         require_clips(clips, config, references)
-        self._clips, self._config, self._references = clips, config, references
+        self._clips, self._config, self._references, self._captions = clips, config, references, captions
         self._latents = [encode_clip(clip, codec) for clip in clips]
         self._layouts: list[UInt8] = [
             np.round(draw_clip_layout(clip, style, config) * 255.0).astype(np.uint8) for clip in clips if config.layout
@@ -127,7 +135,7 @@ class ClipWindows:
 
     def _frame_conditions(self, row: int, frame: int) -> Conditions:
         layout = self._layouts[row][frame].astype(np.float32) / 255.0 if self._layouts else None
-        return frame_conditions(self._clips[row], frame, self._config, layout)
+        return frame_conditions(self._clips[row], frame, self._config, layout, self._captions)
 
 
 def require_clips(

@@ -222,13 +222,15 @@ def test_a_released_model_generates_a_scene_on_the_command_line(
         tokens = torch.randn(WORDS, TEXT, generator=generator)
         return TextEmbedding(tokens, torch.randn(POOLED, generator=generator))
 
-    network, codec = load_transformer(checkpoint, SMALL), load_autoencoder(vae)
+    network, codec = load_transformer(checkpoint, SMALL).requires_grad_(False), load_autoencoder(vae)
     options = ClipRolloutOptions(SamplerSettings(2, 3.0, 4.0), keep_empty_views=False)
     images = [
-        next(roll_out_clip(network, codec, clip, OPENDWM_STYLE, T, T, options, captions=text)).images
+        next(roll_out_clip(network, codec, clip, OPENDWM_STYLE, T, T, options, captions=text, ring=True)).images
         for text in (by_hand, None)
     ]
-    np.testing.assert_array_equal(found, images[0])
+    # Sums in another order may round to another grey level.
+    difference = np.abs(np.stack(found).astype(int) - images[0])
+    assert difference.max() <= 1 and (difference > 0).mean() < 0.01
     assert all(np.abs(one.astype(int) - other).max() > 2 for one, other in zip(*images))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,15 +16,22 @@ from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.model_files import read_generator, require_captions
 from hybridworldsim.generation.network.configuration import AdapterConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.text import CachedCaptions, CachedEmbeddings, TextEmbedding, embedding_widths
-from hybridworldsim.generation.training.generator_trainer import predict_velocity
+from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
+from hybridworldsim.generation.training.distillation import DistillationSettings
+from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
+from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, predict_velocity
+from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips, with_text_of
 from hybridworldsim.generation.training.windows import ClipWindows
 from mirror.errors import UsageError
+from mirror.progress import NullProgress
 from mirror.weights.errors import WeightsUnavailableError
+from mirror.weights.resolve import file_sha256
 from tests.generation.builders import SHORT
-from tests.generation.clips import make_clip
+from tests.generation.clips import make_clip, write_clips
 from tests.generation.trained import CODEC, NETWORK, T
 
 AS_FRAMES = replace(NETWORK, reference_channels=0, layout=AdapterConfig(4, 8, scales=(1,)))
@@ -168,3 +176,39 @@ def test_captions_that_do_not_fit_are_named() -> None:
         frame_conditions(clip, 1, AS_FRAMES, layout, longer_on_the_right)
     with pytest.raises(UsageError, match="captions of 2 and 3 tokens"):
         join_conditions(AS_FRAMES, [frame_conditions(clip, one, AS_FRAMES, layout, longer_later) for one in (0, 1)])
+
+
+def test_a_model_that_was_trained_with_captions_says_so(tmp_path: Path) -> None:
+    clips, out, path = write_clips(tmp_path / "clips", count=1), tmp_path / "out", tmp_path / "text.safetensors"
+    narrow = replace(GeneratorSettings(NETWORK, T, batch=1), network=replace(NETWORK, text_channels=1))
+    save_file({"clip-0/tokens": torch.randn(2, 3), "clip-0/pooled": torch.randn(3)}, path)
+    options = TrainingOptions(
+        1, 1, settings=narrow, autoencoder_settings=AutoencoderSettings(CODEC, batch=2), captions=path
+    )  # fmt: skip
+    with pytest.raises(WeightsUnavailableError, match=r"expected tokens \(M, 1\)"):
+        train_on_clips(clips, out, options, NullProgress())
+    assert not out.exists()
+    options = replace(options, settings=with_text_of(narrow, path))
+    assert options.settings.network == NETWORK
+    done = train_on_clips(clips, out, options, NullProgress())
+    assert json.loads((out / "generator" / "run.json").read_text())["settings"]["captions"] == file_sha256(path)
+    distilling = DistillationOptions(1, DistillationSettings(2, 4), replace(narrow, ema=0.9), captions=path)
+    student, _ = distil_on_clips(
+        clips, done.generator, done.autoencoder, tmp_path / "student", distilling, NullProgress()
+    )  # fmt: skip
+    for model in (done.generator, student):
+        require_captions(model)
+        assert read_generator(model)[0].config == NETWORK
+    # Other captions make another run; and it is no model of a training without.
+    save_file({"clip-0/tokens": torch.randn(2, 3), "clip-0/pooled": torch.randn(3)}, path)
+    with pytest.raises(UsageError, match="a run of other settings began here"):
+        train_on_clips(clips, out, options, NullProgress())
+    save_file({"left/tokens": torch.randn(2, 3), "left/pooled": torch.randn(3)}, path)
+    with pytest.raises(UsageError, match="no caption for right"):
+        train_on_clips(clips, tmp_path / "other", options, NullProgress())
+    distilling = replace(distilling, captions=None)
+    plain, _ = distil_on_clips(clips, done.generator, done.autoencoder, tmp_path / "plain", distilling, NullProgress())
+    with pytest.raises(UsageError, match="captions for a generator that was trained without text"):
+        require_captions(plain)
+    # The same parameters at first and the same noise, without the text.
+    assert plain.read_bytes() != student.read_bytes()

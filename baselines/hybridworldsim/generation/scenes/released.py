@@ -19,8 +19,7 @@ from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import file_sha256
 
 NO_BACKGROUND: Final = (
-    "the released weights have no background adapter: what they generate does not follow the background, which only"
-    " views without a road user keep"
+    "the released weights have no background adapter: pixels that they generate do not follow the background"
 )
 
 

@@ -178,20 +178,20 @@ def open_requested(
     return opened
 
 
-def open_captions(
-    path: Path | None, generator: Path, config: TransformerConfig, base: ReleasedModel | None
-) -> CachedCaptions | None:
-    """Read embedded captions for a generator; None: no text.
+def open_captions(path: Path | None, generator: Path, base: ReleasedModel | None) -> CachedCaptions | None:
+    """Read embedded captions for a generator; None: no text. The parameters of a released one are not read for it.
 
     Raises:
         UsageError: the generator was trained without text.
+        DatasetError: the file of the generator is missing, broken or of another kind.
         WeightsUnavailableError: the file is missing or broken, or a caption has another size than the network takes.
     """
     if path is None:
         return None
-    if base is None:
-        require_captions(generator)
-    return CachedCaptions(path, config)
+    if base is not None:
+        return CachedCaptions(path, base.config)
+    require_captions(generator)
+    return CachedCaptions(path, read_generator(generator)[0].config)
 
 
 def model_hashes(
@@ -244,11 +244,11 @@ def generate_scene(
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
+    captions = open_captions(request.captions, request.generator, request.base)
     generator = open_requested(
         request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
         request.base,
     )  # fmt: skip
-    captions = open_captions(request.captions, request.generator, generator.network.config, request.base)
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]

@@ -103,11 +103,11 @@ def generate_submission(
         WeightsUnavailableError: released weights or captions are missing or do not fit.
     """
     torch.set_num_threads(request.threads)
+    captions = open_captions(request.captions, request.generator, request.base)
     generator = open_requested(
         request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
         request.base,
     )  # fmt: skip
-    captions = open_captions(request.captions, request.generator, generator.network.config, request.base)
     plan = plan_views(dataset, load_protocol(request.protocol), request.split)
     for view in plan.views:
         if captions is not None:

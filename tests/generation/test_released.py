@@ -188,7 +188,7 @@ def captions(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def words(dataset: Dataset, traversal: str, model: Path, backgrounds: Path, out: Path, *more: object) -> list[str]:
     begin = ["scene", str(dataset.root), str(model), "--background", f"files:{backgrounds}", "--size", "32x16"]
     begin += ["--traversal", traversal, "--cameras", ",".join(CAMERAS), "--frames", "1", "--steps", "2"]
-    return [*begin, "--no-keep-empty-views", "--out", str(out), *map(str, more)]
+    return [*begin, "--no-keep-empty-views", "--blend", "none", "--out", str(out), *map(str, more)]
 
 
 def test_a_released_model_generates_a_scene_on_the_command_line(

@@ -208,7 +208,9 @@ def test_cropped_lines_are_drawn_as_whole_ones() -> None:
     lens = np.array([[20.0, 0.0, 12.0], [0.0, 20.0, 8.0], [0.0, 0.0, 1.0]])
     for place in places:
         pose = np.eye(4)
-        pose[:3, 3] = -place
+        # The vehicle drives uphill.
+        pose[:3, :3] = [[np.cos(0.1), 0.0, np.sin(0.1)], [0.0, 1.0, 0.0], [-np.sin(0.1), 0.0, np.cos(0.1)]]
+        pose[:3, 3] = -pose[:3, :3] @ place
         drawn = [draw_map(some, pose, camera_SE3_ego, lens, (16, 24), 1.0) for some in (lines, cropped)]
         assert drawn[0].any()
         np.testing.assert_array_equal(*drawn)

@@ -15,6 +15,8 @@ LINE_KINDS: Final[tuple[LineKind, ...]] = get_args(LineKind)
 
 FARTHEST_M: Final = 65.0
 """Lines are drawn up to this distance from the vehicle, as those that OpenDWM's weights were trained with."""
+_MARGIN_M: Final = 2.0
+"""On a slope the vehicle measures distances along its own floor, where they are a little shorter than on the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +48,14 @@ def crop_lines(lines: Sequence[MapLine], places_m: Float64) -> tuple[MapLine, ..
         places_m: (F, 3) places of the vehicle, in the frame of the lines.
 
     Returns:
-        All segments with an end within `FARTHEST_M` of a place on the ground plane, joined to lines.
+        All segments with an end near a place on the ground plane, joined to lines.
     """
     return tuple(part for line in lines for part in _near_parts(line, places_m))
 
 
 def _near_parts(line: MapLine, places_m: Float64) -> Iterator[MapLine]:
     away = np.linalg.norm(line.points_m[:, None, :2] - places_m[None, :, :2], axis=-1)
-    near = away.min(axis=1, initial=np.inf) <= FARTHEST_M
+    near = away.min(axis=1, initial=np.inf) <= FARTHEST_M + _MARGIN_M
     kept = np.concatenate([[False], near[:-1] | near[1:], [False]])
     begins, ends = np.flatnonzero(~kept[:-1] & kept[1:]), np.flatnonzero(kept[:-1] & ~kept[1:])
     for begin, end in zip(begins, ends):

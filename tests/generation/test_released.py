@@ -23,7 +23,7 @@ from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions,
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.layout.boxes import OPENDWM_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
-from hybridworldsim.generation.model_files import read_generator, write_generator
+from hybridworldsim.generation.model_files import read_generator, trained_rates, write_generator
 from hybridworldsim.generation.network import configuration
 from hybridworldsim.generation.network.checkpoints import load_transformer
 from hybridworldsim.generation.network.configuration import BASES
@@ -256,9 +256,11 @@ def test_runs_without_captions_keep_their_documents(models: Path, tmp_path: Path
     """A hash over a model or a run that was made before captions existed still holds."""
     settings = json.loads((models / "generator" / "run.json").read_text())["settings"]
     assert "captions" not in settings
-    network, references = read_generator(models / "generator" / "model.safetensors")
-    write_generator(tmp_path / "again.safetensors", network, references, drop_layout=0.5)
-    assert (tmp_path / "again.safetensors").read_bytes() == (models / "generator" / "model.safetensors").read_bytes()
+    trained = models / "generator" / "model.safetensors"
+    network, references = read_generator(trained)
+    rates_hz = trained_rates(trained)
+    write_generator(tmp_path / "again.safetensors", network, references, drop_layout=0.5, rates_hz=rates_hz)
+    assert (tmp_path / "again.safetensors").read_bytes() == trained.read_bytes()
     assert b"captions" not in (tmp_path / "again.safetensors").read_bytes()
 
 

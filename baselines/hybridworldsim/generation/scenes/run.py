@@ -22,7 +22,6 @@ from hybridworldsim.generation.model_files import (
     require_guidance,
     trained_rates,
 )
-from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.plan import DEFAULT_HZ, plan_scene
 from hybridworldsim.generation.scenes.rates import rate_note

@@ -75,8 +75,10 @@ def finishing() -> Iterator[None]:
             _finishing.clear()
 
 
-def _is_stop(reader: int) -> bool:
-    return os.read(reader, 1)[0] in (signal.SIGINT, signal.SIGTERM)
+def _read_stop(reader: int) -> int | None:
+    """The number of the signal that comes next; None: it does not stop a command."""
+    number = os.read(reader, 1)[0]
+    return number if number in (signal.SIGINT, signal.SIGTERM) else None
 
 
 class Stops:
@@ -152,17 +154,20 @@ class Stops:
         raise KeyboardInterrupt
 
     def _watch(self, reader: int) -> None:
-        while not _is_stop(reader):
+        while (first := _read_stop(reader)) is None:
             pass
         self._noticed.set()
+        # `terminable` turns SIGTERM into SIGINT, which is no second signal then.
+        second = {signal.SIGINT, signal.SIGTERM} if first == signal.SIGINT else {signal.SIGTERM}
         end_s = time.monotonic() + _GRACE_S
         while (left_s := end_s - time.monotonic()) > 0.0:
             ready, _, _ = select.select([reader], [], [], min(left_s, _POLL_S))
-            if ready and _is_stop(reader):
-                # A second signal: what is being finished is given up.
-                threading.Event().wait(_GRACE_S if _finishing.is_set() else 0.0)
-                break
+            again = bool(ready) and _read_stop(reader) in second
             if _finishing.is_set():
+                if again:
+                    # What is being finished is given up.
+                    threading.Event().wait(_GRACE_S)
+                    break
                 end_s = time.monotonic() + _GRACE_S
         self.end()
 

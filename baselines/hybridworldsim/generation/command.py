@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 _SCENE_EXAMPLES = (
     "mirror generate scene demo/block/dataset generator --background demo/block/model --out generated",
     "mirror generate scene dataset generator --background exact:block --edit move:7:dy=1.5 --frames 20 --out moved",
-    "mirror generate scene dataset ctsd_35_tirda_bm_nwao_40k.pth --base ctsd-35 --vae stable-diffusion-3.5-medium/vae "
-    "--background exact:block --device cuda --out released",
 )
 _DISTIL_EXAMPLES = (
     "mirror generate distil clips generator --steps 2000 --out distilled",

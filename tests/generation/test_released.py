@@ -30,6 +30,7 @@ from hybridworldsim.generation.network.configuration import BASES
 from hybridworldsim.generation.sampling.sampler import draw_noise
 from hybridworldsim.generation.scenes import released as released_module
 from hybridworldsim.generation.scenes.backgrounds import open_background
+from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.released import RELEASED, open_released, released_model
 from hybridworldsim.generation.scenes.rig import rig_of
@@ -318,9 +319,9 @@ def test_options_that_do_not_go_together_are_named(
 
 
 def test_a_submission_names_the_released_model() -> None:
-    own = SubmissionRequest(Path("a"), Path("b"), "generation", "novel", "exact:tiny")
+    own = SubmissionRequest(GeneratorFiles(Path("a"), Path("b")), "generation", "novel", "exact:tiny")
     assert own.method.name == "hybridworldsim-generation"
-    method = replace(own, base=released_model("unimlvg")).method
+    method = replace(own, files=replace(own.files, base=released_model("unimlvg"))).method
     assert (method.name, method.licence) == ("hybridworldsim-unimlvg", "MIT")
     assert "nuScenes" in method.trained_on
     assert {name: model.config for name, model in RELEASED.items()} == configuration.BASES

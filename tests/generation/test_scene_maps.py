@@ -21,7 +21,7 @@ from hybridworldsim.generation.command import main
 from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import rollout as rollout_module
 from hybridworldsim.generation.scenes import submission as submission_module
-from hybridworldsim.generation.scenes.run import open_generator
+from hybridworldsim.generation.scenes.generator_files import GeneratorFiles, open_generator
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions
 from hybridworldsim.generation.scenes.scene_map import open_scene_map
 from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
@@ -139,7 +139,7 @@ def test_a_submission_has_the_map_of_each_scene(
 
     monkeypatch.setattr(submission_module, "roll_out_sequence", stop)
     files = [with_map / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    request = SubmissionRequest(*files, "generation", "novel", "exact:tiny", size_px=(16, 24))
+    request = SubmissionRequest(GeneratorFiles(*files), "generation", "novel", "exact:tiny", size_px=(16, 24))
     with pytest.raises(KeyboardInterrupt):
         generate_submission(mapped, request, tmp_path / "out")
     (lines,) = shown

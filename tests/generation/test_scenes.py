@@ -24,6 +24,7 @@ from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import run as run_module
 from hybridworldsim.generation.scenes import submission as submission_module
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
+from hybridworldsim.generation.scenes.generator_files import GeneratorFiles, open_generator
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
@@ -176,8 +177,10 @@ def test_wrong_edits_are_refused_by_name(text: str) -> None:
 def request(models: Path, dataset: Dataset, name: str, **changes: object) -> SceneRequest:
     scene = dataset.where(traversal=name).scenes()[0]
     plain = SceneRequest(
-        generator=models / "generator" / "model.safetensors",
-        autoencoder=models / "autoencoder" / "model.safetensors",
+        GeneratorFiles(
+            models / "generator" / "model.safetensors",
+            models / "autoencoder" / "model.safetensors",
+        ),
         scene=scene,
         background="exact:tiny",
         traversal=name,
@@ -294,7 +297,7 @@ def test_an_autoencoder_of_another_model_is_refused(models: Path, tmp_path: Path
     other = TinyAutoencoder(TinySettings(channels=network.config.latent_channels // 2))
     write_autoencoder(tmp_path / "other.safetensors", other)
     with pytest.raises(DatasetError, match="the generator takes") as caught:
-        run_module.open_generator(models / "generator" / "model.safetensors", tmp_path / "other.safetensors")
+        open_generator(models / "generator" / "model.safetensors", tmp_path / "other.safetensors")
     assert (caught.value.file, caught.value.place) == (str(tmp_path / "other.safetensors"), "--autoencoder")
 
 
@@ -304,7 +307,7 @@ def test_weights_of_another_program_are_refused_with_the_way_to_load_them(models
     save_file({"a": torch.zeros(1)}, tmp_path / "released.safetensors")
     for name, message in (("released.pth", "cannot be read"), ("released.safetensors", "state no format")):
         with pytest.raises(DatasetError, match=message) as caught:
-            run_module.open_generator(tmp_path / name, autoencoder)
+            open_generator(tmp_path / name, autoencoder)
         assert caught.value.file == str(tmp_path / name)
         assert "--base NAME --vae FOLDER" in str(caught.value.remedy)
 
@@ -322,7 +325,7 @@ def test_each_background_of_a_sequence_is_rendered_once(
         return np.full((view.height_px, view.width_px, 3), len(asked) % 251, np.uint8)
 
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator, scene = run_module.open_generator(*files), replace(scene, background=counted)
+    generator, scene = open_generator(*files), replace(scene, background=counted)
     frames = [*[plan.frames[0]] * 5, *plan.frames[:5]]
     list(roll_out_sequence(generator, frames, scene, ClipRolloutOptions(), recorded_seeds=False))
     assert len(asked) == len(set(asked)) == 5 * len(CAMERAS)
@@ -422,7 +425,9 @@ def test_a_submission_to_the_protocol_of_edits(
         for view, image in zip(plan.views, found.values(), strict=True)
     )
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    request = SubmissionRequest(*files, str(tmp_path / "edits.toml"), "novel", "exact:tiny", size_px=SIZE)
+    request = SubmissionRequest(
+        GeneratorFiles(*files), str(tmp_path / "edits.toml"), "novel", "exact:tiny", size_px=SIZE
+    )
     with pytest.raises(UsageError, match="holds a submission already"):
         generate_submission(tiny_dataset, request, tmp_path / "out")
     with pytest.raises(UsageError, match="0 threads"):
@@ -469,7 +474,7 @@ def test_a_rollout_of_a_submission_has_the_edits_of_its_group(
         submission_module, "roll_out_sequence", lambda _, frames, *__, **___: planned.append(frames) or ()
     )
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator = run_module.open_generator(*files)
+    generator = open_generator(*files)
     list(render_plan(tiny_dataset, plan, generator, lambda _: None, SIZE, ClipRolloutOptions(), plan.views))  # type: ignore[arg-type, return-value]
     asked = {(one.group, one.traversal_id, one.frame_index): one.edits for one in plan.views}
     found = [[one.edits for one in frames[5:]] for frames in planned]
@@ -483,7 +488,7 @@ def test_a_continued_submission_has_the_images_of_a_whole_one(tiny_dataset: Data
     """Only missing views are given, but their rollout runs from its beginning."""
     plan = few_frames(tiny_dataset, "generation", 3)
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator, options = run_module.open_generator(*files), ClipRolloutOptions(keep_empty_views=False)
+    generator, options = open_generator(*files), ClipRolloutOptions(keep_empty_views=False)
 
     def made(views: list[RenderView]) -> dict[str, np.ndarray]:
         rendered = render_plan(tiny_dataset, plan, generator, grey, SIZE, options, views)
@@ -505,7 +510,7 @@ def test_views_of_a_submission_are_blended_in_their_own_raster(tiny_dataset: Dat
     """Away from boxes they are the background; elsewhere they lie between it and the generated image."""
     plan = few_frames(tiny_dataset, "generation", 2)
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator = run_module.open_generator(*files)
+    generator = open_generator(*files)
     plain, blended = (
         {
             view.path: (view, image.astype(int))
@@ -561,7 +566,7 @@ def test_backgrounds_are_seen_from_the_calibrations_of_the_models_training(
     numbers = sorted({view.frame_index for view in whole.views})[::20]
     plan = replace(whole, views=tuple(view for view in whole.views if view.frame_index in numbers))
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator, options = run_module.open_generator(*files), ClipRolloutOptions()
+    generator, options = open_generator(*files), ClipRolloutOptions()
     asked: dict[str, dict[str, RenderView]] = {"recorded": {}, LAYER: {}}
     for layer, views in asked.items():
 

@@ -16,7 +16,7 @@ from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
-from hybridworldsim.generation.model_files import read_generator, require_captions
+from hybridworldsim.generation.model_files import captioned_config, read_generator
 from hybridworldsim.generation.network.configuration import AdapterConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.text import CachedCaptions, CachedEmbeddings, TextEmbedding, embedding_widths
@@ -197,7 +197,7 @@ def test_a_model_that_was_trained_with_captions_says_so(tmp_path: Path) -> None:
         clips, done.generator, done.autoencoder, tmp_path / "student", distilling, NullProgress()
     )  # fmt: skip
     for model in (done.generator, student):
-        require_captions(model)
+        captioned_config(model)
         assert read_generator(model)[0].config == NETWORK
     # Other captions make another run; and it is no model of a training without.
     save_file({"clip-0/tokens": torch.randn(2, 3), "clip-0/pooled": torch.randn(3)}, path)
@@ -209,6 +209,6 @@ def test_a_model_that_was_trained_with_captions_says_so(tmp_path: Path) -> None:
     distilling = replace(distilling, captions=None)
     plain, _ = distil_on_clips(clips, done.generator, done.autoencoder, tmp_path / "plain", distilling, NullProgress())
     with pytest.raises(UsageError, match="captions for a generator that was trained without text"):
-        require_captions(plain)
+        captioned_config(plain)
     # The same parameters at first and the same noise, without the text.
     assert plain.read_bytes() != student.read_bytes()

@@ -64,16 +64,29 @@ def read_generator(path: Path) -> tuple[Transformer, int]:
         DatasetError: the file is missing, broken, or no generator.
     """
     document, state = _read(path, _GENERATOR)
-    try:
-        config = TransformerConfig.from_document(document["network"])
-    except UsageError as error:
-        raise DatasetError(
-            str(error), file=path, expected="a generator of this version", remedy="train it again with this version"
-        ) from error
     with torch.device("meta"):
-        network = Transformer(config)
+        network = Transformer(_config(path, document))
     _load(path, network, state)
     return network.eval().requires_grad_(False), int(document["references"])
+
+
+def captioned_config(path: Path) -> TransformerConfig:
+    """The configuration of a generator that was trained with captions; its tensors are not read.
+
+    Raises:
+        UsageError: it was trained without, so that the parameters that read captions are random.
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    document = _read_document(path, _GENERATOR)
+    if document.get("captions") is not True:
+        raise UsageError(
+            "captions for a generator that was trained without text",
+            file=path,
+            place="--captions",
+            expected="a generator of `mirror generate train --captions`, or released weights (--base)",
+            remedy="leave out --captions, or train with it",
+        )
+    return _config(path, document)
 
 
 def require_guidance(path: Path, scale: float) -> None:
@@ -104,24 +117,6 @@ def trained_rates(path: Path) -> tuple[float, float] | None:
     """
     rates = _read_document(path, _GENERATOR).get("rates_hz")
     return None if rates is None else (float(rates[0]), float(rates[1]))
-
-
-def require_captions(path: Path) -> None:
-    """Check that a generator was trained with captions; else the parameters that read them are random.
-
-    Raises:
-        UsageError: it was not.
-        DatasetError: the file is missing, broken, or no generator.
-    """
-    document, _ = _read(path, _GENERATOR)
-    if document.get("captions") is not True:
-        raise UsageError(
-            "captions for a generator that was trained without text",
-            file=path,
-            place="--captions",
-            expected="a generator of `mirror generate train --captions`, or released weights (--base)",
-            remedy="leave out --captions, or train with it",
-        )
 
 
 def write_autoencoder(path: Path, model: TinyAutoencoder) -> int:
@@ -187,6 +182,15 @@ def _read_document(path: Path, kind: str) -> dict[str, Any]:
         problem = "tensors that state no format" if found is None else f"of format {found!r}"
         raise DatasetError(problem, file=path, expected=kind, remedy=_REMEDY)
     return document
+
+
+def _config(path: Path, document: Mapping[str, Any]) -> TransformerConfig:
+    try:
+        return TransformerConfig.from_document(document["network"])
+    except UsageError as error:
+        raise DatasetError(
+            str(error), file=path, expected="a generator of this version", remedy="train it again with this version"
+        ) from error
 
 
 def _unreadable(path: Path, kind: str, error: Exception) -> DatasetError:

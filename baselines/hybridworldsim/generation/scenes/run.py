@@ -13,25 +13,17 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.devices import require_counts, require_device
+from hybridworldsim.generation.devices import require_counts
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
-from hybridworldsim.generation.model_files import (
-    read_autoencoder,
-    read_generator,
-    require_captions,
-    require_guidance,
-    trained_rates,
-)
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
+from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
 from hybridworldsim.generation.scenes.plan import DEFAULT_HZ, plan_scene
 from hybridworldsim.generation.scenes.rates import rate_note
-from hybridworldsim.generation.scenes.released import ReleasedModel, autoencoder_hash, open_released
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
-from hybridworldsim.generation.scenes.rollout import Generator, SequenceState, require_codec, roll_out_sequence
+from hybridworldsim.generation.scenes.rollout import SequenceState, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, boxes_of, require_valid_boxes
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
 from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
-from hybridworldsim.generation.text import CachedCaptions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.decoding import decode_rgb
@@ -43,7 +35,6 @@ from mirror.schema.documents import Document
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind
 from mirror.schema.render_folder import finish_render_folder, start_render_folder
-from mirror.weights.resolve import file_sha256
 
 DOCUMENT: Final = "generated.json"
 VIDEO: Final = "video.mp4"
@@ -92,8 +83,7 @@ class SceneRequest:
     """What is generated.
 
     Attributes:
-        generator: ``model.safetensors`` of a generator, or the state dict of a released model.
-        autoencoder: that of its autoencoder, or the folder ``vae`` of its pipeline.
+        files: what the generator is read from.
         scene: the scene.
         background: see `open_background`.
         traversal: gives boxes, cameras and seeds; None: the first of the scene.
@@ -107,12 +97,9 @@ class SceneRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
-        base: the released model; None: the generator was trained here.
-        captions: file of embedded captions, see `CachedCaptions`; None: no text.
     """
 
-    generator: Path
-    autoencoder: Path
+    files: GeneratorFiles
     scene: str
     background: str
     traversal: str | None = None
@@ -126,8 +113,6 @@ class SceneRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
-    base: ReleasedModel | None = None
-    captions: Path | None = None
 
     def __post_init__(self) -> None:
         if self.hz is not None and not (math.isfinite(self.hz) and self.hz > 0.0):
@@ -135,90 +120,6 @@ class SceneRequest:
         if self.frames is not None and self.frames < 1:
             raise UsageError(f"{self.frames} frames", place="--frames", expected="at least 1")
         require_counts(threads=self.threads)
-
-
-def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guidance: float = 1.0) -> Generator:
-    """Read a generator and its autoencoder, and move them to a device.
-
-    Raises:
-        UsageError: there is no such device, or the generator cannot be guided.
-        DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
-    """
-    require_device(device)
-    require_guidance(generator, guidance)
-    network, references = read_generator(generator)
-    codec = read_autoencoder(autoencoder)
-    require_codec(
-        network.config, codec, autoencoder, "--autoencoder", "the autoencoder that the generator was trained with",
-        "name it with --autoencoder",
-    )  # fmt: skip
-    return Generator(network.to(device), codec.to(device), references)
-
-
-def open_requested(
-    generator: Path,
-    autoencoder: Path,
-    size_px: tuple[int, int],
-    device: str,
-    guidance: float,
-    base: ReleasedModel | None,
-) -> Generator:
-    """Open a generator that was trained here, or a released one; the network takes the size.
-
-    Raises:
-        UsageError: there is no such device, the generator cannot be guided, or it does not take the size.
-        DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
-        WeightsUnavailableError: released weights are missing or broken, or those of another model.
-    """
-    if base is not None:
-        return open_released(base, generator, autoencoder, size_px, device)
-    opened = open_generator(generator, autoencoder, device, guidance)
-    opened.require_size(size_px)
-    return opened
-
-
-def open_captions(path: Path | None, generator: Path, base: ReleasedModel | None) -> CachedCaptions | None:
-    """Read embedded captions for a generator; None: no text. The parameters of a released one are not read for it.
-
-    Raises:
-        UsageError: the generator was trained without text.
-        DatasetError: the file of the generator is missing, broken or of another kind.
-        WeightsUnavailableError: the file is missing or broken, or a caption has another size than the network takes.
-    """
-    if path is None:
-        return None
-    if base is not None:
-        return CachedCaptions(path, base.config)
-    require_captions(generator)
-    return CachedCaptions(path, read_generator(generator)[0].config)
-
-
-def model_hashes(
-    generator: Path, autoencoder: Path, base: ReleasedModel | None, captions: Path | None
-) -> dict[str, str]:
-    """The hashes of everything that a model is read from, by name; the base and captions only where they are given."""
-    hashes = {
-        "generator": file_sha256(generator),
-        "autoencoder": file_sha256(autoencoder) if base is None else autoencoder_hash(autoencoder),
-    }
-    if base is not None:
-        hashes["base"] = base.name
-    if captions is not None:
-        hashes["captions"] = file_sha256(captions)
-    return hashes
-
-
-def rates_of_model(generator: Path, base: ReleasedModel | None) -> tuple[float, float] | None:
-    """The lowest and highest rate at which a generator was trained, frames per second; None: its file states none.
-
-    Args:
-        generator: its file.
-        base: which released model it is; None: a generator that was trained here.
-
-    Raises:
-        DatasetError: the file is missing, broken, or no generator.
-    """
-    return trained_rates(generator) if base is None else (base.rate_hz, base.rate_hz)
 
 
 def generate_scene(
@@ -243,15 +144,12 @@ def generate_scene(
     begin = time.perf_counter()
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
-    captions = open_captions(request.captions, request.generator, request.base)
-    generator = open_requested(
-        request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
-        request.base,
-    )  # fmt: skip
+    captions = request.files.read_captions()
+    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
-    trained_hz = rates_of_model(request.generator, request.base)
+    trained_hz = request.files.trained_rates()
     plan = plan_scene(
         dataset.where(scene=request.scene),
         traversal,
@@ -326,7 +224,7 @@ def _inputs(
     dataset: Dataset, request: SceneRequest, traversal: str, background: str, scene_map: SceneMap
 ) -> dict[str, Any]:
     return {
-        **model_hashes(request.generator, request.autoencoder, request.base, request.captions),
+        **request.files.hashes(),
         "scene": request.scene,
         "traversal": traversal,
         "boxes": dataset.layers.boxes,

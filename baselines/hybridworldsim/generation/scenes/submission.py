@@ -15,11 +15,10 @@ from hybridworldsim.generation.devices import require_counts
 from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import Background, calibrations_of, open_background
+from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
 from hybridworldsim.generation.scenes.rates import plan_rates, rate_note, rate_of
-from hybridworldsim.generation.scenes.released import ReleasedModel
 from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
-from hybridworldsim.generation.scenes.run import model_hashes, open_captions, open_requested, rates_of_model
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, require_valid_boxes
 from hybridworldsim.generation.scenes.scene_map import SceneMap, open_scene_map
 from hybridworldsim.generation.text import Captions
@@ -40,8 +39,7 @@ class SubmissionRequest:
     """What is submitted.
 
     Attributes:
-        generator: ``model.safetensors`` of a generator, or the state dict of a released model.
-        autoencoder: that of its autoencoder, or the folder ``vae`` of its pipeline.
+        files: what the generator is read from.
         protocol: name or file of the protocol that asks for the views.
         split: split that the views are of.
         background: see `open_background`.
@@ -50,12 +48,9 @@ class SubmissionRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
-        base: the released model; None: the generator was trained here.
-        captions: file of embedded captions, see `CachedCaptions`; None: no text.
     """
 
-    generator: Path
-    autoencoder: Path
+    files: GeneratorFiles
     protocol: str
     split: str
     background: str
@@ -64,19 +59,17 @@ class SubmissionRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
-    base: ReleasedModel | None = None
-    captions: Path | None = None
 
     @property
     def method(self) -> Method:
         """What the submission states of the generator."""
-        if self.base is None:
+        if self.files.base is None:
             return Method(
                 name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"
             )  # fmt: skip
         return Method(
-            name=f"hybridworldsim-{self.base.name}", url="https://github.com/SenseTime-FVG/OpenDWM", licence="MIT",
-            trained_on=self.base.trained_on,
+            name=f"hybridworldsim-{self.files.base.name}", trained_on=self.files.base.trained_on, licence="MIT",
+            url="https://github.com/SenseTime-FVG/OpenDWM",
         )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -103,11 +96,8 @@ def generate_submission(
         WeightsUnavailableError: released weights or captions are missing or do not fit.
     """
     torch.set_num_threads(request.threads)
-    captions = open_captions(request.captions, request.generator, request.base)
-    generator = open_requested(
-        request.generator, request.autoencoder, request.size_px, request.device, request.rollout.sampler.guidance,
-        request.base,
-    )  # fmt: skip
+    captions = request.files.read_captions()
+    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
     plan = plan_views(dataset, load_protocol(request.protocol), request.split)
     for view in plan.views:
         if captions is not None:
@@ -119,13 +109,13 @@ def generate_submission(
         wanted = {view.frame_index for view in plan.views if view.traversal_id == traversal}
         frames = dataset.where(traversal=traversal).frames()
         require_valid_boxes(dataset, (frame for frame in frames if frame.frame_index in wanted))
-    note = rate_note(plan_rates(dataset, plan), rates_of_model(request.generator, request.base))
+    note = rate_note(plan_rates(dataset, plan), request.files.trained_rates())
     if note and progress is not None:
         progress.message(note)
     scenes = dict.fromkeys(view.scene_id for view in plan.views)
     maps = {scene: open_scene_map(dataset, scene, generator, progress or NullProgress()) for scene in scenes}
     inputs = (
-        *(*model_hashes(request.generator, request.autoencoder, request.base, request.captions).values(), identity),
+        *(*request.files.hashes().values(), identity),
         *(repr(request.rollout), repr(request.size_px), str(dataset.layers.boxes)),
         *(str(request.threads), request.device),
         *(f"{name} of {scene}: {value}" for scene, one in maps.items() for name, value in one.inputs.items()),
@@ -195,11 +185,12 @@ def render_plan(
         views = list(group)
         if not wanted & {view.path for view in views}:
             continue
-        frames = {frame.frame_index: frame for frame in dataset.where(traversal=traversal).frames()}
+        recorded = dataset.where(traversal=traversal).frames()
+        frames = {frame.frame_index: frame for frame in recorded}
         numbers = sorted({view.frame_index for view in views})
         by_view = {(view.frame_index, view.camera): view for view in views}
         cameras = tuple(sorted({view.camera for view in views}))
-        rig = rig_of(dataset.where(traversal=traversal).frames(), cameras, size_px, plan.protocol.pixels)
+        rig = rig_of(recorded, cameras, size_px, plan.protocol.pixels)
         planned = []
         for number in numbers:
             requested = [view for view in views if view.frame_index == number]

@@ -16,7 +16,7 @@ from hybridworldsim.generation.devices import (
     require_seed,
 )
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
-from hybridworldsim.generation.model_files import read_autoencoder, read_generator, require_captions, write_generator
+from hybridworldsim.generation.model_files import captioned_config, read_autoencoder, read_generator, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.loop import train_together
@@ -93,7 +93,7 @@ def distil_on_clips(
     if not listed:
         raise DatasetError("no training clips", file=clips, expected="at least one clip")
     if options.captions is not None:
-        require_captions(generator)
+        captioned_config(generator)
     teacher, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)
     require_fit(codec, teacher.config, OWN_STYLE, references, file=autoencoder)

@@ -1,0 +1,1 @@
+"""The verbs of ``mirror generate``: one file for each."""

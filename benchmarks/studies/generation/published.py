@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.studies.generation.sheets import list_rolled_out
 from benchmarks.studies.generation.study import Figures, Study
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.inference.clip_rollout import views_with_boxes
@@ -62,9 +63,13 @@ def measure_published(study: Study, inception: InceptionFeatures | None, video: 
 
 
 def _names(study: Study) -> list[str]:
-    folders = sorted(path for path in (study.folder / "rollouts").glob("*") if path.is_dir())
-    complete = [one.name for one in folders if all((one / f"{clip.clip_id}.npz").is_file() for clip in study.test)]
-    return ["background", *(name for name in complete if not name.startswith("teacher-"))]
+    clips = [clip.clip_id for clip in study.test]
+    complete = [
+        name
+        for name in list_rolled_out(study)
+        if all((study.folder / "rollouts" / name / f"{clip}.npz").is_file() for clip in clips)
+    ]
+    return ["background", *complete]
 
 
 def _read(study: Study, name: str | None, clip: Clip) -> UInt8:

@@ -115,15 +115,20 @@ def test_a_checkpoint_may_take_longer_than_a_command_is_given_to_end(tmp_path: P
         "sys.exit(run_process('held', lambda: run_command('held', work)))\n"
     )
     # A scheduler's SIGTERM is one signal, although it is heard as Ctrl-C.
-    for number, signals, saved in ((signal.SIGINT, 1, True), (signal.SIGINT, 2, False), (signal.SIGTERM, 1, True)):
-        file = tmp_path / f"{number}-{signals}"
-        running = subprocess.Popen(
+    cases = ((signal.SIGINT, 1, True), (signal.SIGINT, 2, False), (signal.SIGTERM, 1, True))
+    files = [tmp_path / f"{number}-{signals}" for number, signals, _ in cases]
+    processes = [
+        subprocess.Popen(
             [sys.executable, "-c", held, file], stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_again
         )
+        for file in files
+    ]
+    for running, (number, signals, _) in zip(processes, cases):
         assert running.stdout is not None and running.stdout.readline() == b"working\n"
         for _ in range(signals):
             running.send_signal(number)
             time.sleep(0.3)
+    for running, file, (_, _, saved) in zip(processes, files, cases):
         _, stderr = running.communicate(timeout=30.0)
         assert (file.exists(), running.returncode) == (saved, 130)
         assert stderr == b"held: interrupted: run the same command again\n"

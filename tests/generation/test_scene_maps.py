@@ -19,8 +19,8 @@ from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_l
 from hybridworldsim.generation.clips.map_lines import LINE_KINDS, MapLine
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.model_files import read_generator
+from hybridworldsim.generation.scenes import planned_views
 from hybridworldsim.generation.scenes import rollout as rollout_module
-from hybridworldsim.generation.scenes import submission as submission_module
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles, open_generator
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions
 from hybridworldsim.generation.scenes.scene_map import open_scene_map
@@ -137,7 +137,7 @@ def test_a_submission_has_the_map_of_each_scene(
         shown.append(scene.lines)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(submission_module, "roll_out_sequence", stop)
+    monkeypatch.setattr(planned_views, "roll_out_sequence", stop)
     files = [with_map / part / "model.safetensors" for part in ("generator", "autoencoder")]
     request = SubmissionRequest(GeneratorFiles(*files), "generation", "novel", "exact:tiny", size_px=(16, 24))
     with pytest.raises(KeyboardInterrupt):

@@ -21,17 +21,18 @@ from hybridworldsim.generation.command import main
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, views_with_boxes
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 from hybridworldsim.generation.model_files import read_generator
+from hybridworldsim.generation.scenes import planned_views
 from hybridworldsim.generation.scenes import run as run_module
-from hybridworldsim.generation.scenes import submission as submission_module
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles, open_generator
 from hybridworldsim.generation.scenes.plan import plan_scene
+from hybridworldsim.generation.scenes.planned_views import PlannedScenes, render_plan
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, make_scene_clip
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
-from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission, render_plan
+from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
@@ -470,12 +471,10 @@ def test_a_rollout_of_a_submission_has_the_edits_of_its_group(
     tiny_dataset: Dataset, models: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan, planned = few_frames(tiny_dataset, "editing-accuracy-small", 2), []
-    monkeypatch.setattr(
-        submission_module, "roll_out_sequence", lambda _, frames, *__, **___: planned.append(frames) or ()
-    )
+    monkeypatch.setattr(planned_views, "roll_out_sequence", lambda _, frames, *__, **___: planned.append(frames) or ())
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
     generator = open_generator(*files)
-    list(render_plan(tiny_dataset, plan, generator, lambda _: None, SIZE, ClipRolloutOptions(), plan.views))  # type: ignore[arg-type, return-value]
+    list(render_plan(PlannedScenes(tiny_dataset, generator, grey, SIZE, ClipRolloutOptions()), plan, plan.views))
     asked = {(one.group, one.traversal_id, one.frame_index): one.edits for one in plan.views}
     found = [[one.edits for one in frames[5:]] for frames in planned]
     assert found == [
@@ -488,11 +487,11 @@ def test_a_continued_submission_has_the_images_of_a_whole_one(tiny_dataset: Data
     """Only missing views are given, but their rollout runs from its beginning."""
     plan = few_frames(tiny_dataset, "generation", 3)
     files = [models / part / "model.safetensors" for part in ("generator", "autoencoder")]
-    generator, options = open_generator(*files), ClipRolloutOptions(keep_empty_views=False)
+    options = ClipRolloutOptions(keep_empty_views=False)
+    scenes = PlannedScenes(tiny_dataset, open_generator(*files), grey, SIZE, options)
 
     def made(views: list[RenderView]) -> dict[str, np.ndarray]:
-        rendered = render_plan(tiny_dataset, plan, generator, grey, SIZE, options, views)
-        return {view.path: image for (view,), image in rendered}
+        return {view.path: image for (view,), image in render_plan(scenes, plan, views)}
 
     last = max(view.frame_index for view in plan.views)
     missing = [view for view in plan.views if view.frame_index == last]
@@ -501,8 +500,7 @@ def test_a_continued_submission_has_the_images_of_a_whole_one(tiny_dataset: Data
     assert all(np.array_equal(image, whole[path]) for path, image in part.items())
     # The result of a rollout, not of its last frame alone.
     alone = replace(plan, views=tuple(missing))
-    rendered = render_plan(tiny_dataset, alone, generator, grey, SIZE, options, missing)
-    other = {view.path: image for (view,), image in rendered}
+    other = {view.path: image for (view,), image in render_plan(scenes, alone, missing)}
     assert any(not np.array_equal(image, other[path]) for path, image in part.items())
 
 
@@ -515,7 +513,7 @@ def test_views_of_a_submission_are_blended_in_their_own_raster(tiny_dataset: Dat
         {
             view.path: (view, image.astype(int))
             for (view,), image in render_plan(
-                tiny_dataset, plan, generator, grey, SIZE, ClipRolloutOptions(blend_px=width), plan.views
+                PlannedScenes(tiny_dataset, generator, grey, SIZE, ClipRolloutOptions(blend_px=width)), plan, plan.views
             )
         }
         for width in (None, 0)
@@ -574,7 +572,8 @@ def test_backgrounds_are_seen_from_the_calibrations_of_the_models_training(
             views[view.path] = view
             return np.full((view.height_px, view.width_px, 3), 90, np.uint8)
 
-        made = list(render_plan(refined, plan, generator, grey, SIZE, options, plan.views, layer))
+        scenes = PlannedScenes(refined, generator, grey, SIZE, options, layer)
+        made = list(render_plan(scenes, plan, plan.views))
         assert all(image.shape == (view.height_px, view.width_px, 3) for (view,), image in made)
     # Another camera shows other boxes: not the same views keep their background.
     both = asked["recorded"].keys() & asked[LAYER].keys()

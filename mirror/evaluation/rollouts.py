@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 
 from mirror.errors import UsageError
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
-from mirror.evaluation.run import list_versions
 from mirror.evaluation.scorers.safety import ScoredRollout, rollout_figures, rollout_view, score_folder
 from mirror.evaluation.submission.manifest import Appearance, Method, SubmissionManifest
+from mirror.evaluation.versions import list_versions
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.schema.files import write_bytes, write_json

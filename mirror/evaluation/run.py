@@ -5,10 +5,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import io
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +23,7 @@ from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, ScoredJob
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
+from mirror.evaluation.versions import list_versions
 from mirror.evaluation.workers import ScoreLog, score_jobs
 from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
@@ -33,12 +32,10 @@ from mirror.protocols.truth.hidden import require_hidden_truth
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
-from mirror.version import __version__
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver
 
 WORK: Final = "work"
-_PACKAGES: Final = ("numpy", "opencv-contrib-python-headless", "scipy", "torch", "numba", "pyarrow")
 DEFAULT_EXTRACTOR: Final = "diff-grabcut"
 _EDITING: Final = "editing-accuracy"
 _SCORES_HASH: Final = b"mirror_scores_hash"
@@ -273,17 +270,6 @@ def _hash_hidden_truth(plan: Plan, inputs: ScoringInputs) -> str:
     for view in plan.views:
         digest.update(f"{view.path} {inputs.truth.image_hash(view)}\n".encode())
     return digest.hexdigest()
-
-
-def list_versions() -> dict[str, str]:
-    """List the versions of the toolkit, of Python and of the packages that affect figures."""
-    versions = {"mirror": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return versions
 
 
 def list_warnings(plan: Plan, manifest: SubmissionManifest, stand_ins: Sequence[str]) -> list[str]:

@@ -16,9 +16,9 @@ from mirror.errors import DatasetError, MirrorError
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.versions import list_versions
 from mirror.pools import process_pool
 from mirror.schema.json_lines import append_line, decode_object, read_lines
-from mirror.version import __version__
 
 _CHUNK: Final = 8
 _COMMON: Final = "key of all jobs"
@@ -128,6 +128,7 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
         [inputs.hashes.get(path) for path in job.reads],
         [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
+        job.fingerprint,
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -137,7 +138,7 @@ def _common_key(inputs: ScoringInputs) -> object:
     if _COMMON not in inputs.made:
         protocol = inputs.protocol
         parts = [
-            __version__,
+            list_versions(),
             protocol.hash,
             load_scorer(protocol.task).version,
             inputs.extractor,

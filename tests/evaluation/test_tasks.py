@@ -310,6 +310,29 @@ def test_file_extractor_reads_masks(tmp_path: Path) -> None:
     np.testing.assert_array_equal(region, mask > 0)
 
 
+def test_masks_of_files_are_scored_again_when_they_change(dataset: Dataset, root: Path, tmp_path: Path) -> None:
+    """A second run into the same folder has the figures of a new run; one without a change reuses all values."""
+    protocol = load_protocol("editing-accuracy-small")
+    plan = write_renders(dataset, protocol, tmp_path / "s")
+    options = EvaluationOptions(workers=1, extractor=f"file:{tmp_path / 'masks'}")
+
+    def run(value: int, out: str) -> tuple[dict[str, float | None], bool]:
+        for view in plan.views:
+            file = tmp_path / "masks" / view.path.removeprefix("renders/")
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(encode_png(np.full((view.height_px, view.width_px), value, np.uint8)))
+        done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / out, options)
+        assert done.result is not None
+        assert done.reused in (0, len(done.scored))
+        return {item.metric: item.value for item in done.result.figures if item.group == "all"}, bool(done.reused)
+
+    white, _ = run(255, "out")
+    black, _ = run(0, "fresh")
+    assert white != black
+    assert run(0, "out") == (black, False)
+    assert run(0, "out") == (black, True)
+
+
 def write_sam(folder: Path, height: int, width: int) -> None:
     """Networks with the inputs of Segment Anything; the better of two masks is positive within the prompt."""
     onnx = pytest.importorskip("onnx")

@@ -22,3 +22,10 @@ class Extractor(Protocol):
         Returns:
             (H, W) mask of the object; all False if no object was found.
         """
+
+    def fingerprint(self, name: str) -> str:
+        """Hash the files that the mask of an edited render depends on; empty if it depends on the renders alone.
+
+        Args:
+            name: path of the edited render in the submission.
+        """

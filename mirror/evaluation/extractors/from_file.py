@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.errors import DatasetError, UsageError
+from mirror.weights.resolve import file_sha256
 
 
 class MaskFiles:
@@ -32,7 +33,7 @@ class MaskFiles:
         Raises:
             DatasetError: the mask is missing, damaged or of another size.
         """
-        file = self._folder / name.removeprefix("renders/")
+        file = self._file(name)
         data = file.read_bytes() if file.is_file() else b""
         mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
         if mask is None or mask.shape != counted.shape:
@@ -41,3 +42,11 @@ class MaskFiles:
                 "missing, damaged or of another size", file=file, expected=f"a grey PNG of {width} x {height} px"
             )
         return np.asarray((mask > 127) & counted)
+
+    def fingerprint(self, name: str) -> str:
+        """See `Extractor`: of the mask; empty if it is missing, which `extract` reports."""
+        file = self._file(name)
+        return file_sha256(file) if file.is_file() else ""
+
+    def _file(self, name: str) -> Path:
+        return self._folder / name.removeprefix("renders/")

@@ -12,6 +12,7 @@ import numpy as np
 from mirror.arrays import Bool, Float32, UInt8
 from mirror.errors import UsageError
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
+from mirror.weights.resolve import file_sha256
 
 _SIDE: Final = 1024
 _MEAN: Final = np.array([123.675, 116.28, 103.53], np.float32)
@@ -34,8 +35,9 @@ class OnnxSam:
     """
 
     def __init__(self, folder: str) -> None:
-        self._encoder = _open_session(Path(folder) / "encoder.onnx")
-        self._decoder = _open_session(Path(folder) / "decoder.onnx")
+        files = [Path(folder) / name for name in ("encoder.onnx", "decoder.onnx")]
+        self._encoder, self._decoder = map(_open_session, files)
+        self._fingerprint = " ".join(map(file_sha256, files))
         self._difference_extractor = DiffGrabCut()
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
@@ -58,6 +60,10 @@ class OnnxSam:
         }
         masks, scores = self._decoder.run(None, inputs)[:2]
         return np.asarray((masks[0, int(np.argmax(scores[0]))] > 0.0) & counted)
+
+    def fingerprint(self, name: str) -> str:
+        """See `Extractor`: of both networks."""
+        return self._fingerprint
 
 
 def _prepare_input(image: UInt8, scale: float) -> Float32:

@@ -51,14 +51,19 @@ class EditingAccuracy:
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
         """Return one job for each edited view, which also reads the render without vehicles."""
-        make_extractor(inputs.extractor)
+        extractor = make_extractor(inputs.extractor)
         background = _background_group(plan.protocol)
         views = {view.path: view for view in plan.views}
         jobs = []
         for view in plan.views:
             if view.group != background:
                 path = render_path(background, view.traversal_id, view.camera, view.timestamp_ns)
-                jobs.append(Job(view.path, (view, views[path]), (view.path, path), truth=False))
+                files = (view.path, path)
+                jobs.append(
+                    Job(
+                        view.path, (view, views[path]), files, truth=False, fingerprint=extractor.fingerprint(view.path)
+                    )
+                )
         return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:

@@ -28,6 +28,7 @@ class Job:
         reads: files of the submission that it reads.
         truth: whether it reads the recorded images of its views.
         in_table: whether it is a row of the table of images.
+        fingerprint: hash of what else its values depend on, such as a mask of an extractor; a change is scored again.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Job:
     reads: tuple[str, ...]
     truth: bool = True
     in_table: bool = True
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True)

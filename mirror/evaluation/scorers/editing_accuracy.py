@@ -35,7 +35,7 @@ _VARIANTS: Final[Mapping[str, HullVariant]] = {
 class EditingAccuracy:
     """Scores the task ``editing-accuracy``."""
 
-    version = 1
+    version = 2
 
     def needs_hidden(self, plan: Plan) -> bool:
         """Return False: the target boxes are part of the plan."""

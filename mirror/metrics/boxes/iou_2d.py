@@ -121,7 +121,8 @@ def hull_iou(
     All are counted on pixels (`polygon_mask`), within the image and within ``valid``. ``mask_hull``: the mask with
     the box's hull. ``box_box``: the tight upright rectangle of the mask with that of the hull's pixels, so that a mask
     equal to the hull scores 1. ``ceiling_normalised``: the mask with the hull's rectangle, over what the object's own
-    outline would reach with it (no car fills its rectangle), at most 1.
+    outline would reach with it (no car fills its rectangle), at most 1. A rectangle encloses the pixels that count, and
+    pixels within it that do not count are left out.
 
     A hull without a pixel that counts is no target: NaN and the reason. An empty mask beside a target scores 0, and the
     reason says so.
@@ -131,7 +132,8 @@ def hull_iou(
         hull_px: (K, 2) the convex outline of the projected box, from `mirror.geometry.BoxProjections.hull`.
         variant: one of `HULL_VARIANTS`.
         valid: (H, W) the pixels that count, without the ego body and nearer objects, say; None: all.
-        silhouette: (H, W) the object's true outline at the target for the ceiling; None: the hull stands for it.
+        silhouette: (H, W) the object's true outline at the target for the ceiling, cut by ``valid`` as the mask is;
+            None: the hull stands for it.
 
     Raises:
         UsageError: the variant is unknown, masks do not fit, a corner is not finite, or a silhouette is given to a
@@ -145,20 +147,22 @@ def hull_iou(
         )
     found = as_mask(mask, "mask")
     target = polygon_mask(hull_px, found.shape[1], found.shape[0])
-    if valid is not None:
-        counted = as_mask(valid, "valid mask")
-        _require_alike(found, counted)
-        found, target = found & counted, target & counted
+    counted = np.ones_like(found) if valid is None else as_mask(valid, "valid mask")
+    _require_alike(found, counted)
+    found, target = found & counted, target & counted
     if not target.any():
         return RegionIou(float("nan"), "the target box holds no pixel that counts")
+    rectangle = _rectangle(target) & counted
     if not found.any():
-        region = target if variant == "mask_hull" else _rectangle(target)
+        region = target if variant == "mask_hull" else rectangle
         return RegionIou(0.0, "the mask is empty", 0, int(np.count_nonzero(region)))
     if variant == "mask_hull":
         return mask_iou(found, target)
     if variant == "box_box":
-        return mask_iou(_rectangle(found), _rectangle(target))
-    return _normalised(found, target, silhouette)
+        return mask_iou(_rectangle(found) & counted, rectangle)
+    ideal = target if silhouette is None else as_mask(silhouette, "silhouette")
+    _require_alike(found, ideal)
+    return _normalised(found, rectangle, ideal & counted)
 
 
 def as_mask(mask: Numbers, what: str) -> Bool:
@@ -177,12 +181,7 @@ def as_mask(mask: Numbers, what: str) -> Bool:
     return given.astype(np.bool_, copy=False)
 
 
-def _normalised(found: Bool, target: Bool, silhouette: Numbers | None) -> RegionIou:
-    rectangle = _rectangle(target)
-    ideal = target
-    if silhouette is not None:
-        ideal = as_mask(silhouette, "silhouette")
-        _require_alike(found, ideal)
+def _normalised(found: Bool, rectangle: Bool, ideal: Bool) -> RegionIou:
     ceiling, plain = mask_iou(ideal, rectangle), mask_iou(found, rectangle)
     if ceiling == 0.0:
         return RegionIou(float("nan"), "the silhouette shares no pixel with the target")

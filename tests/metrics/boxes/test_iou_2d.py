@@ -151,6 +151,36 @@ def test_no_target_is_not_a_score_and_no_mask_is_zero(variant: str) -> None:
     assert hull_iou(polygon_mask(SQUARE, 12, 10) & nearer, SQUARE, variant=variant, valid=nearer) == 1.0
 
 
+def bounding(pixels: set[tuple[int, int]], counted: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Pixels that count within the bounding rectangle of some."""
+    if not pixels:
+        return set()
+    (top, left), (bottom, right) = map(min, zip(*pixels)), map(max, zip(*pixels))
+    return {(row, column) for row, column in counted if top <= row <= bottom and left <= column <= right}
+
+
+@given(hnp.arrays(np.bool_, (10, 12)), hnp.arrays(np.bool_, (10, 12)), hnp.arrays(np.bool_, (10, 12)))
+@settings(max_examples=40, deadline=None)
+def test_only_pixels_of_valid_count_in_every_variant(mask: np.ndarray, valid: np.ndarray, outline: np.ndarray) -> None:
+    counted, found, hull, ideal = (
+        {(int(row), int(column)) for row, column in np.argwhere(region & valid)}
+        for region in (valid, mask, polygon_mask(SQUARE, 12, 10), outline)
+    )
+    rectangle = bounding(hull, counted)
+    pairs = {"mask_hull": (found, hull), "box_box": (bounding(found, counted), rectangle)}
+    for variant in HULL_VARIANTS:
+        silhouette = outline if variant == "ceiling_normalised" else None
+        result = hull_iou(mask, SQUARE, variant=variant, valid=valid, silhouette=silhouette)
+        one, other = pairs.get(variant, (found, rectangle))
+        assert result.union_px <= len(counted)
+        if not hull or (found and silhouette is not None and not ideal & rectangle):
+            assert np.isnan(result)
+            continue
+        assert (result.intersection_px, result.union_px) == (len(one & other), len(one | other))
+        ceiling = len(ideal & rectangle) / len(ideal | rectangle) if found and silhouette is not None else 1.0
+        assert result == min(len(one & other) / len(one | other) / ceiling, 1.0)
+
+
 def test_what_a_hull_cannot_be_asked() -> None:
     mask = np.ones((10, 12), dtype=bool)
     with pytest.raises(UsageError, match="mask_hull"):

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
 
 _RECALLS: Final = np.linspace(0.1, 1.0, 40)
@@ -131,8 +131,6 @@ def _sum(parts: Sequence[_Counts]) -> _Counts:
 
 
 def _count(truth: Sequence[TrackedBoxes], found: Sequence[TrackedBoxes], level: float, threshold_m: float) -> _Counts:
-    from scipy.optimize import linear_sum_assignment
-
     last: dict[int, int] = {}
     matches = switches = misses = extra = known = 0
     distance_sum = velocity_sum = 0.0
@@ -143,14 +141,8 @@ def _count(truth: Sequence[TrackedBoxes], found: Sequence[TrackedBoxes], level: 
             extra += len(rows)
             continue
         away = np.linalg.norm(real.position_m[:, None] - given.position_m[None, rows], axis=-1)
-        # Pairs of the frame before are kept while they are near enough, as CLEAR MOT has it.
         held = np.array([last.get(int(name), -1) for name in real.track])
-        keeps = held[:, None] == given.track[None, rows]
-        near = away <= threshold_m
-        cost = np.where(near, away - 10.0 * threshold_m * keeps, 1e6)
-        one, other = linear_sum_assignment(cost)
-        valid = near[one, other]
-        one, other = one[valid], other[valid]
+        one, other = _pair(away, away <= threshold_m, held[:, None] == given.track[None, rows])
         for row, column in zip(one.tolist(), other.tolist()):
             name, track = int(real.track[row]), int(given.track[rows[column]])
             switches += last.get(name, track) != track
@@ -163,6 +155,38 @@ def _count(truth: Sequence[TrackedBoxes], found: Sequence[TrackedBoxes], level: 
         known += int(np.isfinite(error).sum())
         velocity_sum += float(np.nansum(error))
     return _Counts(matches, switches, misses, extra, distance_sum, velocity_sum, known)
+
+
+def _pair(away: Float64, near: Bool, held: Bool) -> tuple[Int64, Int64]:
+    """Pair the boxes of one frame as CLEAR MOT does: pairs that last are kept, and only the rest is assigned anew.
+
+    Args:
+        away: (N, M) distances of true boxes from found ones.
+        near: (N, M) which pairs are possible.
+        held: (N, M) where the found box is of the track that the true object had last. Of several objects that had a
+            track, the nearest keeps it.
+
+    Returns:
+        Rows and columns of the pairs.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    paired_row, paired_column = np.zeros(away.shape[0], np.bool_), np.zeros(away.shape[1], np.bool_)
+    pairs: list[tuple[int, int]] = []
+    one, other = np.nonzero(near & held)
+    for place in np.argsort(away[one, other], kind="stable").tolist():
+        row, column = int(one[place]), int(other[place])
+        if not (paired_row[row] or paired_column[column]):
+            paired_row[row] = paired_column[column] = True
+            pairs.append((row, column))
+    rows, columns = np.flatnonzero(~paired_row), np.flatnonzero(~paired_column)
+    left = np.ix_(rows, columns)
+    # As many pairs as possible, and of these the nearest.
+    one, other = linear_sum_assignment(np.where(near[left], away[left], 1e6))
+    possible = near[left][one, other]
+    pairs += zip(rows[one[possible]].tolist(), columns[other[possible]].tolist())
+    result = np.array(pairs, np.int64).reshape(-1, 2)
+    return result[:, 0], result[:, 1]
 
 
 def _idf1(

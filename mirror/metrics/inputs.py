@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar, cast,
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import AnyArray
+from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -85,6 +85,23 @@ def as_numbers(values: Numbers, what: str, dtype: type[np.float64] | None = None
     if array.dtype.kind not in "biuf":
         raise UsageError(f"{what} is of type {array.dtype}", expected="numbers")
     return array
+
+
+def require_rows(valid: Bool | np.bool_, name: str, values: AnyArray, expected: str) -> None:
+    """Refuse values of which a row is not valid.
+
+    Args:
+        valid: (N,).
+        name: of the values, in the message.
+        values: (N, ...).
+        expected: what a row must be.
+
+    Raises:
+        UsageError: it names the first row that is not valid.
+    """
+    if not np.all(valid):
+        row = int(np.argmin(valid))
+        raise UsageError(f"{name} {values[row].tolist()}", place=f"row {row}", expected=expected)
 
 
 def as_images(value: Pixels, what: str, layout: Layout | None) -> list[AnyArray]:

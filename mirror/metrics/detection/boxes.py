@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import matrix_from_quaternion
 from mirror.metrics.detection.config import DetectionConfig
-from mirror.metrics.inputs import Numbers, as_numbers
+from mirror.metrics.inputs import Numbers, as_numbers, require_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +61,16 @@ class DetectionBoxes:
             if values.shape != (shape or (count,)):
                 raise UsageError(f"{part.name} of shape {values.shape}", expected=f"{shape or (count,)}")
             object.__setattr__(self, part.name, np.ascontiguousarray(values))
-        _require(np.isfinite(self.centre_m).all(axis=1), "centre_m", self.centre_m, "finite numbers")
+        require_rows(np.isfinite(self.centre_m).all(axis=1), "centre_m", self.centre_m, "finite numbers")
         positive = (self.lwh_m > 0.0) & np.isfinite(self.lwh_m)
-        _require(positive.all(axis=1), "lwh_m", self.lwh_m, "finite numbers above 0")
-        _require(np.isfinite(self.yaw_rad), "yaw_rad", self.yaw_rad, "a finite number")
-        _require(~np.isinf(self.velocity_mps).any(axis=1), "velocity_mps", self.velocity_mps, "finite numbers, or NaN")
-        _require((self.score >= 0.0) & np.isfinite(self.score), "score", self.score, "a finite number, not negative")
+        require_rows(positive.all(axis=1), "lwh_m", self.lwh_m, "finite numbers above 0")
+        require_rows(np.isfinite(self.yaw_rad), "yaw_rad", self.yaw_rad, "a finite number")
+        require_rows(
+            ~np.isinf(self.velocity_mps).any(axis=1), "velocity_mps", self.velocity_mps, "finite numbers, or NaN"
+        )
+        require_rows(
+            (self.score >= 0.0) & np.isfinite(self.score), "score", self.score, "a finite number, not negative"
+        )
 
     @classmethod
     def from_poses(
@@ -149,11 +153,5 @@ def category_codes(boxes: DetectionBoxes, config: DetectionConfig) -> AnyArray:
     codes = np.full(len(boxes), -1, dtype=np.int64)
     for code, name in enumerate(config.class_range):
         codes[boxes.category == name] = code
-    _require(codes >= 0, "category", boxes.category, " | ".join(config.class_range))
+    require_rows(codes >= 0, "category", boxes.category, " | ".join(config.class_range))
     return codes
-
-
-def _require(valid: Bool | np.bool_, name: str, values: AnyArray, expected: str) -> None:
-    if not np.all(valid):
-        row = int(np.argmin(valid))
-        raise UsageError(f"{name} {values[row].tolist()}", place=f"row {row}", expected=expected)

@@ -15,6 +15,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
+from mirror.metrics.inputs import as_numbers, require_rows
 
 _RECALLS: Final = np.linspace(0.1, 1.0, 40)
 
@@ -24,16 +25,38 @@ class TrackedBoxes:
     """The N boxes of one frame.
 
     Attributes:
-        track: (N,) ids of the objects, not negative.
+        track: (N,) ids of the objects, integers, not negative, each once.
         position_m: (N, 2) on the ground plane.
         velocity_mps: (N, 2); NaN where unknown.
         score: (N,) the score of the box's track; truth: not used.
+
+    Raises:
+        UsageError: shapes do not fit, or a number is not what stands above; its row is named.
     """
 
     track: Int64
     position_m: Float64
     velocity_mps: Float64
     score: Float64
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.track))
+        shapes = {"track": (count,), "position_m": (count, 2), "velocity_mps": (count, 2), "score": (count,)}
+        for name, shape in shapes.items():
+            values = as_numbers(getattr(self, name), name, None if name == "track" else np.float64)
+            if values.shape != shape:
+                raise UsageError(f"{name} of shape {values.shape}", expected=str(shape))
+            object.__setattr__(self, name, values)
+        if count and self.track.dtype.kind not in "iu":
+            raise UsageError(f"track of type {self.track.dtype}", expected="integers")
+        require_rows(self.track >= 0, "track", self.track, "an id that is not negative")
+        first = np.zeros(count, np.bool_)
+        first[np.unique(self.track, return_index=True)[1]] = True
+        require_rows(first, "track", self.track, "each id once in a frame")
+        require_rows(np.isfinite(self.position_m).all(axis=1), "position_m", self.position_m, "finite numbers")
+        known = ~np.isinf(self.velocity_mps).any(axis=1)
+        require_rows(known, "velocity_mps", self.velocity_mps, "finite numbers, or NaN")
+        require_rows(np.isfinite(self.score), "score", self.score, "a finite number")
 
 
 @dataclass(frozen=True)

@@ -121,3 +121,30 @@ def test_a_single_frame() -> None:
 def test_frames_must_correspond() -> None:
     with pytest.raises(UsageError, match="different frames"):
         score_tracks([[frame(0, 0.0)]], [[]])
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"track": np.array([1, -1, 3])}, "row 1"),
+        ({"track": np.array([1, 3, 3])}, "row 2"),
+        ({"track": np.array([1.0, 2.0, 3.0])}, "track of type float64"),
+        ({"position_m": np.array([[0.0, 0.0], [1.0, 0.0], [np.nan, 0.0]])}, "row 2"),
+        ({"position_m": np.zeros((3, 3))}, r"position_m of shape \(3, 3\)"),
+        ({"velocity_mps": np.array([[np.inf, 0.0], [0.0, 0.0], [0.0, 0.0]])}, "row 0"),
+        ({"velocity_mps": np.zeros((2, 2))}, "velocity_mps of shape"),
+        ({"score": np.array([1.0, np.nan, 1.0])}, "row 1"),
+        ({"score": np.ones((3, 1))}, "score of shape"),
+    ],
+)
+def test_boxes_that_are_none_are_refused(changed: dict[str, np.ndarray], message: str) -> None:
+    given = {
+        "track": np.array([1, 2, 3]),
+        "position_m": np.zeros((3, 2)),
+        "velocity_mps": np.full((3, 2), np.nan),
+        "score": np.array([0.0, -3.0, 1.0]),
+    }
+    assert TrackedBoxes(**given).track.tolist() == [1, 2, 3]
+    with pytest.raises(UsageError, match=message) as caught:
+        TrackedBoxes(**{**given, **changed})
+    assert next(iter(changed)) in str(caught.value)

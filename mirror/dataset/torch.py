@@ -7,8 +7,10 @@ refused: it inherits locks of threads that it does not have, and may wait for th
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Final, TypedDict, Unpack
 
 import numpy as np
@@ -28,6 +30,7 @@ __all__ = ["LENS_MODELS", "FrameDataset", "IterableFrames", "Sample", "SampleOpt
 _REMEDIES: Final = {
     "index": "restore the dataset of the state, or start a new epoch with set_epoch",
     "filters": "make the view with the same where(...), or start a new epoch with set_epoch",
+    "groups": "make the dataset with the same cameras, undistort and resize, or start a new epoch with set_epoch",
 }
 
 
@@ -277,7 +280,9 @@ class IterableFrames(IterableDataset[Sample]):
             "batch_size": self._batch_size,
             "world_size": self._world_size,
             "shuffle": self._shuffle,
+            "drop_last": self._drop_last,
             "group_by_size": self._group_by_size,
+            "groups": self._groups_sha256,
             "index": self._samples.dataset.index_sha256,
             "filters": self._samples.dataset.filters.to_dict(),
         }
@@ -286,12 +291,13 @@ class IterableFrames(IterableDataset[Sample]):
         """Continue from a state of `state_dict`.
 
         Raises:
-            UsageError: the state has another seed, batch size, number of ranks, index or view, so its order differs.
+            UsageError: the state has another seed, batch size, number of ranks, index or view, or other frames share a
+                batch, so its order differs.
         """
         ours = self.state_dict()
-        # States of older versions have no group_by_size.
-        state = {"group_by_size": False, **state}
-        for name in ("seed", "batch_size", "world_size", "shuffle", "group_by_size", "index", "filters"):
+        # The oldest version had no groups; later ones had drop_last and groups, but did not state them.
+        state = {"group_by_size": False, "drop_last": self._drop_last, "groups": self._groups_sha256, **state}
+        for name in [name for name in ours if name not in ("epoch", "step")]:
             theirs = state.get(name)
             if theirs != ours[name]:
                 raise UsageError(
@@ -307,13 +313,22 @@ class IterableFrames(IterableDataset[Sample]):
         read = self._samples.unpadded if self._group_by_size else self._samples.__getitem__
         return [read(int(index)) for index in indices]
 
-    def _groups(self) -> list[Int64]:
-        """Groups of frames that may share a batch, each in ascending order."""
-        total = len(self._samples)
+    def _group_numbers(self) -> Int64:
+        """The number (F,) of the group of each of F frames; frames of one group may share a batch."""
         if not self._group_by_size:
-            return [np.arange(total)]
-        shapes, group = np.unique(self._samples.shapes(), axis=0, return_inverse=True)
-        return [np.flatnonzero(group == number) for number in range(len(shapes))]
+            return np.zeros(len(self._samples), np.int64)
+        return np.unique(self._samples.shapes(), axis=0, return_inverse=True)[1].reshape(-1)
+
+    def _groups(self) -> list[Int64]:
+        """The frames of each group, in ascending order."""
+        numbers = self._group_numbers()
+        return [np.flatnonzero(numbers == number) for number in range(numbers.max(initial=-1) + 1)]
+
+    @cached_property
+    def _groups_sha256(self) -> str | None:
+        if not self._group_by_size:
+            return None
+        return hashlib.sha256(self._group_numbers().astype("<i8").tobytes()).hexdigest()
 
     def _batches(self) -> list[Int64]:
         """The frame numbers of this rank's batches in the epoch; a batch holds frames of one group.

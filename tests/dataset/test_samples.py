@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import sys
 from pathlib import Path
@@ -307,8 +308,22 @@ def test_a_state_without_groups_is_not_one_with_them(dataset: Dataset) -> None:
     state = IterableFrames(dataset, 2).state_dict()
     with pytest.raises(UsageError, match="state has group_by_size False"):
         IterableFrames(dataset, 2, group_by_size=True).load_state_dict(state)
-    del state["group_by_size"]
+    # As older versions wrote it.
+    for name in ("group_by_size", "drop_last", "groups"):
+        del state[name]
     IterableFrames(dataset, 2).load_state_dict(state)
+    IterableFrames(dataset, 2, drop_last=True).load_state_dict(state)
+
+
+def test_a_state_is_refused_where_other_frames_share_a_batch(dataset: Dataset) -> None:
+    grouped = IterableFrames(dataset, 2, group_by_size=True)
+    state = json.loads(json.dumps(grouped.state_dict()))
+    with pytest.raises(UsageError, match="state has drop_last False, this dataset True"):
+        IterableFrames(dataset, 2, group_by_size=True, drop_last=True).load_state_dict(state)
+    # Both drives get images of one size, and so one group; half the size leaves two groups.
+    with pytest.raises(UsageError, match=r"state has groups .*same cameras, undistort and resize"):
+        IterableFrames(dataset, 2, group_by_size=True, resize=(32, 48)).load_state_dict(state)
+    IterableFrames(dataset, 2, group_by_size=True, resize=0.5).load_state_dict(state)
 
 
 def test_what_cannot_be_is_refused(dataset: Dataset, tmp_path: Path) -> None:

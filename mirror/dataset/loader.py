@@ -15,6 +15,7 @@ from mirror.dataset.layers import LayerChoice
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.store import Store
 from mirror.dataset.traversal import Traversal
+from mirror.dataset.withheld import image_remedy
 from mirror.errors import DatasetError
 from mirror.schema.documents import Rig
 
@@ -166,5 +167,5 @@ class Loader:
             file=self.store.full_path(uri),
             place=place,
             expected=expected or "a readable file",
-            remedy="restore the file, or `mirror ingest RECORDING... --replace` from the recording",
+            remedy=image_remedy(self.store, uri),
         )

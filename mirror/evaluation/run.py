@@ -14,12 +14,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import mirror
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.withheld import read_withheld
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import make_extractor
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, ScoredJob
+from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
@@ -112,7 +114,7 @@ def evaluate(
         UsageError: a required metric is unknown or unavailable; explicitly named weights have another hash; hidden
             truth or an extractor is missing or not used by the protocol; the number of workers is below 1; or `out`
             is a folder of another kind.
-        DatasetError: the truth is incomplete, or the results cannot be written.
+        DatasetError: the truth is incomplete, such as that of a published dataset, or the results cannot be written.
         UntrustedError: the submission is refused as a whole.
     """
     options, progress = options or EvaluationOptions(), progress or NullProgress()
@@ -152,6 +154,8 @@ def evaluate(
     scorer = load_scorer(protocol.task)
     has_metrics = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
     jobs = scorer.jobs(plan, inputs) if has_metrics else []
+    if options.hidden is None:
+        _require_recorded_images(dataset, jobs)
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
         jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
@@ -263,6 +267,26 @@ def _require_metrics(required: Sequence[str], protocol: Protocol, unavailable: M
         for metric in matching:
             if metric in unavailable:
                 raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
+
+
+def _require_recorded_images(dataset: Dataset, jobs: Sequence[Job]) -> None:
+    """Raise if a published dataset lacks recorded images that the jobs read."""
+    withheld = read_withheld(dataset.store)
+    if not withheld:
+        return
+    scored = {(view.traversal_id, view.camera, view.timestamp_ns) for job in jobs if job.truth for view in job.views}
+    columns = ["traversal_id", "camera", "timestamp_ns", "uri"]
+    for traversal, camera, timestamp, uri in zip(
+        *(column.to_pylist() for column in dataset.table("images", columns).columns)
+    ):
+        if uri in withheld and (traversal, camera, timestamp) in scored:
+            raise DatasetError(
+                "a published dataset: it lacks the images that the protocol scores",
+                file=dataset.root,
+                place=f"traversal {traversal}, camera {camera}",
+                expected="the complete dataset, which the organiser has",
+                remedy="send the submission to the organiser, who scores it with that (docs/benchmark.md)",
+            )
 
 
 def _hash_hidden_truth(plan: Plan, inputs: ScoringInputs) -> str:

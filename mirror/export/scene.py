@@ -16,10 +16,10 @@ from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
 from mirror.dataset.points import Points
 from mirror.dataset.raster import ImageRaster, image_raster
+from mirror.dataset.withheld import read_withheld
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
-from mirror.schema.bundle import BUNDLE, Bundle
 
 MASKED: Final = frozenset({"dynamic", "ego", "redaction"})
 """Kinds of masks whose pixels do not show the static street as it is."""
@@ -159,7 +159,7 @@ def select_scene(dataset: Dataset, scene: str | None, split: str | None, *, undi
         view = view.where(split=split)
     roles = _roles(view, split)
     rows = {row["traversal_id"]: row for row in view.table("traversals").to_pylist()}
-    withheld = _withheld(view)
+    withheld = read_withheld(view.store)
     images: list[ExportImage] = []
     sequences: dict[tuple[str, str], list[int]] = {}
     left_out = 0
@@ -213,10 +213,3 @@ def _points(view: Dataset, split: str | None) -> Points | None:
         view = view.where(split=split, role="train")
     points = view.points()
     return points if len(points) else None
-
-
-def _withheld(view: Dataset) -> frozenset[str]:
-    """Paths of the images that a published dataset does not contain."""
-    if BUNDLE not in view.store.list_files(""):
-        return frozenset()
-    return frozenset(view.store.json(BUNDLE, Bundle).withheld)

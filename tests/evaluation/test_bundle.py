@@ -16,12 +16,13 @@ import mirror
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
+from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, publish
 from mirror.progress import NullProgress
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import PUBLISHING, Bundle
-from tests.evaluation.submissions import SPLIT, small
+from tests.evaluation.submissions import SPLIT, small, write_renders
 
 BROKEN: set[str] = set()
 REQUESTED: list[str] = []
@@ -124,8 +125,15 @@ def test_fetched_dataset_asks_for_the_same_views(dataset: Dataset, url: str, tmp
     training = fetched.where(split=SPLIT, role="train")
     assert next(iter(training.frames())).images["front_wide"].decode().shape[2] == 3
     held_out = next(iter(fetched.where(split=SPLIT, role="held_out").frames()))
-    with pytest.raises(DatasetError):
+    with pytest.raises(DatasetError, match="only its organiser has this image"):
         held_out.images["front_wide"].decode()
+
+
+def test_a_participant_cannot_score(dataset: Dataset, bundle: Path, tmp_path: Path) -> None:
+    few = small(every=12)
+    write_renders(dataset, few, tmp_path / "s")
+    with pytest.raises(DatasetError, match=r"lacks the images that the protocol scores.*send the submission"):
+        evaluate(tmp_path / "s", bundle, few, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))
 
 
 def test_fetch_continues_after_failures_and_verifies_bytes(

@@ -1,0 +1,24 @@
+"""The images that a published dataset does not contain, because submissions are scored against them."""
+
+from __future__ import annotations
+
+from mirror.dataset.store import Store
+from mirror.schema.bundle import BUNDLE, Bundle
+
+
+def read_withheld(store: Store) -> frozenset[str]:
+    """Read the paths of the images that a published dataset withholds; empty: the dataset is complete.
+
+    Raises:
+        SchemaError: ``bundle.json`` is invalid.
+    """
+    if BUNDLE not in store.list_files(""):
+        return frozenset()
+    return frozenset(store.json(BUNDLE, Bundle).withheld)
+
+
+def image_remedy(store: Store, uri: str) -> str:
+    """What the user can do about an image that cannot be read."""
+    if uri in read_withheld(store):
+        return "leave the image out: the dataset is a published one, and only its organiser has this image"
+    return "restore the file, or `mirror ingest RECORDING... --replace` from the recording"

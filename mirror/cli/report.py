@@ -50,9 +50,9 @@ def main(argv: Sequence[str]) -> int:
 
     page = arguments.out
     if is_page:
-        from mirror.view.report import write_report
+        from mirror.view.report import LEDGER_HEADING, write_report
 
-        require_output_file(page)
+        require_output_file(page, writer="mirror report", mark=LEDGER_HEADING)
         write_report(mirror.open(arguments.dataset), page, arguments.title)
     else:
         from mirror.progress import progress_bar

@@ -25,6 +25,7 @@ from mirror.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mirror.ingest.propose import Proposal, SparseDrives
 
+_COMMAND = "mirror rois propose"
 _EXAMPLES = (
     "mirror rois propose demo/recordings --out rois.geojson",
     "mirror rois propose demo/recordings --radius-m 100 --min-traversals 4 --json",
@@ -38,7 +39,7 @@ class Propose:
     recordings: Annotated[tyro.conf.Positional[tuple[Path, ...]], help_text(default="none", metavar="RECORDING...")]
     """One path per drive, or a folder of recordings."""
     out: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
-    """GeoJSON file for the proposals; `mirror ingest --rois` reads it."""
+    """GeoJSON file for the proposals; `mirror ingest --rois` reads it. An earlier file of proposals is replaced."""
     count: int = 10
     """Largest number of proposals."""
     radius_m: float = 200.0
@@ -70,7 +71,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _propose(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Propose, argv, "mirror rois propose", examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
+    arguments = parse_arguments(Propose, argv, _COMMAND, examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
 
@@ -82,7 +83,7 @@ def _propose(argv: Sequence[str]) -> int:
     from mirror.schema.folders import require_output_file
 
     if arguments.out is not None:
-        require_output_file(arguments.out)
+        require_output_file(arguments.out, writer=_COMMAND, mark=f'"generator": "{_COMMAND}"')
     recordings = find_recordings(arguments.recordings, arguments.reader)
     options = IngestOptions(
         reader=arguments.reader,
@@ -102,7 +103,7 @@ def _propose(argv: Sequence[str]) -> int:
         )
     ranked = [proposal for proposal in proposals.ranked if proposal.traversals >= arguments.min_traversals]
     if arguments.out is not None and ranked:
-        write_rois(arguments.out, [proposal.roi for proposal in ranked])
+        write_rois(arguments.out, [proposal.roi for proposal in ranked], _COMMAND)
     if arguments.json:
         plain = [{**vars(proposal), "roi": proposal.roi.model_dump(exclude_none=True)} for proposal in ranked]
         failures = [{"recording": str(path), **error.to_dict()} for path, error in proposals.failures]

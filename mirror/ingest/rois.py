@@ -91,8 +91,14 @@ def parse_roi(text: str) -> Roi:
         ) from error
 
 
-def write_rois(path: Path, rois: Iterable[Roi]) -> None:
-    """Write ``rois.geojson``, sorted by id, atomically."""
+def write_rois(path: Path, rois: Iterable[Roi], generator: str | None = None) -> None:
+    """Write ``rois.geojson``, sorted by id, atomically.
+
+    Args:
+        path: the file.
+        rois: the regions.
+        generator: command that the file names as its writer; None: it names none.
+    """
     features = []
     for roi in sorted(rois, key=lambda roi: roi.scene_id):
         geometry = None
@@ -101,7 +107,8 @@ def write_rois(path: Path, rois: Iterable[Roi]) -> None:
         features.append(
             {"type": "Feature", "geometry": geometry, "properties": roi.model_dump(mode="json", exclude_none=True)}
         )
-    document = {"type": "FeatureCollection", "features": features}
+    named = {} if generator is None else {"generator": generator}
+    document = {"type": "FeatureCollection", **named, "features": features}
     write_bytes(path, (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode())
 
 

@@ -143,15 +143,29 @@ def require_output_folder(out: Path, *kinds: FolderKind, place: str = "--out") -
     )
 
 
-def require_output_file(out: Path, *, place: str = "--out") -> None:
-    """Refuse an output file inside a sealed folder, or in place of a folder.
+def require_output_file(out: Path, *, place: str = "--out", writer: str | None = None, mark: str = "") -> None:
+    """Refuse an output file inside a sealed folder, in place of a folder, or in place of a file of another origin.
+
+    Args:
+        out: the file that a verb will write.
+        place: the option that names the file, for messages.
+        writer: the command that may replace its own files only; None: any file is replaced.
+        mark: text that every file of `writer` has.
 
     Raises:
-        UsageError: it is a folder, or lies inside a sealed folder.
+        UsageError: it is a folder, lies inside a sealed folder, or is a file that `writer` did not write.
     """
     _refuse_inside(out, place)
     if out.is_dir():
         raise UsageError("a folder, not a file", file=out, place=place, expected="the name of a file")
+    if writer is not None and out.is_file() and mark.encode() not in out.read_bytes():
+        raise UsageError(
+            f"there is a file that `{writer}` did not write: it is not replaced",
+            file=out,
+            place=place,
+            expected=f"a new file, or one that `{writer}` wrote",
+            remedy="name another file",
+        )
 
 
 def _refuse_inside(out: Path, place: str) -> None:

@@ -34,6 +34,9 @@ from mirror.view.images import (
 from mirror.view.svg import Line, bars, scene_map, stacked_bars
 from mirror.view.tables import ledger, split_table, traversal_table
 
+LEDGER_HEADING: Final = "<h2>The ledger of refused passes</h2>"
+"""By this heading a report is recognised, which may be replaced by a later one."""
+
 _LARGE_PX: Final = 640
 _SMALL_PX: Final = 360
 _MAP_POINTS: Final = 400
@@ -69,7 +72,7 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
         *_format_splits(dataset, traversals),
         "<h2>Traversals</h2>",
         traversal_table(traversals),
-        "<h2>The ledger of refused passes</h2>",
+        LEDGER_HEADING,
         *ledger(passes),
         *_format_rigs(dataset, traversals),
         f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)}.</footer>",

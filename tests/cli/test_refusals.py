@@ -69,6 +69,17 @@ def test_a_report_makes_no_folders(fleet: Path, capsys: pytest.CaptureFixture[st
     assert "a folder, not a file" in refused(fleet, capsys, "report {fleet}/dataset --out {fleet}/page.html")
 
 
+def test_a_report_replaces_a_report_only(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    notes = fleet / "notes.html"
+    notes.write_text("<p>The ledger of refused passes")
+    words = "report {fleet}/dataset --out {fleet}/"
+    assert "`mirror report` did not write" in refused(fleet, capsys, f"{words}notes.html")
+    assert notes.read_text() == "<p>The ledger of refused passes"
+    for title in ("first", "second"):
+        assert main([*f"{words}r.html".format(fleet=fleet).split(), "--title", title]) == 0
+    assert "second" in (fleet / "r.html").read_text()
+
+
 def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rois", "propose", f"{fleet}/none"]) == 2
     said = capsys.readouterr()

@@ -10,6 +10,7 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.ingest.propose import propose_rois
+from mirror.ingest.rois import read_rois, write_rois
 from tests.ingest.recordings import LAT, LON, SCENE, START_NS, street, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
@@ -142,6 +143,17 @@ def test_proposals_are_not_written_into_what_is_something_else(fleet: Path, caps
     assert main(["rois", "propose", str(fleet), "--out", str(drive / "rois.geojson")]) == 2
     assert "which is a recording" in capsys.readouterr().err
     assert tree(drive) == before
+    words = ["rois", "propose", str(fleet / "pass_0.csv"), "--min-traversals", "1", "--out"]
+    own = fleet.parent / "own.geojson"
+    write_rois(own, [SCENE])
+    own_bytes = own.read_bytes()
+    assert main([*words, str(own)]) == 2
+    assert "`mirror rois propose` did not write" in capsys.readouterr().err
+    assert own.read_bytes() == own_bytes
+    # Earlier proposals are replaced, and read as regions.
+    for count in ("1", "2"):
+        assert main([*words, str(fleet.parent / "proposed.geojson"), "--count", count]) == 0
+    assert read_rois(fleet.parent / "proposed.geojson")
 
 
 def test_a_place_passed_again_after_more_than_a_minute_comes_before_places_passed_once(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.dataset.layers import LayerChoice
-from mirror.dataset.query.arrow import floats_or_nan, is_member, to_arrow_mask, to_numpy
+from mirror.dataset.query.arrow import floats_or_nan, is_member, is_valid, to_arrow_mask, to_arrow_rows, to_numpy
 from mirror.dataset.query.catalog import Catalog
+from mirror.dataset.row_index import RowIndex
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.geometry.interpolation import interpolate
@@ -202,10 +203,15 @@ class Traversal:
         group = self._group("images")
         if group is None:
             return []
-        (index,) = self._catalog.columns.read(*group, ["frame_index"])
-        rows = np.flatnonzero(floats_or_nan(index) == frame_index)
+        rows = self._frame_rows.rows(frame_index).tolist()
         arrays = self._catalog.columns.read(*group, _IMAGE)
-        return [{name: array[row].as_py() for name, array in zip(_IMAGE, arrays)} for row in rows.tolist()]
+        return [{name: array[row].as_py() for name, array in zip(_IMAGE, arrays)} for row in rows]
+
+    @cached_property
+    def _frame_rows(self) -> RowIndex:
+        (index,) = self._read_group("images", ["frame_index"])
+        # Images without a frame have no number; numbers are not negative.
+        return RowIndex(np.where(is_valid(index), to_numpy(index), -1))
 
     def mask_rows(self, camera: str, timestamp_ns: int) -> Sequence[Mapping[str, Any]]:
         """Rows of the masks of one image."""
@@ -214,8 +220,14 @@ class Traversal:
             return []
         names = MASKS.schema.names
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
-        hit = (to_numpy(arrays["timestamp_ns"]) == timestamp_ns) & is_member(arrays["camera"], frozenset([camera]))
-        return [{name: arrays[name][row].as_py() for name in names} for row in np.flatnonzero(hit).tolist()]
+        rows = self._mask_times.rows(timestamp_ns).tolist()
+        of_image = [row for row in rows if arrays["camera"][row].as_py() == camera]
+        return [{name: arrays[name][row].as_py() for name in names} for row in of_image]
+
+    @cached_property
+    def _mask_times(self) -> RowIndex:
+        (stamps,) = self._read_group("masks", ["timestamp_ns"])
+        return RowIndex(to_numpy(stamps))
 
     def depth_row(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
         """Row of an image's depth map in the chosen layer; None: the image has none.
@@ -256,14 +268,11 @@ class Traversal:
             UsageError: the traversal has several box layers and none was chosen.
             DatasetError: the traversal does not have the chosen layer.
         """
-        stamps, table = self._boxes
-        instants = np.unique(stamps)
-        if len(instants):
-            nearest = instants[np.argmin(np.abs(instants - timestamp_ns))]
-            period = float(np.median(np.diff(instants))) if len(instants) > 1 else 0.0
-            if 2 * abs(int(nearest) - timestamp_ns) <= period:
-                return _frame_boxes(table, np.flatnonzero(stamps == nearest), int(nearest))
-        return _frame_boxes(table, np.empty(0, np.int64), timestamp_ns)
+        times, table = self._boxes
+        nearest = times.nearest(timestamp_ns)
+        if nearest is None or 2 * abs(nearest - timestamp_ns) > times.step:
+            return _frame_boxes(table, np.empty(0, np.int64), timestamp_ns)
+        return _frame_boxes(table, times.rows(nearest), nearest)
 
     @cached_property
     def track_ids(self) -> tuple[str, ...]:
@@ -277,27 +286,30 @@ class Traversal:
         return tuple(sorted(set(table["track_id"].to_pylist()))) if table else ()
 
     @cached_property
-    def _boxes(self) -> tuple[Int64, Mapping[str, pa.Array]]:
+    def _boxes(self) -> tuple[RowIndex, Mapping[str, pa.Array]]:
         names = BOXES.schema.names
         self._require_listed("boxes", self._layers.boxes)
         group = self._group("boxes")
         if group is None:
-            return np.empty(0, np.int64), {}
+            return RowIndex(np.empty(0, np.int64)), {}
         arrays = dict(zip(names, self._catalog.columns.read(*group, names)))
         in_layer = self._of_layer("boxes", arrays, self._layers.boxes)
-        return to_numpy(arrays["timestamp_ns"])[in_layer], {
-            name: array.filter(to_arrow_mask(in_layer)) for name, array in arrays.items()
-        }
+        table = {name: array.filter(to_arrow_mask(in_layer)) for name, array in arrays.items()}
+        return RowIndex(to_numpy(table["timestamp_ns"])), table
 
     def _group(self, name: str) -> tuple[str, int] | None:
         """File and position of this traversal's row group in an index table; None: it has no rows."""
         return self._catalog.group_of(name, self.row)
 
+    def _read_group(self, name: str, columns: Sequence[str]) -> list[pa.Array]:
+        """Read columns of this traversal's rows in an index table; empty ones where it has no rows."""
+        group = self._group(name)
+        return self._catalog.columns.read(*group, columns) if group else [pa.nulls(0) for _ in columns]
+
     def _table(self, kind: str, layer: str, name: str, columns: Sequence[str]) -> list[pa.Array]:
         """Read columns of a recorded table, or of the same table in a layer."""
         if layer == "recorded":
-            group = self._group(name)
-            return self._catalog.columns.read(*group, columns) if group else [pa.nulls(0) for _ in columns]
+            return self._read_group(name, columns)
         self._require_listed(kind, layer)
         path = f"traversals/{self.traversal_id}/layers/{kind}/{layer}/{name}.parquet"
         return self._catalog.columns.read(path, 0, columns)
@@ -352,10 +364,13 @@ def missing_layer_error(kind: str, layer: str, where: str) -> DatasetError:
 
 
 def _frame_boxes(table: Mapping[str, pa.Array], rows: Int64, timestamp_ns: int) -> FrameBoxes:
+    # Not the column's conversion: with nulls, that works on all rows of the traversal.
+    taken = to_arrow_rows(rows)
+
     def floats(*names: str) -> Float64:
         if not len(rows):
             return np.empty((0, len(names)))
-        return np.stack([floats_or_nan(table[name])[rows] for name in names], axis=1)
+        return np.stack([floats_or_nan(table[name].take(taken)) for name in names], axis=1)
 
     def strings(name: str) -> tuple[str, ...]:
         return tuple(table[name][row].as_py() for row in rows.tolist())

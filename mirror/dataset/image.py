@@ -118,14 +118,14 @@ class Image:
         """
         data = self._loader.read(self.uri, self.byte_offset, self.byte_length, self._place)
         if verify and self.sha256 is not None and hashlib.sha256(data).digest() != self.sha256:
-            raise self._broken("the bytes differ from the recorded ones", f"SHA-256 {self.sha256.hex()}")
+            raise self._altered(self.sha256)
         return data
 
     def decode(self, *, verify: bool = False) -> UInt8:
         """Decode the pixels (height, width, 3), uint8, RGB.
 
         Args:
-            verify: compare the bytes with ``sha256`` first.
+            verify: compare the bytes with ``sha256`` first; those of a video once for all frames of the sequence.
 
         Raises:
             DatasetError: the image is missing or broken, or its size is not the one in its row; the error names file,
@@ -141,8 +141,10 @@ class Image:
         if self.video_pts is None:
             pixels = decode_rgb(self.read(verify=verify), self.codec)
         else:
-            if verify:
-                self.read(verify=True)
+            if verify and self.sha256 is not None:
+                source = self.uri, self.byte_offset, self.byte_length, self.sha256
+                if not self._loader.has_intact_video(*source, self._place):
+                    raise self._altered(self.sha256)
             pixels = self._loader.video_frame(self.uri, self.video_pts, self._place)
         if pixels is None:
             raise self._broken("the image cannot be decoded", f"a complete {self.codec}")
@@ -213,6 +215,9 @@ class Image:
     @property
     def _place(self) -> str:
         return f"camera {self.camera}, timestamp_ns {self.timestamp_ns}"
+
+    def _altered(self, sha256: bytes) -> DatasetError:
+        return self._broken("the bytes differ from the recorded ones", f"SHA-256 {sha256.hex()}")
 
     def _broken(self, problem: str, expected: str) -> DatasetError:
         return DatasetError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Collection
@@ -42,6 +43,7 @@ class Loader:
         self._traversals: OrderedDict[int, Traversal] = OrderedDict()
         self._rigs: dict[str, Rig] = {}
         self._static_masks: dict[tuple[str, str], UInt8 | None] = {}
+        self._intact_videos: set[tuple[str, int, int, bytes]] = set()
         self._lock = threading.Lock()
 
     @cached_property
@@ -137,6 +139,19 @@ class Loader:
         if len(data) != length:
             raise self._unreadable(uri, place, f"ends after {offset + len(data)} bytes", f"{offset + length} bytes")
         return data
+
+    def has_intact_video(self, uri: str, offset: int, length: int, sha256: bytes, place: str) -> bool:
+        """Whether a video has the recorded hash. An intact video is read once, not for each of its frames.
+
+        Raises:
+            DatasetError: the file is missing or too short.
+        """
+        key = (uri, offset, length, sha256)
+        if key not in self._intact_videos:
+            if hashlib.sha256(self.read(uri, offset, length, place)).digest() != sha256:
+                return False
+            self._intact_videos.add(key)
+        return True
 
     def video_frame(self, uri: str, pts: int, place: str) -> UInt8 | None:
         """Decode a frame of a video to pixels (H, W, 3); None: the video has no such frame, or is broken.

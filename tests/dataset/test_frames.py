@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -15,6 +17,7 @@ from mirror.dataset import Dataset
 from mirror.dataset.frames import FrameSequence
 from mirror.dataset.images.decoding import run_jobs
 from mirror.dataset.index import build_index
+from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import read_json, read_table, sha256_bytes, write_json, write_table
@@ -329,14 +332,9 @@ def test_a_uri_that_leads_out_is_refused(tmp_path: Path) -> None:
         mirror.open(builder.root).frames()[0].decode()
 
 
-def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
-    builder = Builder(tmp_path, cameras=("front_wide",), size=(64, 48))
-    builder.scene("a")
-    (traversal,) = builder.drive("d", [Pass("a", frames=30)])
-    folder = builder.layout.recorded(traversal)
-    # Uneven stamps, a key frame every 12 frames, frames that differ in their grey value.
-    stamps = np.cumsum(np.random.default_rng(0).integers(2, 9, 30)) * 100
-    with av.open(str(folder / "front_wide.mp4"), "w") as container:
+def write_video(path: Path, stamps: np.ndarray) -> None:
+    """A video of 64 x 48 px with a key frame every 12 frames; the grey value of each frame is 8 times its number."""
+    with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"g": "12", "bf": "2", "crf": "10"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         stream.codec_context.time_base = stream.time_base = Fraction(1, 15360)
@@ -345,6 +343,16 @@ def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
             frame.pts, frame.time_base = pts, stream.time_base
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
+
+
+def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
+    builder = Builder(tmp_path, cameras=("front_wide",), size=(64, 48))
+    builder.scene("a")
+    (traversal,) = builder.drive("d", [Pass("a", frames=30)])
+    folder = builder.layout.recorded(traversal)
+    # Uneven stamps.
+    stamps = np.cumsum(np.random.default_rng(0).integers(2, 9, 30)) * 100
+    write_video(folder / "front_wide.mp4", stamps)
     video = folder / "front_wide.mp4"
     uri = str(video.relative_to(tmp_path))
     rows = read_table(folder / "images.parquet", IMAGES).to_pylist()
@@ -366,6 +374,42 @@ def test_images_in_a_video_are_found_by_their_stamp(tmp_path: Path) -> None:
     video.unlink()
     with pytest.raises(DatasetError, match="cannot be opened"):
         mirror.open(tmp_path).frames()[0].images["front_wide"].decode()
+
+
+def test_a_video_is_verified_once_for_all_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    builder = Builder(tmp_path, cameras=("front_wide",), size=(64, 48))
+    builder.scene("a")
+    (traversal,) = builder.drive("d", [Pass("a", frames=4)])
+    folder = builder.layout.recorded(traversal)
+    video = folder / "front_wide.mp4"
+    write_video(video, np.arange(4) * 512)
+    data = video.read_bytes()
+    rows = read_table(folder / "images.parquet", IMAGES).to_pylist()
+    for number, row in enumerate(rows):
+        row.update(uri=str(video.relative_to(tmp_path)), codec="video", video_pts=512 * number, byte_length=len(data))
+        row.update(byte_offset=0, sha256=hashlib.sha256(data).digest())
+    builder.layer(traversal, "redaction", "moved@1", IMAGES, rows)
+    build_index(tmp_path)
+    read_bytes: list[int] = []
+
+    def read_range(store: Store, uri: str, offset: int, length: int, read: Any = Store.read_range) -> bytes:
+        read_bytes.append(length)
+        return read(store, uri, offset, length)
+
+    monkeypatch.setattr(Store, "read_range", read_range)
+    images = [frame.images["front_wide"] for frame in mirror.open(tmp_path).frames()]
+    for number, image in enumerate(images):
+        assert abs(float(image.decode(verify=True).mean()) - 8.0 * number) < 2.5
+    assert read_bytes == [len(data)]
+    assert images[1].read(verify=True) == data
+    # The last byte, which no frame needs.
+    video.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    for image in [frame.images["front_wide"] for frame in mirror.open(tmp_path).frames()][:2]:
+        image.decode()
+        with pytest.raises(DatasetError, match=r"front_wide\.mp4.*differ"):
+            image.decode(verify=True)
+    with pytest.raises(DatasetError, match="differ"):
+        images[1].read(verify=True)
 
 
 def test_jobs_run_dearest_first_and_hand_on_their_error() -> None:

@@ -17,9 +17,9 @@ from hybridworldsim.generation.model_files import read_generator, write_autoenco
 from hybridworldsim.generation.training.distillation import DistillationSettings
 from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-from hybridworldsim.generation.training.processes import Processes
+from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.builders import make_network
 from tests.generation.clips import write_clips
@@ -100,3 +100,21 @@ def test_the_others_hear_that_the_leading_process_stopped(monkeypatch: pytest.Mo
     monkeypatch.setattr(Processes, "any", lambda *_: True)
     with pytest.raises(DatasetError, match="the leading process stopped"), Processes(1, 2).leader_first():
         pytest.fail("the block must not run")
+
+
+def test_each_process_has_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine of the tests has no GPU: what torch says of it is replaced, and no group is made."""
+    chosen: list[int] = []
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "set_device", chosen.append)
+    monkeypatch.setattr(torch.distributed, "init_process_group", lambda *_, **__: None)
+    monkeypatch.setattr(torch.distributed, "destroy_process_group", lambda: None)
+    for rank, device in (("0", "cuda:0"), ("1", "cuda:1")):
+        for name, value in (("WORLD_SIZE", "3"), ("RANK", rank), ("LOCAL_RANK", rank)):
+            monkeypatch.setenv(name, value)
+        with join_processes("cuda") as processes:
+            assert processes == Processes(int(rank), 3, device)
+    assert chosen == [0, 1]
+    monkeypatch.setenv("LOCAL_RANK", "2")
+    with pytest.raises(UsageError, match="process 2 on a machine with 2 GPUs"), join_processes("cuda"):
+        pass

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
+from scipy.spatial.transform import Rotation
 
 from hybridworldsim.generation.autoencoder.codec import to_tensor
 from hybridworldsim.generation.autoencoder.of_diffusers import load_autoencoder
@@ -135,6 +136,10 @@ def test_a_generated_frame_is_that_of_the_plain_reference(checkpoint: Path) -> N
     np.testing.assert_allclose(ours, latents, atol=2e-4 * np.abs(latents).max())
 
 
+AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Axes of a camera that looks along the vehicle."""
+
+
 def test_views_attend_to_their_neighbours_as_in_the_released_training() -> None:
     clip = make_clip()
     names = ("front_left", "front", "front_right", "back_right", "back", "back_left")
@@ -149,6 +154,16 @@ def test_views_attend_to_their_neighbours_as_in_the_released_training() -> None:
     adjacent = frame_conditions(rig, 0, config, None, ring=True).adjacent
     assert adjacent is not None
     assert ["".join(str(int(one)) for one in row) for row in adjacent[0].tolist()] == released
+    # Neighbours are those of the round, in whatever order the views come: a protocol has the names sorted.
+    turned = np.stack([rig.ego_SE3_camera[0]] * 6)
+    azimuths = np.radians([[55.0], [0.0], [-55.0], [-110.0], [180.0], [110.0]])
+    turned[:, :3, :3] = Rotation.from_euler("z", azimuths).as_matrix() @ AHEAD
+    for order in (list(range(6)), np.argsort(names).tolist()):
+        shuffled = replace(rig, views=tuple(names[row] for row in order), ego_SE3_camera=turned[order])
+        found = frame_conditions(shuffled, 0, config, None, ring=True).adjacent
+        assert found is not None
+        wanted = np.array([[one == "1" for one in row] for row in released])[np.ix_(order, order)]
+        np.testing.assert_array_equal(found[0].numpy(), wanted)
     pair = frame_conditions(clip, 0, config, None, ring=True).adjacent
     assert pair is not None and bool(pair.all())
     assert frame_conditions(clip, 0, config, None).adjacent is None

@@ -14,7 +14,7 @@ from hybridworldsim.generation.inference.windows import join_conditions, seed_fr
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.sampler import draw_noise
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 from tests.generation.builders import make_conditions, make_network
 from tests.generation.rollout_inputs import AS_CHANNELS, AS_FRAMES, T, seeds, single_frames
 
@@ -232,3 +232,31 @@ def test_some_frames_without_background_are_refused() -> None:
     frames = single_frames(2)
     with pytest.raises(UsageError, match="no background"):
         join_conditions(AS_FRAMES, [replace(frames[0], background=None), frames[1]])
+
+
+def test_frames_without_a_generated_view_cost_no_adapter() -> None:
+    """Features are computed when a window needs them: of the frames that it shows, each once."""
+    network, frames = make_network(AS_FRAMES), single_frames(T + 6)
+    encoded: list[int] = []
+    encode = network.encode_layout
+    network.encode_layout = lambda conditions: encoded.append(id(conditions)) or encode(conditions)  # type: ignore[method-assign, assignment, func-returns-value]
+    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
+    kept = torch.zeros((1, 1, 2, 4, 4, 6), dtype=torch.float64)
+    for conditions in frames[T : T + 4]:
+        rollout.step(conditions, active=[], kept=kept)
+    assert encoded == []
+    rollout.step(frames[T + 4])
+    assert encoded == [id(one) for one in frames[4 : T + 5]]
+    rollout.step(frames[T + 5])
+    assert encoded[T + 1 :] == [id(frames[T + 5])]
+
+
+def test_numbers_that_are_not_finite_do_not_become_black_frames() -> None:
+    network = make_network(AS_CHANNELS)
+    with torch.no_grad():
+        network.proj_out.bias[0] = torch.nan
+    frames = single_frames(T + 1)
+    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=1), first=17)
+    with pytest.raises(DatasetError, match="not finite") as caught:
+        rollout.step(frames[T])
+    assert caught.value.place == "frame 17"

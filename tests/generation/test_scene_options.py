@@ -117,6 +117,12 @@ def test_files_in_the_raster_of_a_protocol_are_scaled_to_that_of_the_generator(
     assert cv2.imwrite(str(file), np.tile(ramp[None, :, None], (view.height_px, 1, 3)))
     background, _ = open_background(f"files:{tmp_path}", tiny_dataset, "nearest", [view])
     np.testing.assert_array_equal(background(view)[0, :, 0], ramp)
+    # What is generated again after an interruption depends on the files, not on the name of their folder.
+    _, before = open_background(f"files:{tmp_path}", tiny_dataset, "nearest", [view])
+    assert cv2.imwrite(str(file), np.tile(ramp[None, ::-1, None], (view.height_px, 1, 3)))
+    _, after = open_background(f"files:{tmp_path}", tiny_dataset, "nearest", [view])
+    assert before != after
+    assert cv2.imwrite(str(file), np.tile(ramp[None, :, None], (view.height_px, 1, 3)))
     small = background(view.model_copy(update={"width_px": view.width_px // 2, "height_px": view.height_px // 2}))
     assert small.shape == (view.height_px // 2, view.width_px // 2, 3)
     np.testing.assert_allclose(small[0, :, 0], ramp.reshape(-1, 2).mean(axis=1), atol=1.0)

@@ -17,9 +17,12 @@ from safetensors.torch import save_file
 
 import mirror
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
+from hybridworldsim.generation.clips.map_lines import MapLine
 from hybridworldsim.generation.command import main
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, views_with_boxes
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
+from hybridworldsim.generation.layout.boxes import OWN_STYLE
+from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.model_files import read_generator
 from hybridworldsim.generation.scenes import planned_views
 from hybridworldsim.generation.scenes import run as run_module
@@ -47,6 +50,7 @@ from mirror.protocols.views.view import Edit, RenderView, to_pose
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES, CALIBRATIONS
 from tests.generation.builders import make_network
+from tests.generation.clips import make_clip
 from tests.generation.trained import CODEC, NETWORK, T
 
 SIZE = (16, 24)
@@ -148,7 +152,8 @@ def test_edits_move_remove_and_add(tiny_dataset: Dataset, traversal: str) -> Non
     start = plan.frames[0].world_SE3_ego
 
     def edited(text: str):
-        return apply_edits(clip, [parse_edit(text, plan.tracks)], plan.tracks, start, 0.5).boxes
+        driven_m = np.array([[500.0, 0.0, 9.0], [2.0, -3.0, 0.5], [-40.0, 0.0, 7.0]])
+        return apply_edits(clip, [parse_edit(text, plan.tracks)], plan.tracks, start, driven_m).boxes
 
     rows = clip.boxes.track == plan.tracks[track]
     moved = edited(f"move:{track}:dy=1.5,dx=-2")
@@ -162,6 +167,52 @@ def test_edits_move_remove_and_add(tiny_dataset: Dataset, traversal: str) -> Non
     world = start.matrix()[0] @ clip.start_SE3_ego[2] @ added.ego_SE3_box[new][2]
     np.testing.assert_allclose(world[:3, 3], [3.0, -4.0, 0.5 + 3.1 / 2], atol=1e-9)
     np.testing.assert_allclose(world[:3, 0], [0.0, 1.0, 0.0], atol=1e-9)
+
+
+def test_an_added_road_user_stays_in_place_on_a_slope() -> None:
+    """Each segment of a scene is a clip of its own: the height is that of the nearest driven place in all of them."""
+    clip = make_clip()
+    driven_m = np.array([[x, 0.0, 0.05 * x] for x in np.arange(0.0, 100.0, 2.0)])
+    edit = parse_edit("add:car:at=60,3,0", {})
+    for first in (0, 16, 32):
+        start = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), driven_m[[first]])
+        boxes = apply_edits(clip, [edit], {}, start, driven_m).boxes
+        added = boxes.at(0).ego_SE3_box[boxes.at(0).track == boxes.track.max()][0]
+        world = start.matrix()[0] @ clip.start_SE3_ego[0] @ added
+        np.testing.assert_allclose(world[:3, 3], [60.0, 3.0, 3.0 + 1.5 / 2], atol=1e-9)
+
+
+def test_a_clip_has_the_lines_of_the_map_near_its_frames(tiny_dataset: Dataset, traversal: str) -> None:
+    """Lines of the whole scene are not drawn for each view; what the frames show is the same."""
+    plan, scene = scene_of(tiny_dataset, traversal)
+    middle = plan.frames[3].world_SE3_ego.translation[0]
+    shapes = [np.array([[-40.0, 3.0, 0.0], [40.0, 3.0, 0.0]]), np.array([[0.0, 3000.0, 0.0], [9.0, 3000.0, 0.0]])]
+    near, far = (MapLine("lane", middle + points) for points in shapes)
+    images = []
+    for lines in ((near, far), (near,)):
+        clip = make_scene_clip("c", plan.frames, replace(scene, lines=lines), recorded=0)
+        assert clip.lines is not None and len(clip.lines) == 1
+        images.append(
+            draw_layout(
+                clip.boxes.at(3), clip.intrinsics, clip.ego_SE3_camera, SIZE, OWN_STYLE, lines=clip.lines,
+                ego_SE3_line=np.linalg.inv(clip.start_SE3_ego[3]),
+            )
+        )  # fmt: skip
+    assert images[0][:, -3:].any()
+    np.testing.assert_array_equal(*images)
+
+
+def test_a_wrong_edit_is_named_before_the_generator_is_read(
+    tiny_dataset: Dataset, models: Path, traversal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(GeneratorFiles, "open", lambda *_: pytest.fail("the generator is read"))
+    with pytest.raises(UsageError, match="no track 'nobody'"):
+        wrong = request(models, tiny_dataset, traversal, edits=("remove:nobody",))
+        generate_scene(tiny_dataset, wrong, tmp_path / "out")
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError) as caught:
+        generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path)
+    assert caught.value.place == "--out"
 
 
 @pytest.mark.parametrize(
@@ -199,11 +250,16 @@ def digest(folder: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.parametrize(
+    "device",
+    ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))],
+)
 def test_an_interrupted_run_continues_bit_for_bit(
-    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str
 ) -> None:
+    # The last segment is shorter than T.
     monkeypatch.setattr("hybridworldsim.generation.scenes.rollout.SEGMENT", 2)
-    wanted = request(models, tiny_dataset, traversal)
+    wanted = request(models, tiny_dataset, traversal, device=device)
     document = generate_scene(tiny_dataset, wanted, tmp_path / "whole")
     assert document.frames == 5 and document.generated_views + document.kept_views == 10
     assert len(digest(tmp_path / "whole")) == 10

@@ -13,7 +13,7 @@ import torch
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_list
-from hybridworldsim.generation.devices import exhausted_memory_named
+from hybridworldsim.generation.devices import Precision, exhausted_memory_named, repeating_exactly
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator, trained_rates, write_autoencoder
@@ -25,6 +25,7 @@ from hybridworldsim.generation.training.generator_trainer import GeneratorSettin
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
+from hybridworldsim.training.state import dump, load
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.clips import make_clip, write_clips
@@ -278,3 +279,38 @@ def test_an_autoencoder_that_does_not_fit_leaves_no_folder(clips: Path, trained:
         train_on_clips(clips, tmp_path / "run", wrong, NullProgress())
     assert (caught.value.file, caught.value.place) == (str(tmp_path / "other.safetensors"), "--autoencoder")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_checkpoint_is_restored_to_the_device_of_the_network() -> None:
+    """A checkpoint is read to the processor; the network and Adam's moments stay where they were."""
+    layer = torch.nn.Linear(2, 3)
+    optimizer = torch.optim.AdamW(layer.parameters(), fused=True)
+    layer(torch.ones(1, 2)).sum().backward()
+    optimizer.step()
+    state = {name: tensor.clone() for name, tensor in dump(layer, optimizer).items()}
+    for fused in (True, False):
+        elsewhere = torch.nn.Linear(2, 3, device="meta")
+        other = torch.optim.AdamW(elsewhere.parameters(), fused=fused)
+        load(elsewhere, state, other)
+        assert {one.device.type for one in elsewhere.parameters()} == {"meta"}
+        for moments in other.state.values():
+            devices = {name: tensor.device.type for name, tensor in moments.items()}
+            assert devices == {"step": "meta" if fused else "cpu", "exp_avg": "meta", "exp_avg_sq": "meta"}
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("precision", ["float32", "bf16"])
+def test_an_interrupted_training_on_a_gpu_gives_the_same_numbers(precision: Precision) -> None:
+    with repeating_exactly("cuda"):
+        windows = ClipWindows([make_clip()], TinyAutoencoder(CODEC), NETWORK, OWN_STYLE, T)
+        settings = GeneratorSettings(NETWORK, T, batch=2, precision=precision, recompute=True, self_rollout=0.5)
+        whole, first, second = (GeneratorTrainer(settings, windows, 6, device="cuda") for _ in range(3))
+        for number in range(6):
+            whole.step(number)
+        for number in range(3):
+            first.step(number)
+        second.restore({name: tensor.cpu().clone() for name, tensor in first.state().items()})
+        for number in range(3, 6):
+            second.step(number)
+    found = second.state()
+    assert all(torch.equal(tensor, found[name]) for name, tensor in whole.state().items())

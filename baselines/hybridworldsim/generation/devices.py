@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Final, Literal, TypeAlias
@@ -35,6 +37,34 @@ def require_device(device: str) -> None:
 def computing_in(precision: Precision, device: torch.device | str) -> AbstractContextManager[object]:
     """The context in which a network computes in a precision on a device."""
     return nullcontext() if precision == "float32" else torch.autocast(torch.device(device).type, torch.bfloat16)
+
+
+@contextmanager
+def repeating_exactly(device: str) -> Iterator[None]:
+    """Within this block, a CUDA device gives the same bits for the same computation, as the processor always does.
+
+    Args:
+        device: where the networks are.
+    """
+    if torch.device(device).type != "cuda":
+        yield
+        return
+    # cuBLAS reads it when it is first used; with other workspaces its sums have no fixed order.
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+    # With warnings only, torch leaves attention without a fixed order of its sums.
+    torch.use_deterministic_algorithms(True)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
+
+
+def device_name(device: str) -> str:
+    """The name of a device's processor."""
+    if torch.device(device).type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"{platform.machine()} CPU"
 
 
 def require_counts(**counts: int) -> None:

@@ -109,6 +109,15 @@ def require_guidance(path: Path, scale: float) -> None:
         )
 
 
+def read_references(path: Path) -> int:
+    """The number T of a generator's reference frames; its tensors are not read.
+
+    Raises:
+        DatasetError: the file is missing, broken, or no generator.
+    """
+    return int(_read_document(path, _GENERATOR)["references"])
+
+
 def trained_rates(path: Path) -> tuple[float, float] | None:
     """The lowest and highest rate of a generator's training clips, frames per second; None: its file states none.
 
@@ -198,6 +207,11 @@ def _unreadable(path: Path, kind: str, error: Exception) -> DatasetError:
 
 
 def _load(path: Path, model: nn.Module, state: Mapping[str, torch.Tensor]) -> None:
+    broken = [name for name, tensor in state.items() if not bool(tensor.isfinite().all())]
+    if broken:
+        raise DatasetError(
+            f"numbers in {broken[0]} that are not finite", file=path, expected="finite parameters", remedy=_REMEDY
+        )
     try:
         model.load_state_dict(state, strict=True, assign=True)
     except RuntimeError as error:

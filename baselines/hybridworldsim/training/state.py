@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
@@ -43,11 +44,18 @@ def load(module: nn.Module, state: Mapping[str, Tensor], optimizer: Optimizer | 
         key = f"model.{name}"
         if key not in state:
             raise DatasetError(f"no {key} in the checkpoint", expected="a checkpoint of the same method and settings")
-        parameter.data = state[key].to(parameter.dtype).clone()
+        parameter.data = state[key].to(parameter.device, parameter.dtype).clone()
         if optimizer is None:
             continue
-        moments = {m: state[f"adam.{name}.{m}"].clone() for m in _MOMENTS if f"adam.{name}.{m}" in state}
+        found = {moment: state[key] for moment in _MOMENTS if (key := f"adam.{name}.{moment}") in state}
+        moments = {moment: one.to(_place(moment, parameter, optimizer)).clone() for moment, one in found.items()}
         if moments:
             optimizer.state[parameter] = moments
         else:
             optimizer.state.pop(parameter, None)
+
+
+def _place(moment: str, parameter: Tensor, optimizer: Optimizer) -> torch.device:
+    """The device of a moment: Adam counts its steps on the processor, unless it is fused or capturable."""
+    on_device = moment != "step" or optimizer.defaults.get("fused") or optimizer.defaults.get("capturable")
+    return parameter.device if on_device else torch.device("cpu")

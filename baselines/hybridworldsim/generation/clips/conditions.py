@@ -14,7 +14,7 @@ from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.text import Captions, TextEmbedding, embed_views, require_equal_lengths
-from mirror.arrays import Float32
+from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
 
 
@@ -58,7 +58,7 @@ def frame_conditions(
         None if config.layout is None or layout is None else torch.from_numpy(layout)[None, None],
         None if config.background is None else background[None, None],
         torch.from_numpy(clip.present[frame])[None, None],
-        _ring(views)[None] if ring else None,
+        _ring(clip.ego_SE3_camera)[None] if ring else None,
     )
 
 
@@ -77,9 +77,15 @@ def stack_conditions(windows: Sequence[Conditions]) -> Conditions:
     return replace(windows[0], **stacked)
 
 
-def _ring(views: int) -> Tensor:
-    """Whether a view attends to another (V, V): to itself, the one before it and the one behind it."""
-    step = (torch.arange(views)[:, None] - torch.arange(views)) % views
+def _ring(ego_SE3_camera: Float64) -> Tensor:
+    """Whether a view attends to another (V, V): to itself, the one before it and the one behind it in the round.
+
+    The round goes by the azimuths of the optical axes, so that it does not depend on the order of the views.
+    """
+    views = len(ego_SE3_camera)
+    azimuth = np.arctan2(ego_SE3_camera[:, 1, 2], ego_SE3_camera[:, 0, 2])
+    place = torch.from_numpy(np.argsort(np.argsort(azimuth, kind="stable")))
+    step = (place[:, None] - place) % views
     return (step <= 1) | (step == views - 1)
 
 

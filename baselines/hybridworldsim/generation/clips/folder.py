@@ -134,8 +134,8 @@ def read_list(folder: Path) -> ClipList:
     """
     if not (folder / _LIST).is_file():
         raise DatasetError(
-            "no clips.json", file=folder, expected="a folder of clips",
-            remedy="finish the command that makes the clips: it writes this file last",
+            "no clips.json" if folder.is_dir() else "no such folder", file=folder, expected="a folder of clips",
+            remedy="make it: `python -m benchmarks generation clips --out STUDY` writes STUDY/clips, clips.json last",
         )  # fmt: skip
     return read_json(folder / _LIST, ClipList)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -16,9 +17,17 @@ from hybridworldsim.generation.network.adapter import add_features
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
 from hybridworldsim.generation.sampling.sampler import draw_noise
-from mirror.errors import UsageError
+from mirror.errors import DatasetError, UsageError
 
 _CONTEXT = 1
+
+
+@dataclass(eq=False)
+class _Frame:
+    """Conditions of one frame, and the adapters' features once a window has needed them."""
+
+    conditions: Conditions
+    features: list[list[Tensor]] | None = None
 
 
 class Rollout:
@@ -74,12 +83,10 @@ class Rollout:
         self.generated_views = self.kept_views = 0
         count = len(seed_conditions)
         self._latents: deque[Tensor] = deque(seeds.split(1, dim=1), maxlen=count)
-        self._conditions: deque[Conditions] = deque(seed_conditions, maxlen=count)
+        self._frames: deque[_Frame] = deque(map(_Frame, seed_conditions), maxlen=count)
         # Features of a frame do not depend on its place in the window; as channels, they belong to the whole window.
         self._keeps_features = not network.config.reference_channels
         self._empty_layout: list[Tensor] = []
-        features = [self._encode_images(one) for one in seed_conditions] if self._keeps_features else []
-        self._features: deque[list[list[Tensor]]] = deque(features, maxlen=count)
 
     @torch.no_grad()
     def step(
@@ -101,6 +108,7 @@ class Rollout:
 
         Raises:
             UsageError: conditions are not finite or do not fit the seeds, or latents of other views are missing.
+            DatasetError: the network gives latents that are not finite.
         """
         conditions.require_finite()
         references = torch.cat(list(self._latents), dim=1)
@@ -111,26 +119,37 @@ class Rollout:
         chosen = list(range(views)) if active is None else list(active)
         if len(chosen) < views and (kept is None or kept.shape != shape):
             raise UsageError("no latents of the views that are not generated", expected=f"latents of shape {shape}")
-        own = self._encode_images(conditions) if self._keeps_features else []
+        frame = _Frame(conditions)
         if chosen:
             noise = draw_noise(shape, (self._seed, self.frame), device=references.device).to(references.dtype)
-            latents = self._sample(references, conditions, own, noise, chosen)
+            latents = self._sample(references, [*self._frames, frame], noise, chosen)
+            if not bool(latents.isfinite().all()):
+                raise DatasetError(
+                    "the network gives numbers that are not finite", place=f"frame {self.frame}",
+                    expected="finite latents", remedy="use --precision float32, or train with a lower learning rate",
+                )  # fmt: skip
         if kept is not None and len(chosen) < views:
             whole = kept.clone()
             if chosen:
                 whole[:, :, chosen] = latents
             latents = whole
         self._latents.append(latents)
-        self._conditions.append(conditions)
-        if self._keeps_features:
-            self._features.append(own)
+        self._frames.append(frame)
         self.frame += 1
         self.generated_views += batch * len(chosen)
         self.kept_views += batch * (views - len(chosen))
         return latents
 
+    def _features_of(self, frame: _Frame) -> list[list[Tensor]]:
+        """The adapters' features of one frame, and with guidance those without layout behind them.
+
+        They are computed when a window first needs them: frames between which nothing is generated cost nothing.
+        """
+        if frame.features is None:
+            frame.features = self._encode_images(frame.conditions)
+        return frame.features
+
     def _encode_images(self, conditions: Conditions) -> list[list[Tensor]]:
-        """The adapters' features of one frame, and with guidance those without layout behind them."""
         network = self._network
         with computing_in(self._settings.precision, conditions.pooled.device):
             layout, background = network.encode_layout(conditions), network.encode_background(conditions)
@@ -145,22 +164,21 @@ class Rollout:
     def _sample(
         self,
         references: Tensor,
-        conditions: Conditions,
-        own: list[list[Tensor]],
+        frames: Sequence[_Frame],
         noise: Tensor,
         chosen: list[int],
     ) -> Tensor:
-        """The latents of the chosen views of the next frame."""
+        """The latents of the chosen views of the last of T + 1 frames."""
         config, views = self._network.config, references.shape[2]
         origin = None
         if self.sliding is not None:
-            origin = self.sliding.begin(self.frame, chosen, self._conditions[0].ego_to_first)
-        window = join_conditions(config, [*self._conditions, conditions], origin).views(chosen)
+            origin = self.sliding.begin(self.frame, chosen, frames[0].conditions.ego_to_first)
+        window = join_conditions(config, [one.conditions for one in frames], origin).views(chosen)
         features: list[list[Tensor]] = []
         if self._keeps_features:
             shape = (len(references), references.shape[1] + 1, views)
-            for frames in zip(*self._features, own):
-                joined = join_features(frames, (shape[0], views))
+            for parts in zip(*map(self._features_of, frames)):
+                joined = join_features(parts, (shape[0], views))
                 features.append([one.unflatten(0, shape)[:, :, chosen].flatten(0, 2) for one in joined])
         context_noise = None
         if self._settings.context_noise > 0.0:

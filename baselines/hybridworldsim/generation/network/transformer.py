@@ -252,7 +252,9 @@ class Transformer(nn.Module):
             cast(MixingBlock, self.temporal_transformer_blocks[place]),
             self.config.temporal_attention == "full",
         )
-        index = torch.arange(first, first + frames, device=image.device, dtype=image.dtype)
+        # bfloat16 has no odd numbers above 256.
+        counted = torch.promote_types(image.dtype, torch.float32)
+        index = torch.arange(first, first + frames, device=image.device, dtype=counted)
         embedding = self.time_pos_embeds[place](encode_number(index, self.config.width).to(image.dtype))
         embedding = embedding[None, :, None].expand(batch, frames, views, -1).reshape(-1, 1, self.config.width)
         tokens = image + (embedding if prepared.camera is None else embedding + prepared.camera)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.png import HEADER_BYTES, png_size
 from mirror.protocols.views.view import RenderView
+from mirror.weights.resolve import file_sha256
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -51,7 +53,8 @@ def open_background(
         if appearance != "nearest":
             raise UsageError(f"{appearance!r}", place="--appearance", expected="a static model as background")
         if kind == "files":
-            return _Files(Path(rest), views), text
+            files = _Files(Path(rest), views)
+            return files, f"{text} sha256 {files.sha256}"
         preset, _, seed = rest.partition(":")
         if not preset or not (seed or "0").isdecimal():
             raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
@@ -83,7 +86,6 @@ def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
     from mirror.methods.registry import installed_method
-    from mirror.weights.resolve import file_sha256
 
     document = read_reconstruction(model)
     require_matching_split(dataset, document.split, document)
@@ -108,6 +110,9 @@ def _require_preset(preset: str) -> None:
 class _Files:
     """Backgrounds in files, in the rasters of the views that they are opened for; other rasters are scaled from them.
 
+    Attributes:
+        sha256: hash of all files of the views.
+
     Raises:
         DatasetError: a file is missing, or its image has another size than its view.
     """
@@ -119,6 +124,7 @@ class _Files:
                 expected="<camera>/<timestamp_ns>.png in it",
             )  # fmt: skip
         self._folder = folder
+        digest = hashlib.sha256()
         for view in views:
             file = self._file(view)
             if not file.is_file():
@@ -128,6 +134,8 @@ class _Files:
             if size != (view.width_px, view.height_px):
                 found = "no PNG" if size is None else f"a background of {size[0]} x {size[1]} px"
                 raise self._error(found, view)
+            digest.update(f"{view.camera} {view.timestamp_ns} {file_sha256(file)}\n".encode())
+        self.sha256 = digest.hexdigest()
 
     def _file(self, view: RenderView) -> Path:
         return self._folder / view.camera / f"{view.timestamp_ns}.png"

@@ -10,6 +10,7 @@ from hybridworldsim.generation.model_files import (
     captioned_config,
     read_autoencoder,
     read_generator,
+    read_references,
     require_guidance,
     trained_rates,
 )
@@ -67,6 +68,15 @@ class GeneratorFiles:
             return None
         config = captioned_config(self.generator) if self.base is None else self.base.config
         return CachedCaptions(self.captions, config)
+
+    @property
+    def references(self) -> int:
+        """T, the number of reference frames; no parameters are read for it.
+
+        Raises:
+            DatasetError: the file is missing, broken, or no generator.
+        """
+        return read_references(self.generator) if self.base is None else self.base.references
 
     def trained_rates(self) -> tuple[float, float] | None:
         """The lowest and highest rate of the training, frames per second; None: the generator's file states none.

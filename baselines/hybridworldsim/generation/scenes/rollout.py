@@ -120,6 +120,9 @@ def roll_out_sequence(
         Each generated frame, numbered in the sequence, and after the last frame of a segment the state.
     """
     references = generator.references
+    if state is not None:
+        # A state that was read from a file is on the processor.
+        state = replace(state, latents=state.latents.to(next(generator.network.parameters()).device))
     start = references if state is None else state.frame
     # Of the references of a later segment, so that no view is rendered twice.
     rendered: UInt8 | None = None
@@ -154,10 +157,8 @@ def roll_out_sequence(
             captions=scene.captions,
             ring=generator.ring,
         )
-        held: list[GeneratedFrame] = []
         for one in rollout:
             latest = [*latest, one.latents][-references:]
-            held.append(one)
             number = first + one.frame
             frame = GeneratedFrame(number, one.images, one.generated, one.latents)
             if number + 1 < end:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.devices import require_counts
+from hybridworldsim.generation.devices import repeating_exactly, require_counts
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
@@ -33,7 +33,7 @@ from mirror.protocols.document import Pixels
 from mirror.protocols.png import encode_png
 from mirror.schema.documents import Document
 from mirror.schema.files import write_bytes, write_json
-from mirror.schema.folders import FolderKind
+from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.render_folder import finish_render_folder, start_render_folder
 
 DOCUMENT: Final = "generated.json"
@@ -145,7 +145,7 @@ def generate_scene(
     torch.set_num_threads(request.threads)
     progress = progress or NullProgress()
     captions = request.files.read_captions()
-    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
+    references = request.files.references
     # A model renders where its training had the cameras; boxes and seeds are seen from there too.
     dataset = dataset.with_layers(calibrations=calibrations_of(request.background))
     traversal = request.traversal or dataset.where(scene=request.scene).traversals()[0]
@@ -155,7 +155,7 @@ def generate_scene(
         traversal,
         hz=request.hz,
         trajectory=request.trajectory,
-        references=generator.references,
+        references=references,
         count=request.frames,
         trained_hz=DEFAULT_HZ if trained_hz is None else trained_hz[1],
     )
@@ -166,38 +166,43 @@ def generate_scene(
         captions.require((traversal,), rig.cameras)
     edits = [parse_edit(text, plan.tracks) for text in request.edits]
     require_valid_boxes(dataset, (one.frame for one in plan.frames))
-    require_shown(edits, boxes_of(plan.frames[generator.references :], plan.tracks), plan.tracks)
+    require_shown(edits, boxes_of(plan.frames[references:], plan.tracks), plan.tracks)
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
     background, identity = open_background(request.background, dataset, request.appearance, views)
+    require_output_folder(out, FolderKind.GENERATED)
+    # Only now: released weights take minutes to read.
+    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
     scene_map = open_scene_map(dataset, request.scene, generator, progress)
     inputs = _inputs(dataset, request, traversal, identity, scene_map)
     settings = [f"{name}={value}" for name, value in sorted(inputs.items())]
     start_render_folder(out, settings, last=DOCUMENT, kind=FolderKind.GENERATED)
     state, counts = _read_state(out)
 
+    driven_m = np.concatenate([one.world_SE3_ego.translation for one in plan.frames])
+
     def edit(clip: Clip, first: int) -> Clip:
-        one = plan.frames[first]
-        return apply_edits(clip, edits, plan.tracks, one.world_SE3_ego, float(one.world_SE3_ego.translation[0, 2]))
+        return apply_edits(clip, edits, plan.tracks, plan.frames[first].world_SE3_ego, driven_m)
 
     scene = SceneConditions(
         rig, background, plan.rate_hz, plan.light, plan.weather, plan.tracks, captions, scene_map.lines
     )
-    total = len(plan.frames) - generator.references
+    total = len(plan.frames) - references
     if note:
         progress.message(note)
     progress.start("generating", total)
-    progress.advance(0 if state is None else state.frame - generator.references)
+    progress.advance(0 if state is None else state.frame - references)
     rollout = roll_out_sequence(
         generator, plan.frames, scene, request.rollout, edit=edit if edits else None, state=state
     )
-    for frame, reached in rollout:
-        for camera, image in zip(rig.cameras, frame.images):
-            write_bytes(out / "frames" / camera / f"{frame.frame - generator.references:05d}.png", encode_png(image))
-        counts["generated_views"] += int(frame.generated.sum())
-        counts["kept_views"] += int((~frame.generated).sum())
-        if reached is not None:
-            _write_state(out, reached, counts)
-        progress.advance(1)
+    with repeating_exactly(request.device):
+        for frame, reached in rollout:
+            for camera, image in zip(rig.cameras, frame.images):
+                write_bytes(out / "frames" / camera / f"{frame.frame - references:05d}.png", encode_png(image))
+            counts["generated_views"] += int(frame.generated.sum())
+            counts["kept_views"] += int((~frame.generated).sum())
+            if reached is not None:
+                _write_state(out, reached, counts)
+            progress.advance(1)
     from mirror.view.video import write_video
 
     write_video(out / VIDEO, _mosaics(out, rig, total), plan.rate_hz)

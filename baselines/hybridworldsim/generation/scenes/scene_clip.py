@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
-from hybridworldsim.generation.clips.map_lines import MapLine, move_lines
+from hybridworldsim.generation.clips.map_lines import MapLine, crop_lines, move_lines
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rig import SceneRig
 from hybridworldsim.generation.text import Captions
@@ -111,6 +111,7 @@ def make_scene_clip(
             # The recording vehicle and the border of a fisheye image are no part of the street.
             images[place] = np.where(street[..., None], recorded_images, background[place])
     start = frames[0].world_SE3_ego.inverse()
+    places_m = np.concatenate([one.world_SE3_ego.translation for one in frames])
     return Clip(
         clip_id,
         frames[0].frame.traversal_id,
@@ -123,7 +124,7 @@ def make_scene_clip(
         rig.ego_SE3_camera.matrix(),
         np.concatenate([(start @ one.world_SE3_ego).matrix() for one in frames]),
         boxes_of(frames, scene.tracks),
-        lines=None if scene.lines is None else move_lines(scene.lines, start.matrix()[0]),
+        lines=None if scene.lines is None else move_lines(crop_lines(scene.lines, places_m), start.matrix()[0]),
     )
 
 

@@ -109,7 +109,7 @@ def require_shown(edits: Sequence[SceneEdit], boxes: ClipBoxes, tracks: Mapping[
 
 
 def apply_edits(
-    clip: Clip, edits: Sequence[SceneEdit], tracks: Mapping[str, int], world_SE3_start: Poses, ground_m: float
+    clip: Clip, edits: Sequence[SceneEdit], tracks: Mapping[str, int], world_SE3_start: Poses, driven_m: Float64
 ) -> Clip:
     """Apply edits to the boxes of a clip; a track without boxes in this clip stays as it is.
 
@@ -118,11 +118,12 @@ def apply_edits(
         edits: in order.
         tracks: numbers of road users by track id.
         world_SE3_start: the ego pose of the clip's first frame (one).
-        ground_m: height of the ground in the world frame, on which added road users stand.
+        driven_m: (N, 3) places of the vehicle in the whole scene, world frame: an added road user stands at the height
+            of the nearest one.
     """
     for edit in edits:
         if edit.kind == "add":
-            clip = add_track(clip, edit.name, _placed(edit, world_SE3_start, ground_m), np.array(SIZES_M[edit.name]))
+            clip = add_track(clip, edit.name, _placed(edit, world_SE3_start, driven_m), np.array(SIZES_M[edit.name]))
         elif not (clip.boxes.track == tracks[edit.name]).any():
             continue
         elif edit.kind == "move":
@@ -132,10 +133,11 @@ def apply_edits(
     return clip
 
 
-def _placed(edit: SceneEdit, world_SE3_start: Poses, ground_m: float) -> Float64:
+def _placed(edit: SceneEdit, world_SE3_start: Poses, driven_m: Float64) -> Float64:
     x, y, heading_deg = edit.numbers
     half = np.radians(heading_deg) / 2.0
-    height = ground_m + SIZES_M[edit.name][2] / 2.0
+    nearest = np.argmin(np.linalg.norm(driven_m[:, :2] - (x, y), axis=1))
+    height = driven_m[nearest, 2] + SIZES_M[edit.name][2] / 2.0
     pose = Poses(np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]]), np.array([[x, y, height]]))
     matrix: Float64 = (world_SE3_start.inverse() @ pose).matrix()[0]
     return matrix

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from hybridworldsim.generation.devices import require_counts
+from hybridworldsim.generation.devices import device_name, repeating_exactly, require_counts
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
@@ -16,12 +16,13 @@ from hybridworldsim.generation.scenes.rates import plan_rates, rate_note
 from hybridworldsim.generation.scenes.scene_clip import require_valid_boxes
 from hybridworldsim.generation.scenes.scene_map import open_scene_map
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.writing import write_submission
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.recalibration import recalibrate_views
+from mirror.schema.folders import FolderKind, require_output_folder
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,6 @@ def generate_submission(
     """
     torch.set_num_threads(request.threads)
     captions = request.files.read_captions()
-    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
     plan = plan_views(dataset, load_protocol(request.protocol), request.split)
     for view in plan.views:
         if captions is not None:
@@ -102,6 +102,9 @@ def generate_submission(
     note = rate_note(plan_rates(dataset, plan), request.files.trained_rates())
     if note and progress is not None:
         progress.message(note)
+    require_output_folder(out, FolderKind.SUBMISSION)
+    # Only now: released weights take minutes to read.
+    generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)
     names = dict.fromkeys(view.scene_id for view in plan.views)
     maps = {scene: open_scene_map(dataset, scene, generator, progress or NullProgress()) for scene in names}
     scenes = PlannedScenes(
@@ -113,14 +116,16 @@ def generate_submission(
         *(str(request.threads), request.device),
         *(f"{name} of {scene}: {value}" for scene, one in maps.items() for name, value in one.inputs.items()),
     )
-    return write_submission(
-        dataset,
-        plan,
-        lambda _, requested: render_plan(scenes, plan, requested.views),
-        request.method,
-        Appearance(policy="other", description=f"of the background: {request.appearance}"),
-        out,
-        progress,
-        of="|".join(inputs),
-        notes=note,
-    )
+    with repeating_exactly(request.device):
+        return write_submission(
+            dataset,
+            plan,
+            lambda _, requested: render_plan(scenes, plan, requested.views),
+            request.method,
+            Appearance(policy="other", description=f"of the background: {request.appearance}"),
+            out,
+            progress,
+            costs=Runtime(device=device_name(request.device)),
+            of="|".join(inputs),
+            notes=note,
+        )

@@ -11,6 +11,7 @@ from hybridworldsim.generation.clips.folder import read_clips, read_list
 from hybridworldsim.generation.devices import (
     TRAINING_REMEDY,
     exhausted_memory_named,
+    repeating_exactly,
     require_counts,
     require_device,
     require_seed,
@@ -105,7 +106,11 @@ def distil_on_clips(
         reporter.message(without_map)
     captions = read_clip_captions(options.captions, teacher.config, loaded)
     settings = replace(options.settings, network=teacher.config, references=references)
-    with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
+    with (
+        exhausted_memory_named(options.device, TRAINING_REMEDY),
+        repeating_exactly(options.device),
+        join_processes(options.device) as processes,
+    ):
         settings.require_shares(processes.count)
         folder = GenerationRunFolder(out)
         document = {
@@ -124,13 +129,13 @@ def distil_on_clips(
             return folder.model, outcome
         windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references, captions)
         trainer = DistillationTrainer(
-            settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=options.device,
+            settings, options.distillation, teacher, windows, options.steps, seed=options.seed, device=processes.device,
             rank=processes.rank, processes=processes.count,
         )  # fmt: skip
 
         def sample(step: int) -> None:
             write_samples(
-                folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=options.device,
+                folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device,
                 steps=options.distillation.segments,
             )  # fmt: skip
 

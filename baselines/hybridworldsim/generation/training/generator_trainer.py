@@ -209,7 +209,12 @@ class GeneratorTrainer:
         self._averaged = {name: one.detach().clone() for name, one in self.network.named_parameters()}
         loss = self._make_loss()
         # Without text the parameters of its tokens have no part in the loss.
-        self._loss = nn.parallel.DistributedDataParallel(loss, find_unused_parameters=True) if processes > 1 else loss
+        # Buffers are constants, equal in all processes.
+        self._loss = (
+            nn.parallel.DistributedDataParallel(loss, find_unused_parameters=True, broadcast_buffers=False)
+            if processes > 1
+            else loss
+        )
 
     def _make_loss(self) -> nn.Module:
         """The loss of a batch, level, reference level and noise, as a module that holds the network."""

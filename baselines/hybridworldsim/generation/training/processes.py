@@ -12,7 +12,7 @@ from typing import Final
 import torch
 import torch.distributed
 
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 
 _TIMEOUT: Final = timedelta(days=7)
 """The others wait while one process trains an autoencoder."""
@@ -83,15 +83,19 @@ def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that ``torchrun`` started; without it this process is the only one.
 
     Args:
-        device: where the model is trained; decides how gradients are exchanged.
+        device: where the model is trained; decides how gradients are exchanged. Of several processes on CUDA each has
+            the GPU of its number on the machine.
 
     Raises:
+        UsageError: there are more processes than GPUs.
         DatasetError: another process stopped while this one waited for it.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
-        yield ALONE
+        yield Processes(device=device)
         return
+    if torch.device(device).type == "cuda":
+        device = _own_gpu()
     torch.distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo", timeout=_TIMEOUT)
     try:
         yield Processes(int(os.environ["RANK"]), count, device)
@@ -101,3 +105,14 @@ def join_processes(device: str) -> Iterator[Processes]:
         raise DatasetError("another process of the training stopped", expected=f"{count}", remedy=_REMEDY) from error
     finally:
         torch.distributed.destroy_process_group()
+
+
+def _own_gpu() -> str:
+    local, gpus = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
+    if local >= gpus:
+        raise UsageError(
+            f"process {local} on a machine with {gpus} GPUs", place="--device", expected="a GPU for each process",
+            remedy=f"torchrun --nproc-per-node {gpus}",
+        )  # fmt: skip
+    torch.cuda.set_device(local)
+    return f"cuda:{local}"

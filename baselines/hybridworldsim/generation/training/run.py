@@ -16,6 +16,7 @@ from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_l
 from hybridworldsim.generation.devices import (
     TRAINING_REMEDY,
     exhausted_memory_named,
+    repeating_exactly,
     require_counts,
     require_device,
     require_seed,
@@ -125,7 +126,11 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     captions = read_clip_captions(options.captions, network, loaded)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
-    with exhausted_memory_named(options.device, TRAINING_REMEDY), join_processes(options.device) as processes:
+    with (
+        exhausted_memory_named(options.device, TRAINING_REMEDY),
+        repeating_exactly(options.device),
+        join_processes(options.device) as processes,
+    ):
         options.settings.require_shares(processes.count)
         if autoencoder is None:
             with processes.leader_first():
@@ -185,12 +190,12 @@ def _train_generator(
     codec: LatentCodec = read_autoencoder(autoencoder)
     windows = ClipWindows(clips, codec, settings.network, OWN_STYLE, settings.references, captions)
     trainer = GeneratorTrainer(
-        settings, windows, options.steps, seed=options.seed, device=options.device, rank=processes.rank,
+        settings, windows, options.steps, seed=options.seed, device=processes.device, rank=processes.rank,
         processes=processes.count,
     )  # fmt: skip
 
     def sample(step: int) -> None:
-        write_samples(folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=options.device)
+        write_samples(folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device)
 
     done = train_together(
         trainer, options.steps, folder, reporter, processes,

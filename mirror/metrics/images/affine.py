@@ -166,9 +166,14 @@ def _fit_channel(render: Float64, truth: Float64) -> _Fit:
         x, y = render[usable], truth[usable]
         mean_x, mean_y = float(x.mean()), float(y.mean())
         centred = x - mean_x
-        variance = float(centred @ centred)
-        constant = variance <= _LEAST_VARIANCE * float(x @ x)
-        gain = 0.0 if constant else max(float(centred @ (y - mean_y)) / variance, 0.0)
+        variance = _dot(centred, centred)
+        constant = variance <= _LEAST_VARIANCE * _dot(x, x)
+        gain = 0.0 if constant else max(_dot(centred, y - mean_y) / variance, 0.0)
         offset = mean_y - gain * mean_x
     difference = np.clip(gain * render + offset, 0.0, 1.0) - truth
-    return _Fit(gain, offset, float(difference @ difference) / len(difference))
+    return _Fit(gain, offset, _dot(difference, difference) / len(difference))
+
+
+def _dot(one: Float64, other: Float64) -> float:
+    # Not `@`: the sum of BLAS would depend on its number of threads.
+    return float(np.einsum("i,i->", one, other))

@@ -1,6 +1,8 @@
 """`psnr_affine` against numpy's least squares in float64, and against renders that are made for the fit."""
 
+import ctypes
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,6 +106,20 @@ def test_score_does_not_depend_on_the_exposure_of_the_render(seed, gain, offset)
     render, truth = rng.uniform(0.1, 0.7, (2, 12, 12, 3))
     first = psnr_affine(render, truth, data_range=1.0)
     assert psnr_affine(gain * render + offset, truth, data_range=1.0).db == pytest.approx(first.db, abs=1e-6)
+
+
+def test_scores_of_floats_do_not_depend_on_the_threads_of_blas():
+    libraries = list((Path(np.__file__).parents[1] / "numpy.libs").glob("libscipy_openblas64_*"))
+    if not libraries:
+        pytest.skip("numpy does not bring its own OpenBLAS")
+    set_threads = ctypes.CDLL(str(libraries[0])).scipy_openblas_set_num_threads64_
+    render, truth = (image / 255 for image in street(180, 320))
+    found = []
+    for threads in (1, 2):
+        set_threads(threads)
+        found.append(psnr_affine(render, truth, data_range=1.0))
+    set_threads(1)
+    assert found[0] == found[1]
 
 
 def test_batches_and_tensors_agree_with_arrays():

@@ -25,6 +25,12 @@ from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, find_kind, require_output_folder
 from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
 
+_OTHERS: Final = {
+    FolderKind.DATASET: "a dataset, and no submission given",
+    FolderKind.BUNDLE: "a published dataset, and no submission given",
+    FolderKind.SUBMISSION: "a submission (of renders), and no dataset given",
+}
+"""What is wrong with a folder that cannot hold rollouts, by its kind."""
 _KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
 
 
@@ -107,10 +113,15 @@ def find_rollouts(folder: Path) -> list[Path]:
     """Find the rollouts in a folder, or that folder if it is one itself, in the order of their paths.
 
     Raises:
-        UsageError: there is none.
+        UsageError: there is none, or the folder is a dataset or a submission.
     """
     if not folder.is_dir():
-        raise UsageError("no such folder", file=folder, expected="a rollout of `mirror simulate`, or a folder of them")
+        problem = "a file, not a folder" if folder.exists() else "no such folder"
+        raise UsageError(problem, file=folder, expected="a rollout of `mirror simulate`, or a folder of them")
+    if (problem := _OTHERS.get(find_kind(folder) or FolderKind.ROLLOUT)) is not None:
+        raise UsageError(
+            problem, file=folder, expected="mirror evaluate DATASET SUBMISSION, or a folder of rollouts alone"
+        )
     found = [path.parent for path in sorted(folder.rglob(ROLLOUT)) if find_kind(path.parent) is FolderKind.ROLLOUT]
     if not found:
         raise UsageError(

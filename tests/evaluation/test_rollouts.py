@@ -190,6 +190,13 @@ def test_incomplete_and_changed_rollouts_are_refused(tmp_path: Path) -> None:
     assert find_rollouts(tmp_path / "runs") == find_rollouts(run) == [run]
     document = (run / "run.json").read_text()
     (run / "run.json").unlink()
+    for name, kind, problem in (
+        ("dataset.json", "mirror", "a dataset, and no submission given"),
+        ("manifest.json", "mirror-submission", r"a submission \(of renders\)"),
+    ):
+        write_json(tmp_path / kind / name, {"format": kind})
+        with pytest.raises(UsageError, match=problem):
+            find_rollouts(tmp_path / kind)
     with pytest.raises(UsageError, match="no complete rollout"):
         find_rollouts(tmp_path / "runs")
     (run / "run.json").write_text(document.replace('"steps": 50', '"steps": -1'))

@@ -161,8 +161,9 @@ def _key(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Key, argv, "mirror leaderboard key", examples=_KEY_EXAMPLES)
     from mirror_leaderboard.signing import new_key
 
+    public = new_key(arguments.out)
     print(f"private key: {arguments.out} (keep it secret)")
-    print(f"public key: {new_key(arguments.out)}")
+    print(f"public key: {public}")
     return ExitCode.DONE
 
 

@@ -31,7 +31,12 @@ def new_key(path: Path) -> str:
         # 0600 from the beginning: nobody can read the key between its writing and a change of its mode.
         number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError as error:
-        raise UsageError("a file exists", file=path, expected="a new file for the private key") from error
+        raise UsageError(
+            "a file exists",
+            file=path,
+            expected="a new file for the private key",
+            remedy="name a new file; a lost key is replaced by `mirror leaderboard rotate`",
+        ) from error
     except OSError as error:
         raise unwritable_error(path, error) from error
     with os.fdopen(number, "wb") as file:

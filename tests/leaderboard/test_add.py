@@ -246,7 +246,10 @@ def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.Capt
     assert "1 entries were signed" in capsys.readouterr().out
     assert main(build) == ExitCode.DONE
     assert "a method" in (tmp_path / "site" / "index.html").read_text()
+    capsys.readouterr()
     assert main(["leaderboard", "key", "--out", key]) == ExitCode.COULD_NOT_RUN
+    said = capsys.readouterr()
+    assert said.out == "" and "replaced by `mirror leaderboard rotate`" in said.err
     assert main(["leaderboard", "key", "--out", str(tmp_path / "new.key")]) == ExitCode.DONE
     assert main(["leaderboard"]) == ExitCode.COULD_NOT_RUN
     assert main(["leaderboard", "--help"]) == ExitCode.DONE

@@ -161,7 +161,7 @@ def test_declaration_is_that_of_the_clips_and_fits_the_budget() -> None:
 def test_every_stage_leaves_figures_and_the_report_has_every_bar(study: Study) -> None:
     text = format_report(study)
     assert "not run" not in text.lower()
-    assert text.count("\n| ") == 1 + 15
+    assert text[: text.index("| seed |")].count("\n| ") == 1 + 15
     for stage in list_stages(study.declaration):
         assert study.figures(stage.name) is not None
     own = study.figures("score-on-0")
@@ -305,6 +305,20 @@ def test_crops_are_compared_by_class_and_drive(study: Study, tmp_path: Path) -> 
     worst = sorted(own["drives"].values())[-2:]
     values = [own["all"], own["classes"]["car"], own["classes"]["van"], worst[1], worst[0]]
     assert row == f"| on-0 | {' | '.join(f'{value:.2f}' for value in values)} |"
+
+
+def test_models_of_other_seeds_stand_beside_the_first(study: Study) -> None:
+    seeds = study.declaration.training["seeds"]
+    lines = format_report(study).splitlines()
+    place = next(number for number, line in enumerate(lines) if line.startswith("| seed | background, dB |"))
+    rows = [line.split("|")[1:-1] for line in lines[place + 2 : place + 2 + len(seeds)]]
+    for seed, row in zip(seeds, rows, strict=True):
+        score = study.figures(f"score-on-{seed}") or {}
+        assert [row[0].strip(), row[1].strip(), row[2].strip()] == [
+            str(seed),
+            f"{score['db']:.2f}",
+            f"{score['iou']:.3f}",
+        ]
 
 
 def test_sheets_show_truth_background_and_models(study: Study, tmp_path: Path) -> None:

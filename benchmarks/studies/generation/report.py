@@ -39,6 +39,7 @@ def format_report(study: Study, addition: Study | None = None) -> str:
         "|---|---|---|---|",
         *(f"| {' | '.join(row)} |" for row in rows),
         "",
+        *_format_seeds(study),
         *_format_crops(study),
     ]
     if left:
@@ -47,6 +48,37 @@ def format_report(study: Study, addition: Study | None = None) -> str:
     cut = {name: reason for name, reason in study.declaration.cut.items() if not (added and name == end_to_end.NAME)}
     lines += [f"Cut: {'; '.join(f'{name}: {reason}' for name, reason in cut.items())}.", *added, END]
     return "\n".join(lines)
+
+
+_BY_SEED: Final = {
+    "background, dB": ("db", ".2f"),
+    "IoU at 0 m": ("iou", ".3f"),
+    "class named": ("classified", ".3f"),
+    "correlation": ("correlation", ".3f"),
+    "kept": ("kept", ".3f"),
+    "shown by the seeds: correlation": ("seen_correlation", ".3f"),
+    "shown by the seeds: kept": ("seen_kept", ".3f"),
+}
+"""Figures of a model by the name of their column: its name in the score, and its format."""
+
+
+def _format_seeds(study: Study) -> list[str]:
+    """The figures of the models with background conditioning by the seed of their training, where there are several."""
+    scores = {seed: study.shown(f"score-on-{seed}") for seed in study.declaration.training["seeds"]}
+    shown = {seed: score for seed, score in scores.items() if score}
+    if len(shown) < 2:
+        return []
+    return [
+        "The model with background conditioning by the seed of its training; the bars above are those of the first.",
+        "",
+        f"| seed | {' | '.join(_BY_SEED)} |",
+        f"|---|{'---|' * len(_BY_SEED)}",
+        *(
+            f"| {seed} | {' | '.join(format(score.get(key, math.nan), form) for key, form in _BY_SEED.values())} |"
+            for seed, score in shown.items()
+        ),
+        "",
+    ]
 
 
 def _format_crops(study: Study) -> list[str]:

@@ -181,7 +181,7 @@ def _count(truth: Sequence[TrackedBoxes], found: Sequence[TrackedBoxes], level: 
 
 
 def _pair(away: Float64, near: Bool, held: Bool) -> tuple[Int64, Int64]:
-    """Pair the boxes of one frame as CLEAR MOT does: pairs that last are kept, and only the rest is assigned anew.
+    """Pair the boxes of one frame as CLEAR MOT does: pairs that last are kept, and only the rest is assigned.
 
     Args:
         away: (N, M) distances of true boxes from found ones.

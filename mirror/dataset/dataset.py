@@ -18,6 +18,7 @@ from mirror.dataset.query.catalog import TABLES, Catalog
 from mirror.dataset.query.choices import parse_interval, require_known
 from mirror.dataset.query.filters import Circle, Filters, LocalCircle
 from mirror.dataset.query.select import count_rows, read_rows
+from mirror.dataset.split_document import read_split
 from mirror.dataset.store import Store, store_at
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import (
@@ -25,10 +26,7 @@ from mirror.schema.documents import (
     DatasetDocument,
     Roi,
     Role,
-    SplitDocument,
-    is_identifier,
 )
-from mirror.schema.files import parse_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -386,23 +384,7 @@ class Dataset:
 
     def _assignments(self, split: str) -> dict[str, str]:
         """Roles of a split's traversals by traversal id, without the unused ones."""
-        if not is_identifier(split):
-            raise UsageError(
-                f"{split!r} cannot be the name of a split", place="split", expected="letters, digits, _ and -"
-            )
-        path = f"splits/{split}.json"
-        try:
-            data = self.store.read(path)
-        except FileNotFoundError as error:
-            names = [file.removesuffix(".json") for file in self.store.list_files("splits")]
-            raise DatasetError(
-                "no such split",
-                file=self.store.full_path(path),
-                expected=f"one of {', '.join(names)}" if names else None,
-                remedy=f"make it: mirror split {self.root} {split}",
-            ) from error
-        document = parse_json(data, SplitDocument, self.store.full_path(path))
-        return {key: role for key, role in document.assignments.items() if role != "unused"}
+        return {key: role for key, role in read_split(self.store, split).assignments.items() if role != "unused"}
 
     def _in_split(self, split: str, role: Choice) -> frozenset[str]:
         assignments = self._assignments(split)

@@ -16,6 +16,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
+from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
 from mirror.export.datasheet import write_datasheet
 from mirror.methods.training_images import list_scored_images
@@ -25,7 +26,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import BUNDLE, PUBLISHING, Bundle
 from mirror.schema.documents import FileEntry, SplitDocument
-from mirror.schema.files import read_json, sha256_bytes, unwritable_error, write_bytes, write_json
+from mirror.schema.files import sha256_bytes, unwritable_error, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 
 _LAYERS: Final = frozenset({"poses", "calibrations", "boxes", "masks", "redaction"})
@@ -100,7 +101,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
             "the dataset states no licence", file=layout.document, place="--licence",
             expected="the SPDX identifier or the name of a licence, such as CC-BY-4.0",
         )  # fmt: skip
-    split = read_json(layout.split(options.split), SplitDocument)
+    split = read_split(dataset.store, options.split)
     withheld = _list_withheld(dataset, split, options.protocols)
     names = [name for name in _list_files(layout.root) if name not in withheld]
     # The folder counts as a bundle again once its new document is written.

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Final, Literal
 
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
 from mirror.protocols.document import Protocol
-from mirror.schema.documents import Document, SplitDocument
+from mirror.schema.documents import Document
 from mirror.schema.files import read_json
 
 DOCUMENT: Final = "reconstruction.json"
@@ -76,7 +77,7 @@ def read_reconstruction(model: Path) -> Reconstruction:
 def list_trained_traversals(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
     """List the training traversals of a scene, each with the hash of its recorded data."""
     traversals = dataset.where(split=split, role="train", scene=scene).traversals()
-    manifests = _read_split(dataset, split).manifests
+    manifests = read_split(dataset.store, split).manifests
     return {traversal: manifests[traversal] for traversal in traversals}
 
 
@@ -88,7 +89,7 @@ def require_matching_split(dataset: Dataset, split: str, model: Reconstruction) 
             traversals that the split holds out.
         DatasetError: the split does not exist.
     """
-    document = _read_split(dataset, split)
+    document = read_split(dataset.store, split)
     known = {traversal: role for traversal, role in document.assignments.items() if traversal in model.trained}
     place = f"model of {model.scene}, split {model.split}"
     if not known:
@@ -130,9 +131,3 @@ def require_held_out_images(protocol: Protocol, model: Reconstruction) -> None:
             place=f"model of {model.scene}", expected="a model that was trained without the scored images",
             remedy=f"train one: mirror reconstruct DATASET --split {model.split} --out MODEL --hold-out",
         )  # fmt: skip
-
-
-def _read_split(dataset: Dataset, name: str) -> SplitDocument:
-    # This raises an error that explains an unknown split.
-    dataset.where(split=name)
-    return dataset.store.json(f"splits/{name}.json", SplitDocument)

@@ -204,7 +204,7 @@ def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:
         publish(root, str(tmp_path / "b"), options(licence=None))
     with pytest.raises(UsageError, match="it is a dataset"):
         publish(root, str(root), options())
-    with pytest.raises(DatasetError, match="missing"):
+    with pytest.raises(DatasetError, match=f"no such split; expected one of .*{SPLIT}"):
         publish(root, str(tmp_path / "b"), options(split="none"))
     with pytest.raises(DatasetError, match="missing"):
         fetch(str(root), tmp_path / "d")

@@ -173,7 +173,7 @@ def test_edits_move_boxes_along_their_lateral_axis(dataset: Dataset) -> None:
 
 
 def test_impossible_plans_are_refused(dataset: Dataset) -> None:
-    with pytest.raises(DatasetError, match="no such split"):
+    with pytest.raises(DatasetError, match=f"no such split; expected one of .*{SPLIT}"):
         plan_views(dataset, small(), "none")
     with pytest.raises(DatasetError, match="requests no image"):
         plan_views(dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)

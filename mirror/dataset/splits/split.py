@@ -8,14 +8,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
+from mirror.dataset.split_document import read_split
 from mirror.dataset.splits import by_condition, by_scene, novel_traversal
 from mirror.dataset.splits.assignment import Assignment
 from mirror.dataset.splits.candidates import Candidates, read_candidates
 from mirror.dataset.splits.leaks import Tie, find_leaks, find_ties
+from mirror.dataset.store import Store
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import (
     ByCondition,
@@ -27,6 +29,8 @@ from mirror.schema.documents import (
     is_identifier,
 )
 from mirror.schema.files import read_json, write_json
+
+_FEWER: Final = "ask for fewer with --train N --held-out-traversals M"
 
 
 @dataclass(frozen=True)
@@ -100,14 +104,14 @@ def make_split(
                 file=layout.root,
                 place=place,
                 expected="a role for everything, as --require asks",
-                remedy="record more, ask for fewer traversals, or leave --require out",
+                remedy=f"record more, {_FEWER}, or leave --require out",
             )
         if not set(assignment.roles.values()) - {"unused"}:
             reasons = "; ".join(f"{key}: {reason}" for key, reason in list(assignment.left_out.items())[:3])
             raise DatasetError(
                 f"no traversal gets a role ({reasons or 'the dataset has no traversals'})",
                 file=layout.root,
-                remedy="record more, or ask for fewer traversals",
+                remedy=f"record more, or {_FEWER}",
             )
         _require_no_leak(found, assignment.roles, layout)
         document = _document(name, parameters, seed, chosen, own, assignment)
@@ -135,9 +139,7 @@ def extend_split(root: str | Path, name: str, *, wait: bool = False) -> SplitRep
     path = _path(layout, name)
     with writer_lock(layout, wait=wait):
         candidates = read_candidates(layout)
-        if not path.is_file():
-            raise DatasetError("no such split", file=path, remedy=f"make it first: mirror split {root} {name}")
-        document = read_json(path, SplitDocument)
+        document = read_split(Store(root), name)
         outside, changed = compare(document, candidates)
         if changed:
             raise DatasetError(

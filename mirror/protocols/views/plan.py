@@ -14,6 +14,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
 from mirror.dataset.redaction import REDACTION
+from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses, to_pose_numbers
@@ -72,7 +73,8 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
     Raises:
         DatasetError: the split does not exist; no traversal has a requested role; poses or calibrations are missing;
             or traversals have no layer to mask road users with.
-        UsageError: no traversal has a camera that the protocol names, or the protocol scores rollouts.
+        UsageError: no traversal has a camera that the protocol names, the protocol scores rollouts, or the name cannot
+            be that of a split.
     """
     if protocol.task == "safety":
         raise UsageError(
@@ -80,13 +82,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
             place="--protocol",
             remedy=f"drive the scenarios with `mirror simulate`, then: mirror evaluate RUN --protocol {protocol.name}",
         )
-    document = dataset.store.json(f"splits/{split}.json", SplitDocument) if _has(dataset, split) else None
-    if document is None:
-        raise DatasetError(
-            "no such split",
-            file=dataset.store.full_path(f"splits/{split}.json"),
-            remedy=f"make it: mirror split {dataset.root} {split}",
-        )
+    document = read_split(dataset.store, split)
     views: list[RenderView] = []
     empty = []
     editor = EditPlanner(protocol)
@@ -125,10 +121,6 @@ def select_frames(count: int, frames: Frames) -> list[int]:
     """Select the positions of the rendered frames among `count` frames, ascending."""
     positions = range(frames.first, count, frames.every)
     return sorted({*positions, *([count - 1] if frames.last and count else [])})
-
-
-def _has(dataset: Dataset, split: str) -> bool:
-    return f"{split}.json" in dataset.store.list_files("splits")
 
 
 def _plan_group(

@@ -70,7 +70,7 @@ class ClipWindows:
     """All windows of some clips.
 
     Args:
-        clips: the clips; all of one rig and size. Rates may differ: the rate of a window is an input of the network.
+        clips: the clips; all of one rig and size. They may differ in rate: that of a window is an input of the network.
         codec: the autoencoder.
         config: the network.
         style: how boxes are drawn.

@@ -9,12 +9,13 @@ from mirror.cli.verbs import all_commands
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+LINKED = [*DOCUMENTS, *sorted((ROOT / "benchmarks").rglob("*.md"))]
 GUIDES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "docs" / "architecture.md"]
 PACKAGES = ("mirror", "hybridworldsim", "mirror_baselines", "mirror_leaderboard")
 FOLDERS = ("mirror", "baselines", "leaderboard", "benchmarks", "tests", "docs")
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", LINKED, ids=lambda path: path.name)
 def test_relative_links_lead_to_files_and_headings(document: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", document.read_text()):
         if re.match(r"[a-z]+:", target):

@@ -69,7 +69,7 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
             import json
 
             print(json.dumps(error.to_dict()))
-        print(f"{command}: {error}", file=sys.stderr)
+        print(f"{error.command or command}: {error}", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
     except KeyboardInterrupt:
         print(interrupted(command), file=sys.stderr)

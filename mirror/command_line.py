@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, TypeVar, get_args
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from mirror.errors import ExitCode, UsageError
+from mirror.errors import ExitCode, MirrorError, UsageError
 
 _Arguments = TypeVar("_Arguments")
 
@@ -112,9 +112,14 @@ def run_subcommand(words: Sequence[str], command: str, subcommands: Mapping[str,
 
     Raises:
         UsageError: there is no subcommand of this name.
+        MirrorError: that of the subcommand, whose name it has then.
     """
     if words and words[0] in subcommands:
-        return subcommands[words[0]].run(words[1:])
+        try:
+            return subcommands[words[0]].run(words[1:])
+        except MirrorError as error:
+            error.command = f"{command} {words[0]}"
+            raise
     if words and words[0] not in ("-h", "--help"):
         listed = ", ".join(f"`{command} {name}`" for name in subcommands)
         raise UsageError(f"`{command}` has no subcommand {words[0]!r}", expected=listed)

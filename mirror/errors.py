@@ -24,6 +24,9 @@ class MirrorError(Exception):
         place: the place in it: a row, a column, a key, a camera.
         expected: what a right value is.
         remedy: what the user can do.
+
+    Attributes:
+        command: the command as it is typed, where that is more than the verb; None: it is the verb.
     """
 
     def __init__(
@@ -40,6 +43,7 @@ class MirrorError(Exception):
         self.place = place
         self.expected = expected
         self.remedy = remedy
+        self.command: str | None = None
         super().__init__(problem)
 
     def __str__(self) -> str:

@@ -83,8 +83,13 @@ def main(argv: Sequence[str]) -> int:
 def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, str]:
     """Return the renderer, what the manifest states of it, and a hash of what it reads besides the dataset."""
     if arguments.method in _FLOORS:
-        if arguments.outputs is not None or arguments.clips is not None:
-            raise UsageError(f"{arguments.method} reads no output", place="--outputs, --clips", expected="a generator")
+        for option, given in (("--outputs", arguments.outputs), ("--clips", arguments.clips)):
+            if given is not None:
+                raise UsageError(
+                    f"{arguments.method} reads no output of another program",
+                    place=option,
+                    expected=f"--method {' or '.join(_takers(option))}",
+                )
         floor = import_module(f"mirror_baselines.{arguments.method}")
         return floor.render, floor.METHOD, floor.APPEARANCE, ""
 
@@ -95,7 +100,7 @@ def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, 
     generator = GENERATORS[arguments.method]
     if arguments.outputs is None or not arguments.outputs.is_dir():
         raise UsageError(
-            "no folder of its output" if arguments.outputs is None else "no such folder",
+            "missing" if arguments.outputs is None else "no such folder",
             file=arguments.outputs,
             place="--outputs",
             expected=f"the folder that {generator.method.name} wrote",
@@ -110,3 +115,10 @@ def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, 
         raise UsageError(f"no videos of {generator.method.name} are read", place="--clips", expected="no such option")
     files = ReleasedFiles(generator, arguments.outputs, arguments.clips, arguments.sample)
     return make_renderer(files), generator.method, APPEARANCE, files.hash
+
+
+def _takers(option: str) -> list[str]:
+    """The methods that take ``--outputs`` or ``--clips``."""
+    from mirror_baselines.released.generators import GENERATORS
+
+    return [name for name, generator in GENERATORS.items() if option == "--outputs" or generator.videos]

@@ -18,6 +18,7 @@ from mirror.progress import ProgressReporter
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.problems import describe_problem
 from mirror.version import __version__
 from mirror_leaderboard.entry import ALL, IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
 from mirror_leaderboard.images import copy_pairs
@@ -125,7 +126,7 @@ def read_result(path: Path) -> Result:
     except ValidationError as error:
         first = error.errors()[0]
         raise RefusedError(
-            f"{first['msg']} (got {first.get('input')!r:.80})",
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
             file=path,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected="a result.json of `mirror evaluate`",
@@ -165,7 +166,7 @@ def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None 
     except ValidationError as error:
         first = error.errors()[0]
         raise RefusedError(
-            str(first["msg"]), file=file, place=".".join(map(str, first["loc"])), expected="a valid entry"
+            describe_problem(first), file=file, place=".".join(map(str, first["loc"])), expected="a valid entry"
         ) from error
     if all(figure.value is None for figure in entry.figures):
         raise RefusedError("has no figure with a value", file=file, place="figures", expected="a scored submission")
@@ -234,7 +235,7 @@ def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
                 note=_to_plain_line("; ".join(_list_remarks(figure))) or None,
             )
         except ValidationError as error:
-            raise RefusedError(str(error.errors()[0]["msg"]), file=file, place=place) from error
+            raise RefusedError(describe_problem(error.errors()[0]), file=file, place=place) from error
     for metric, reason in result.unavailable.items():
         note = _to_plain_line(f"unavailable: {reason.partition('; ')[0]}")
         for group in groups[: 1 if result.protocol.task == "runtime" else None]:

@@ -11,6 +11,7 @@ from typing import Annotated, Final
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.counting import count_of
 from mirror.errors import ExitCode, UsageError
 from mirror.progress import progress_bar
 from mirror_leaderboard.refused import RefusedError
@@ -174,7 +175,7 @@ def _sign(argv: Sequence[str]) -> int:
     signed = sign_entries(arguments.board, arguments.key)
     for entry in signed:
         print(f"signed: {entry.method} {entry.version}, {entry.protocol}, {entry.dataset}")
-    print(f"{len(signed)} entries were signed")
+    print(f"signed: {count_of(len(signed), 'entry')}")
     return ExitCode.DONE
 
 
@@ -184,7 +185,7 @@ def _rotate(argv: Sequence[str]) -> int:
 
     done = rotate_key(arguments.board, arguments.key)
     print(f"key {done.former.id} ended on {done.former.until}; key {done.current.id} is in use")
-    print(f"{len(done.signed)} entries were signed again")
+    print(f"signed again: {count_of(len(done.signed), 'entry')}")
     for entry in done.left:
         print(f"left without a valid signature: {entry.method} {entry.version}, {entry.protocol}, {entry.dataset}")
     return ExitCode.FINDINGS if done.left else ExitCode.DONE

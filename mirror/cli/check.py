@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.counting import count_of
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
     from rich.text import Text
 
     from mirror.cli.output import plain_console
+    from mirror.integrity.registry import rules
 
     console = plain_console(soft_wrap=True)
     colours = {"error": "red", "warning": "yellow", "info": "blue"}
@@ -114,5 +116,8 @@ def _print(report: CheckReport, arguments: Arguments) -> None:
     for error in report.unreadable:
         console.print(Text("could not read", style="red"), str(error))
     counts = report.counts()
-    parts = [f"{counts[name]} {name}{'s' * (counts[name] != 1)}" for name in ("error", "warning", "info")]
-    console.print(f"{len(report.rules)} rule{'s' * (len(report.rules) != 1)}: {', '.join(parts)}: {arguments.dataset}")
+    parts = [count_of(counts[name], name) for name in ("error", "warning", "info")]
+    run, known = len(report.rules), len(rules())
+    ran = f"{run} of {known} rules" if run < known else f"{known} rules"
+    chosen = arguments.full or arguments.rule or arguments.skip
+    console.print(f"{ran}{'' if chosen else ' (--full runs all)'}: {', '.join(parts)}: {arguments.dataset}")

@@ -12,6 +12,7 @@ import tyro
 
 from mirror.cli.ingest import reader_options
 from mirror.command_line import help_text, parse_arguments
+from mirror.counting import count_of
 from mirror.errors import DatasetError, ExitCode
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _print_drives(path: Path, drives: Sequence[Path], *, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"path": str(path), "kind": "drives", "drives": names}))
         return ExitCode.DONE
-    print(f"{path} holds {len(names)} drives")
+    print(f"{path} holds {count_of(len(names), 'drive')}")
     for name in names[:_LISTED]:
         print(f"  {name}")
     if len(names) > _LISTED:
@@ -130,7 +131,10 @@ def _dataset_lines(summary: DatasetSummary) -> list[tuple[str, str]]:
     ]
     if summary.problems:
         lines.append(
-            ("unreadable", f"{len(summary.problems)} files: run `mirror check`; the first: {summary.problems[0]}")
+            (
+                "unreadable",
+                f"{count_of(len(summary.problems), 'file')}: run `mirror check`; the first: {summary.problems[0]}",
+            )
         )
     return lines
 

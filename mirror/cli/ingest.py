@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.counting import count_of
 from mirror.errors import ExitCode, MirrorError, UsageError
 
 if TYPE_CHECKING:
@@ -283,17 +284,17 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
             " `mirror rois propose` finds regions on the driven roads"
         )
     console.print(
-        f"{len(report.traversals)} traversals, {report.images:,} images"
+        f"{count_of(len(report.traversals), 'traversal')}, {count_of(report.images, 'image')}"
         f" ({report.bytes / 1e6:,.1f} MB, {report.linked:,} as hard links)"
     )
     if report.without_pose:
         console.print(
-            f"{report.without_pose:,} images were left out: they were taken in pose gaps longer than --max-gap-s,"
+            f"left out: {count_of(report.without_pose, 'image')} taken in pose gaps longer than --max-gap-s,"
             " or beyond the ends of the track"
         )
     if report.missing:
         console.print(
-            f"{report.missing:,} images are missing: cameras pause for longer than one and a half of their periods;"
-            " `mirror info RECORDING` counts them by camera"
+            f"missing: {count_of(report.missing, 'image')}: cameras pause for longer than one and a half of their"
+            " periods; `mirror info RECORDING` counts them by camera"
         )
     console.print(f"dataset: {out}")

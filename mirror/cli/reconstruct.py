@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.counting import count_of
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> No
         f"{result.core_s / 60.0:.1f} core-minutes, {result.wall_s / 60.0:.1f} minutes"
     )
     print(
-        f"{len(result.blocks)} block{'s' * (len(result.blocks) != 1)}, {result.pictures} images, "
+        f"{count_of(len(result.blocks), 'block')}, {result.pictures} images, "
         f"{result.gaussians} Gaussians, {result.model_bytes / 1e6:.2f} MB, {result.driven_m:.0f} m of road"
     )
     print(f"initialised from {f'points {result.points}' if result.points else 'no layer of points'}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.counting import count_of
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -129,6 +130,7 @@ def _parameters(arguments: Arguments) -> SplitMethod:
     from pydantic import ValidationError
 
     from mirror.schema.documents import ByCondition, ByScene, NovelTraversal
+    from mirror.schema.problems import describe_expected, describe_problem
 
     method = arguments.method or "novel-traversal"
     options = {name: getattr(arguments, name) for names in _OPTIONS_BY_METHOD.values() for name in names}
@@ -148,9 +150,12 @@ def _parameters(arguments: Arguments) -> SplitMethod:
         return NovelTraversal(**{"held_out" if name == "held_out_traversals" else name: n for name, n in given.items()})
     except ValidationError as error:
         first = error.errors()[0]
+        if not first["loc"]:
+            shares = ", ".join(f"--{name}" for name in _OPTIONS_BY_METHOD[method])
+            raise UsageError(describe_problem(first), place=shares) from error
         flags = (f"--{str(part).replace('_', '-')}" for part in first["loc"][:1])
         place = "".join(_RENAMED.get(option, option) for option in flags) or None
-        raise UsageError(f"{first['msg']} (got {first['input']!r})", place=place) from error
+        raise UsageError(f"{first['input']!r}", place=place, expected=describe_expected(first)) from error
 
 
 def _conditions(option: str, arguments: Arguments) -> tuple[Condition, ...]:
@@ -199,11 +204,12 @@ def _print(report: SplitReport, arguments: Arguments) -> None:
         print(f"left out: {place}: {reason}")
     if report.outside:
         print(
-            f"{len(report.outside)} traversals came after the split, such as {report.outside[0]}:"
+            f"{count_of(len(report.outside), 'traversal')} came after the split, such as {report.outside[0]}:"
             " add them to train with --extend"
         )
     if report.changed:
+        changed = count_of(len(report.changed), "traversal")
         print(
-            f"warning: {len(report.changed)} traversals have changed since the split, such as {report.changed[0]}:"
+            f"warning: changed since the split: {changed}, such as {report.changed[0]}:"
             " replace the split with --replace"
         )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.counting import count_of
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -223,7 +224,7 @@ def print_report(report: CheckReport, submission: Path) -> None:
         if len(problems) > _LISTED_PROBLEMS:
             print(f"  ... and {len(problems) - _LISTED_PROBLEMS} more; --json lists all")
     count = len(report.problems)
-    verdict = f"{count} problem{'s' * (count != 1)}" if count else "no problems"
+    verdict = count_of(count, "problem") if count else "no problems"
     # Without a manifest the expected files are unknown.
     presence = f"{report.present} of {report.expected} expected files are present; " if report.expected else ""
     print(f"{submission}: {presence}{verdict}")

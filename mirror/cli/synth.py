@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.counting import count_of
 from mirror.errors import ExitCode
 
 _EXAMPLES = (
@@ -78,9 +79,11 @@ def main(argv: Sequence[str]) -> int:
         paths = [str(path) for path in written.recordings]
         print(json.dumps({"recordings": paths, "rois": str(rois), **counts}))
     else:
-        print(f"{len(written.recordings)} recordings in {arguments.out}, their regions of interest in {rois}")
         print(
-            f"{written.images} images ({written.lost} more were lost), {written.boxes} boxes"
+            f"{count_of(len(written.recordings), 'recording')} in {arguments.out}, their regions of interest in {rois}"
+        )
+        print(
+            f"{count_of(written.images, 'image')} ({written.lost} more lost), {written.boxes:,} boxes"
             f" ({written.unseen} more road users were near but in no image)"
         )
     return ExitCode.DONE

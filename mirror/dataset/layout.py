@@ -93,6 +93,16 @@ def _complete(parent: Path) -> Iterator[Path]:
     yield from (folder for folder in _folders(parent) if (folder / MANIFEST).is_file())
 
 
+def not_a_dataset_error(root: str | Path, *, exists: bool) -> DatasetError:
+    """Make the error for a path where a dataset was expected."""
+    return DatasetError(
+        "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
+        file=root,
+        expected="the folder that `mirror ingest --out` wrote",
+        remedy="check the path, or make a dataset: mirror ingest RECORDING... --rois FILE --out DATASET",
+    )
+
+
 def require_dataset(layout: Layout) -> None:
     """Raise an error if a folder is not a dataset.
 
@@ -100,12 +110,7 @@ def require_dataset(layout: Layout) -> None:
         DatasetError: ``dataset.json`` is missing.
     """
     if not layout.document.is_file():
-        raise DatasetError(
-            "no dataset here",
-            file=layout.root,
-            expected="a folder with dataset.json",
-            remedy="check the path, or make one: mirror ingest RECORDING... --rois FILE --out DATASET",
-        )
+        raise not_a_dataset_error(layout.root, exists=layout.root.exists())
 
 
 def seal(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mirror.dataset.generation import Generation
 from mirror.dataset.index.inputs import read_inputs
-from mirror.dataset.layout import MANIFEST
+from mirror.dataset.layout import MANIFEST, not_a_dataset_error
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.schema.documents import DatasetDocument, Manifest
@@ -24,12 +24,7 @@ def read_document(store: Store) -> DatasetDocument:
         data = store.read("dataset.json")
     except (FileNotFoundError, NotADirectoryError) as error:
         exists = store.folder is None or Path(store.folder).exists()
-        raise DatasetError(
-            "not a dataset: dataset.json is missing" if exists else "the folder does not exist",
-            file=store.full_path(""),
-            expected="the folder that `mirror ingest --out` wrote",
-            remedy="check the path",
-        ) from error
+        raise not_a_dataset_error(store.full_path(""), exists=exists) from error
     return parse_json(data, DatasetDocument, store.full_path("dataset.json"))
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow.parquet as pq
 
+from mirror.counting import count_of
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks, linearise_mean, mean_weights
 from mirror.evaluation.result import IMAGES, Figure, Result, finite_or_none
@@ -83,7 +84,7 @@ def compare(paths: Sequence[Path]) -> tuple[Result, list[ResultComparison]]:
     """
     if len(paths) < 2:
         listed = f": {paths[0]}" if paths else ""
-        raise UsageError(f"{len(paths)} results to compare{listed}", expected="two or more results")
+        raise UsageError(f"{count_of(len(paths), 'result')} to compare{listed}", expected="two or more results")
     results = [read_result(path) for path in paths]
     first = results[0]
     for path, other in zip(paths[1:], results[1:]):

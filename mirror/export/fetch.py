@@ -102,6 +102,13 @@ def _read_with_retries(store: Store, name: str, is_right: Callable[[bytes], bool
     for _ in range(_ATTEMPTS):
         data = store.read_or_error(name)
         if isinstance(data, FileNotFoundError | NotADirectoryError):
+            if name == BUNDLE:
+                raise DatasetError(
+                    f"not a published dataset: {BUNDLE} is missing",
+                    file=store.root,
+                    expected="the folder or URL of a bundle that `mirror dataset publish` wrote",
+                    remedy="check the address",
+                )
             raise DatasetError(
                 "missing", file=store.full_path(name), expected="a file of a bundle that `mirror dataset publish` wrote"
             )

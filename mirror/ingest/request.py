@@ -16,6 +16,7 @@ from mirror.ingest.traversal import WriteOptions, WriteReport
 from mirror.ingest.trigger import Pass
 from mirror.recordings.protocol import DriveInfo
 from mirror.schema.documents import CleaningOptions, CleaningReport, TriggerOptions
+from mirror.schema.problems import describe_expected
 
 Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 
@@ -32,8 +33,9 @@ def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> 
         first = error.errors()[0]
         name = str(first["loc"][0]) if first["loc"] else "threshold"
         raise UsageError(
-            f"{name} cannot be {first.get('input')!r}: {first['msg'].lower()}",
+            f"{first.get('input')!r}",
             place=f"--{name.replace('_', '-')}",
+            expected=describe_expected(first),
             remedy="see `mirror ingest --help`",
         ) from error
 

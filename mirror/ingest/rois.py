@@ -14,6 +14,7 @@ from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.geometry.geodesy import surface_distance_m
 from mirror.schema.documents import Roi
 from mirror.schema.files import write_bytes
+from mirror.schema.problems import describe_expected, describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 
 _ALIASES = {
@@ -79,6 +80,10 @@ def parse_roi(text: str) -> Roi:
         lon, lat = float(parts[0]), float(parts[1])
     except ValueError as error:
         raise UsageError(f"{text!r} is not a ROI", place="--roi", expected=expected) from error
+    if not -180.0 <= lon <= 180.0:
+        raise UsageError(
+            f"longitude {parts[0]}", place=f"--roi {text}", expected="-180 to 180 degrees, longitude first"
+        )
     values: dict[str, object] = {"longitude_deg": lon, "latitude_deg": lat}
     if len(parts) > 2:
         values["radius_m"] = parts[2]
@@ -206,9 +211,13 @@ def _roi(values: dict[str, object], path: Path, place: str) -> Roi:
         return Roi.model_validate({key: value for key, value in plain.items() if key in Roi.model_fields})
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "ROI"
+        key = ".".join(str(part) for part in first["loc"])
+        expected = "scene_id, longitude_deg, latitude_deg, radius_m"
+        if not key or first["type"] == "missing":
+            problem = f"{key or 'ROI'}: {describe_problem(first)}"
+            raise SchemaError(problem, file=path, place=place, expected=expected) from error
         raise SchemaError(
-            f"{key}: {first['msg']}", file=path, place=place, expected="scene_id, longitude_deg, latitude_deg, radius_m"
+            f"{key} {first['input']}", file=path, place=place, expected=describe_expected(first)
         ) from error
 
 

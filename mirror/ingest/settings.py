@@ -59,13 +59,13 @@ def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) 
                         f"{name} {value} differs from the dataset's {getattr(own, name)}",
                         file=layout.document,
                         expected="one set of thresholds for all passes of a dataset",
-                        remedy=f"leave {name} away, or ingest everything into a new folder",
+                        remedy=f"leave --{name.replace('_', '-')} out, or ingest everything into a new folder",
                     )
         if options.licence not in (None, document.licence):
             raise DatasetError(
                 f"licence {options.licence!r} differs from the dataset's {document.licence!r}",
                 file=layout.document,
-                remedy="leave --licence away, or ingest into a new folder",
+                remedy="leave --licence out, or ingest into a new folder",
             )
         present = read_rois(layout.rois) if layout.rois.exists() else []
     else:

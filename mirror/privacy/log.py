@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 from mirror.errors import SchemaError
 from mirror.privacy.regions import Kind, Region
 from mirror.schema.documents import Document
+from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import decode_json
 from mirror.version import __version__
 
@@ -120,7 +121,7 @@ def _decode(line: bytes, path: Path, number: int) -> ImageRecord:
     try:
         return ImageRecord.model_validate(decode_json(line))
     except ValueError as error:
-        problem = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        problem = describe_problem(error.errors()[0]) if isinstance(error, ValidationError) else str(error)
         raise SchemaError(
             problem, file=path, place=f"line {number}", expected="one JSON object an image",
             remedy="restore the file, or write the redaction again",

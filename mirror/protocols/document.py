@@ -16,6 +16,7 @@ from mirror.geometry.cameras import WIDEST_DEG
 from mirror.protocols.metrics import Metric, metric_name
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
+from mirror.schema.problems import describe_problem
 
 ScoringTask = Literal[
     "reconstruction",
@@ -256,7 +257,7 @@ def parse_protocol(data: bytes, file: str) -> Protocol:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{first['msg']} (got {first.get('input')!r:.80})",
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
             file=file,
             place=".".join(str(part) for part in first["loc"]) or "the whole protocol",
             expected="a protocol as docs/evaluation.md describes it",

@@ -58,7 +58,7 @@ class BoreasReader:
 
     def open(self, path: Path, options: Mapping[str, str]) -> BoreasRecording:
         """Open a sequence; there are no options."""
-        refuse_options(options, (), path)
+        refuse_options(options, (), path, self.name)
         poses = _pose_file(path)
         if poses is None:
             raise RecordingError("no pose file", file=path, expected=" or ".join(_POSES))

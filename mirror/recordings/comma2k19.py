@@ -61,7 +61,7 @@ class Comma2k19Reader:
 
     def open(self, path: Path, options: Mapping[str, str]) -> Comma2k19Recording:
         """Open a route or a segment; there are no options."""
-        refuse_options(options, (), path)
+        refuse_options(options, (), path, self.name)
         segments = _segments(path) if path.is_dir() else []
         if not any(_has_positions(path, segment) for segment in segments):
             raise RecordingError("no segment", file=path, expected=self.expects)

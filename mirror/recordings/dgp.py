@@ -60,7 +60,7 @@ class DgpReader:
 
     def open(self, path: Path, options: Mapping[str, str]) -> DgpRecording:
         """Open a scene; there are no options."""
-        refuse_options(options, (), path)
+        refuse_options(options, (), path, self.name)
         files = _scene_files(path)
         if len(files) != 1:
             raise RecordingError(f"{len(files)} scene files", file=path, expected=self.expects)

@@ -58,7 +58,7 @@ class FolderReader:
 
     def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:
         """Open a recording; there are no options, because ``recording.json`` holds all settings."""
-        refuse_options(options, (), path)
+        refuse_options(options, (), path, self.name)
         return FolderRecording(path, read_document(require_file(path, DOCUMENT_NAME)))
 
 

@@ -14,6 +14,7 @@ from mirror.recordings.calibration import SE3, Calibration
 from mirror.recordings.opening import read_json
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.documents import Document, Identifier
+from mirror.schema.problems import describe_problem
 
 DOCUMENT_NAME: Final = "recording.json"
 
@@ -124,7 +125,7 @@ def _document_errors(file: Path) -> Iterator[None]:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordingError(
-            f"{first['msg']} (got {first.get('input')!r:.80})",
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
             file=file,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected="what docs/recordings.md specifies for this key",

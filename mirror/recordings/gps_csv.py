@@ -88,7 +88,7 @@ class CsvReader:
 
     def open(self, path: Path, options: Mapping[str, str]) -> CsvRecording:
         """Open a table, or a folder of tables; the options are described in docs/recordings.md."""
-        refuse_options(options, _OPTIONS, path)
+        refuse_options(options, _OPTIONS, path, self.name)
         if "frame" in options and not is_identifier(options["frame"]):
             raise RecordingError(
                 f"{options['frame']!r} is not a valid frame name",

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Final
 
 from mirror.errors import RecordingError
 from mirror.recordings.paths import not_a_file_error
@@ -105,6 +106,15 @@ def find_reader(path: str | Path, reader: str | None = None) -> Reader:
             expected="; ".join(f"{name}: {known[name].expects}" for name in matching),
             remedy=f"name the reader: --reader {' or '.join(matching)}",
         )
+    if not matching and (path / "dataset.json").is_file():
+        raise RecordingError(
+            "a MIRROR dataset, not a recording",
+            file=path,
+            expected="a recording",
+            remedy="name the recordings that it was made from, or describe it: mirror info DATASET",
+        )
+    if not matching and path.is_dir() and not any(path.iterdir()):
+        raise RecordingError("the folder is empty", file=path, expected="a recording, or a folder of recordings")
     if not matching:
         raise RecordingError(
             "no reader recognises this path",
@@ -143,8 +153,18 @@ def list_drives(path: Path, reader: str | None = None) -> list[Path] | None:
     return None
 
 
-def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Path) -> None:
+_FLAGS: Final = {"tz": "--tz", "columns": "--columns"}
+"""Options of readers that have a flag of their own on the command line."""
+
+
+def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Path, reader: str) -> None:
     """Refuse options that a reader does not have.
+
+    Args:
+        options: the given options.
+        known: names of the reader's options.
+        path: the recording, for the message.
+        reader: name of the reader, for the message.
 
     Raises:
         RecordingError: an option is unknown.
@@ -152,7 +172,7 @@ def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Pat
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise RecordingError(
-            f"unknown option {unknown[0]!r}",
+            f"the reader {reader!r} has no option {_FLAGS.get(unknown[0], f'--option {unknown[0]}=VALUE')}",
             file=path,
             expected=f"one of {', '.join(known)}" if known else "no options for this reader",
         )

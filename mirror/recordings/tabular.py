@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Float64, Int64
+from mirror.counting import count_of
 from mirror.errors import RecordingError
 from mirror.recordings.bad_rows import Reason
 from mirror.recordings.opening import unreadable_error
@@ -259,10 +260,10 @@ def _to_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
 
 def _torn_line_error(file: Path, line: int, cells: int, width: int) -> RecordingError:
     return RecordingError(
-        f"{cells} cells",
+        count_of(cells, "cell"),
         file=file,
         place=f"line {line}",
-        expected=f"{width} cells, as in the header",
+        expected=f"{count_of(width, 'cell')}, as in the header",
         remedy="correct or remove the line",
     )
 

@@ -339,8 +339,9 @@ class ByScene(Document):
 
     @model_validator(mode="after")
     def _whole(self) -> ByScene:
-        if abs(self.train + self.val + self.test - 1.0) > 1e-9:
-            raise ValueError(f"the shares {self.train} + {self.val} + {self.test} do not add up to 1")
+        total = self.train + self.val + self.test
+        if not abs(total - 1.0) <= 1e-9:
+            raise ValueError(f"the shares {self.train} + {self.val} + {self.test} add up to {total:g}; expected 1")
         return self
 
 

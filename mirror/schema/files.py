@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 
 from mirror.errors import DatasetError, SchemaError
+from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import ADDED, Table
 from mirror.schema.version import SCHEMA_VERSION, require_readable
@@ -121,7 +122,7 @@ def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{first['msg']} (got {first.get('input')!r:.80})",
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
             file=path,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected=f"a {model.__name__} document",

@@ -85,12 +85,36 @@ def test_paths_that_are_not_there(fleet: Path, capsys: pytest.CaptureFixture[str
     said = capsys.readouterr()
     assert "there is no file or folder at this path" in said.err
     assert said.out == ""
-    assert "1 results to compare" in refused(fleet, capsys, "compare {fleet}/none")
+    assert "1 result to compare" in refused(fleet, capsys, "compare {fleet}/none")
     assert "no such result" in refused(fleet, capsys, "compare {fleet}/none {fleet}/none")
 
 
 def test_seeds_of_splits(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "seed -1" in refused(fleet, capsys, "split {fleet}/dataset s --seed -1")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("synth --out {fleet}/none --scenes 90", "mirror synth: --scenes: 90 scenes"),
+        ("synth --out {fleet}/none --seed -1", "mirror synth: --seed: -1; expected a whole number"),
+        ("ingest {fleet}/there --roi nan,2 --out {fleet}/none", "--roi nan,2: longitude nan; expected -180 to 180"),
+        (
+            "ingest {fleet}/there --roi 1,2,-5 --out {fleet}/none",
+            "--roi 1,2,-5: radius_m -5; expected a number greater",
+        ),
+        ("rois propose {fleet}/there --min-duration-s nan", "mirror rois propose: --min-duration-s: nan; expected"),
+        ("rois propose {fleet}/empty", "the folder is empty; expected a recording"),
+        ("rois propose {fleet}/dataset", "a MIRROR dataset, not a recording"),
+        (
+            "dataset fetch {fleet}/empty --out {fleet}/none",
+            "mirror dataset fetch: {fleet}/empty: not a published dataset",
+        ),
+    ],
+)
+def test_what_was_given_is_named(fleet: Path, capsys: pytest.CaptureFixture[str], words: str, message: str) -> None:
+    (fleet / "empty").mkdir(exist_ok=True)
+    assert message.format(fleet=fleet) in refused(fleet, capsys, words)
 
 
 def test_index_notices_a_table_that_was_cut(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -208,7 +208,7 @@ def test_usage(builder: Builder, tmp_path: Path) -> None:
         make_split(builder.root, "s", scenes=["nowhere"])
     with pytest.raises(DatasetError, match="no such split"):
         extend_split(builder.root, "s")
-    with pytest.raises(DatasetError, match="no dataset here"):
+    with pytest.raises(DatasetError, match="the folder does not exist"):
         make_split(tmp_path / "elsewhere", "s")
     assert not (tmp_path / "elsewhere").exists()
     with writer_lock(Layout(builder.root), wait=False), pytest.raises(DatasetError, match="another run"):

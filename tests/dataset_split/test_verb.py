@@ -34,12 +34,12 @@ def test_made_kept_and_extended(builder: Builder, capsys: pytest.CaptureFixture[
     code, said = run(builder, capsys, "s")
     assert code == 0
     assert "held_out 1, train 4, unused 1" in said
-    assert "left out: b: 1 traversals" in said
+    assert "left out: b: 1 traversal," in said
     builder.drive("late", [Pass("a", EPOCH + 9000 * SECOND, frames=2)], vehicle_id="late")
     code, said = run(builder, capsys, "s")
     assert code == 0
     assert "is unchanged" in said
-    assert "1 traversals came after the split" in said
+    assert "1 traversal came after the split" in said
     code, said = run(builder, capsys, "s", "--extend", "--json")
     plain = json.loads(said)
     assert (code, plain["action"], plain["roles"]["train"]) == (0, "extended", 5)
@@ -62,15 +62,19 @@ def test_every_method(builder: Builder, capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["s", "--require"], "b: 1 traversals"),
+        (["s", "--require"], "b: 1 traversal,"),
         (["s", "--val", "0.1"], "--val is not for --method novel-traversal"),
         (["s", "--train", "1.5"], "--train"),
-        (["s", "--train", "0"], "--train"),
-        (["s", "--method", "by-scene", "--train", "0.9"], "do not add up to 1"),
+        (["s", "--train", "0"], "--train: 0.0; expected a number greater than or equal to 1"),
+        (["s", "--train", "9"], "ask for fewer with --train N --held-out-traversals M"),
+        (
+            ["s", "--method", "by-scene", "--val", "0.9", "--test", "0.9"],
+            "mirror split: --train, --val, --test: the shares 0.7 + 0.9 + 0.9 add up to 2.5; expected 1\n",
+        ),
         (["s", "--method", "by-condition", "--train-on", "light=day"], "--test-on: no condition given"),
         (["s", "--method", "by-condition", "--train-on", "light=dawn"], "'light=dawn' is not a condition"),
         (["s", "--method", "by-condition", "--train-on", "light"], "'light' is not a condition"),
-        (["s", "--extend"], "no such split"),
+        (["s", "--extend"], "no such split. Remedy: make one with `mirror split"),
         (["s", "--extend", "--seed", "1"], "--extend and --seed exclude each other"),
         (["s", "--scene", "z"], "unknown scene 'z'"),
         (["../s"], "'../s' is not a valid name of a split"),

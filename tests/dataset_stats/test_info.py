@@ -57,12 +57,12 @@ def test_what_is_broken_is_said(builder: Builder, capsys: pytest.CaptureFixture[
     (builder.root / "rigs" / "rig.json").write_text("{")
     assert main(["info", str(builder.root)]) == 0
     out = capsys.readouterr().out
-    assert "1 files: run `mirror check`" in out
+    assert "1 file: run `mirror check`" in out
     assert "rigs/rig.json" in out
     (builder.root / "dataset.json").write_text("{")
     with pytest.raises(SchemaError):
         summarise(builder.root)
-    with pytest.raises(DatasetError, match="no dataset here"):
+    with pytest.raises(DatasetError, match="not a dataset"):
         summarise(builder.root / "rigs")
 
 

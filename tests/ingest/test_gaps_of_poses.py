@@ -143,6 +143,6 @@ def test_the_verb_says_what_was_left_out(tmp_path: Path, capsys: pytest.CaptureF
     (tmp_path / "rois.csv").write_text("scene_id,frame,x_m,y_m,radius_m\nyard,yard,0,0,60\n")
     arguments = [str(record(tmp_path / "drive", lost, is_clip=True)), "--rois", str(tmp_path / "rois.csv"), "--out"]
     assert main([*arguments, str(tmp_path / "d")]) == 0
-    assert f"{in_gap(lost).sum()} images were left out" in capsys.readouterr().out
+    assert f"left out: {in_gap(lost).sum()} image" in capsys.readouterr().out
     assert main([*arguments, str(tmp_path / "e"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["images_without_pose"] == in_gap(lost).sum()

@@ -272,7 +272,7 @@ DAMAGE = {
     "missing camera": (lambda d: shutil.rmtree(d / "images/rear"), "camera rear is missing"),
     "no poses": (lambda d: (d / "poses.csv").unlink(), "poses"),
     "empty poses": (lambda d: (d / "poses.csv").write_text("timestamp_ns,longitude_deg,latitude_deg\n"), "pose"),
-    "empty folder": (lambda d: (shutil.rmtree(d), d.mkdir()), "no reader recognises"),
+    "empty folder": (lambda d: (shutil.rmtree(d), d.mkdir()), "the folder is empty"),
     "images on another clock": (_shift_images, "no pose covers any image"),
     "all poses wild": (
         lambda d: (d / "poses.csv").write_text("timestamp_ns,longitude_deg,latitude_deg\n1,999,5\n2,nan,nan\n"),

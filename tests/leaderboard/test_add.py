@@ -243,7 +243,7 @@ def test_commands(folder: Path, board: Path, tmp_path: Path, capsys: pytest.Capt
     assert "refused" in capsys.readouterr().err
     key = str(tmp_path / "organiser.key")
     assert main(["leaderboard", "sign", "--board", str(board), "--key", key]) == ExitCode.DONE
-    assert "1 entries were signed" in capsys.readouterr().out
+    assert "signed: 1 entry\n" in capsys.readouterr().out
     assert main(build) == ExitCode.DONE
     assert "a method" in (tmp_path / "site" / "index.html").read_text()
     capsys.readouterr()

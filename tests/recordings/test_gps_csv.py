@@ -179,7 +179,7 @@ def test_weather_is_the_most_frequent_word(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "expected"),
     [
-        (PLAIN, {"colums": "lat=a"}, "unknown option 'colums'"),
+        (PLAIN, {"colums": "lat=a"}, "has no option --option colums=VALUE"),
         (PLAIN.replace("lat", "breite"), {}, "--columns lat="),
         (PLAIN, {"columns": "lat=breite"}, "names no column"),
         (PLAIN, {"columns": "speed=lat"}, "is not a role of a column"),

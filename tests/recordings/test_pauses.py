@@ -59,6 +59,6 @@ def test_the_verbs_report_missing_images(tmp_path: Path, capsys: pytest.CaptureF
     )
     arguments = ["ingest", str(base.path), "--rois", str(tmp_path / "rois.csv"), "--out"]
     assert main([*arguments, str(tmp_path / "d")]) == 0
-    assert "1 images are missing" in capsys.readouterr().out
+    assert "missing: 1 image:" in capsys.readouterr().out
     assert main([*arguments, str(tmp_path / "e"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["images_missing"] == 1

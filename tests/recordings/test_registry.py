@@ -83,6 +83,9 @@ def test_bad_entry_points_are_named(monkeypatch: pytest.MonkeyPatch, name: str, 
 
 
 def test_unrecognised_path_lists_the_formats_in_a_short_message(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="the folder is empty"):
+        registry.open_recording(tmp_path)
+    (tmp_path / "notes.txt").write_text("")
     with pytest.raises(RecordingError, match="no reader recognises this path") as caught:
         registry.open_recording(tmp_path)
     for name in ("boreas, ", "csv, ", "folder", "--reader NAME"):
@@ -104,5 +107,5 @@ def test_unknown_reader_lists_the_installed_readers(tmp_path: Path) -> None:
 
 
 def test_unknown_options_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="unknown option 'tz'"):
+    with pytest.raises(RecordingError, match="the reader 'folder' has no option --tz; expected no options"):
         registry.open_recording(write_recording(tmp_path / "drive"), options={"tz": "UTC"})

@@ -290,7 +290,7 @@ def test_an_interrupted_run_resumes_and_keeps_complete_recordings(tiny: SynthRep
     kept = out / tiny.recordings[0].name / "recording.json"
     before, half = kept.stat().st_mtime_ns, out / tiny.recordings[1].name
     assert half.exists() and not (half / "recording.json").exists()
-    with pytest.raises(UsageError, match="recordings of other arguments: seed differ"):
+    with pytest.raises(UsageError, match="recordings made with another --seed"):
         mirror.synth.write_recordings(out, seed=1)
     # The state that a killed process leaves behind.
     (half / "images" / ".half.jpg.77.tmp").write_bytes(b"half")

@@ -15,6 +15,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 
 # Increase this number when the same inputs give another index, so that every index is rebuilt.
@@ -161,7 +162,9 @@ def read_rois(store: Store) -> dict[str, Roi]:
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(str(part) for part in ("features", number, "properties", *first["loc"]))
-            raise SchemaError(str(first["msg"]), file=name, place=place, expected="a region of interest") from error
+            raise SchemaError(
+                describe_problem(first), file=name, place=place, expected="a region of interest"
+            ) from error
         if roi.scene_id in scenes:
             raise SchemaError(f"scene {roi.scene_id} is there twice", file=name, place=f"features.{number}")
         scenes[roi.scene_id] = roi

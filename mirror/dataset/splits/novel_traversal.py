@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Final, TypeAlias
 
+from mirror.counting import count_of
 from mirror.dataset.splits.assignment import Assignment, describe_tie
 from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie
@@ -45,7 +46,8 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: Nov
         scenes[item.scene_id][unit_of[item.traversal_id]].append(item.traversal_id)
     needed = parameters.train + parameters.held_out
     left_out = {
-        scene_id: f"{count} traversals, but {parameters.train} to train on and {parameters.held_out} to hold out needed"
+        scene_id: f"{count_of(count, 'traversal')}, but {parameters.train} to train on and {parameters.held_out}"
+        " to hold out needed"
         for scene_id, passes in scenes.items()
         if (count := sum(map(len, passes.values()))) < needed
     }

@@ -24,6 +24,7 @@ from mirror.protocols.metrics import Detection
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import Document
+from mirror.schema.problems import describe_problem
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
 Positive = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
@@ -155,7 +156,8 @@ def _read_detections(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame
     except (ValidationError, RecursionError) as error:
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         place = "" if first is None else ".".join(map(str, first["loc"]))
-        raise UntrustedError("nested too deep" if first is None else first["msg"], file=path, place=place) from error
+        problem = "nested too deep" if first is None else describe_problem(first)
+        raise UntrustedError(problem, file=path, place=place) from error
     metric = _detection_metric(inputs.protocol)
     requested = {view.frame_index for view in job.views}
     by_index: dict[int, DetectedFrame] = {}

@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError
 
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles, parse_untrusted
 from mirror.schema.documents import Document, is_identifier
+from mirror.schema.problems import describe_problem
 
 MANIFEST: Final = "manifest.json"
 MAX_MANIFEST_BYTES: Final = 1 << 20
@@ -151,7 +152,8 @@ def read_manifest(files: UntrustedFiles) -> tuple[SubmissionManifest, str]:
         return SubmissionManifest.model_validate(raw), hashlib.sha256(data).hexdigest()
     except (ValidationError, RecursionError) as error:
         details = error.errors() if isinstance(error, ValidationError) else []
-        listed = "; ".join(f"{'.'.join(map(str, item['loc'])) or 'document'}: {item['msg']}" for item in details[:5])
+        places = [".".join(map(str, item["loc"])) or "document" for item in details[:5]]
+        listed = "; ".join(f"{place}: {describe_problem(item)}" for place, item in zip(places, details))
         raise UntrustedError(
             listed or "nested too deep",
             file=f"{files.where}: {MANIFEST}",

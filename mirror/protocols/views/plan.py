@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from mirror.counting import count_of
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
@@ -213,7 +214,7 @@ def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tu
     without = [name for name, own in layers.items() if not kinds & {layer.partition("/")[0] for layer in own}]
     if without:
         raise DatasetError(
-            f"{len(without)} traversals have no layer to mask road users with, such as {without[0]}",
+            f"{count_of(len(without), 'traversal')} with no layer to mask road users with, such as {without[0]}",
             file=dataset.root,
             expected=f"layers of kind {' or '.join(sorted(kinds))}",
             remedy="annotate them, or score everything with a protocol of your own: --protocol FILE.toml with "

@@ -99,7 +99,7 @@ class Argoverse2Reader:
 
         The option ``city`` is the city's abbreviation (``PIT``), for logs without a map.
         """
-        refuse_options(options, ("city",), path)
+        refuse_options(options, ("city",), path, self.name)
         require_file(path, _POSES)
         city = options.get("city") or _find_city(path)
         if city is not None and city not in _CITIES:

@@ -73,7 +73,7 @@ class ColmapReader:
         ``up`` is ``z`` (the model's z) or ``images`` (the mean of the images' upward direction); ``origin`` is
         ``longitude,latitude,height`` of the model's origin; ``frame`` names the local frame.
         """
-        refuse_options(options, OPTIONS, path)
+        refuse_options(options, OPTIONS, path, self.name)
         settings = read_settings(options, path)
         root, name = path, None
         folder = options.get("model", _model_folder(path) if path.is_dir() else None)

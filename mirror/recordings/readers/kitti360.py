@@ -77,7 +77,7 @@ class Kitti360Reader:
         ``fisheye`` is ``yes`` (all cameras that have images) or ``no`` (the rectified ones). ``boxes`` is ``movable``
         (road users), ``all`` (also buildings, poles and other objects) or ``no``.
         """
-        refuse_options(options, ("tz", "fisheye", "boxes"), path)
+        refuse_options(options, ("tz", "fisheye", "boxes"), path, self.name)
         root, name = (path, None) if self.recognises(path) else (path.parent, path.name)
         if not self.recognises(root):
             raise RecordingError("no KITTI-360 folder", file=path, expected=self.expects)

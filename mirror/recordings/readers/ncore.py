@@ -73,7 +73,7 @@ class NcoreReader:
         sequences without a place on the globe that share their world; ``poses``, ``intrinsics``, ``masks`` and
         ``cuboids`` name the instance of a component if a sequence has several.
         """
-        refuse_options(options, ("cameras", "frame", *_COMPONENTS), path)
+        refuse_options(options, ("cameras", "frame", *_COMPONENTS), path, self.name)
         root, name = (path, None) if self.recognises(path) else (path.parent, path.name)
         if not root.is_dir() or not self.recognises(root):
             raise RecordingError("no stores of NCore V4", file=path, expected=self.expects)

@@ -79,7 +79,7 @@ class NuplanReader:
 
         The option ``blobs`` is the folder ``sensor_blobs``; by default it is looked for above the database.
         """
-        refuse_options(options, ("blobs",), path)
+        refuse_options(options, ("blobs",), path, self.name)
         if "blobs" in options:
             blobs: Path | None = Path(options["blobs"])
             if not Path(options["blobs"]).is_dir():

@@ -92,7 +92,7 @@ class NuscenesReader:
 
         The option ``sweeps`` is ``yes`` (all images, the default) or ``no`` (images of annotated frames only).
         """
-        refuse_options(options, _OPTIONS, path)
+        refuse_options(options, _OPTIONS, path, self.name)
         sweeps = one_of(options, "sweeps", ("yes", "no"), path)
         folders, scene = _version_folders(path), None
         place = path

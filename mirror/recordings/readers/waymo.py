@@ -120,7 +120,7 @@ class WaymoReader:
 
         The option ``frame`` names the local frame, for segments that are known to share theirs.
         """
-        refuse_options(options, ("frame",), path)
+        refuse_options(options, ("frame",), path, self.name)
         root, name = (path, None) if (path / _POSES).is_dir() else (path.parent, path.name)
         if not (root / _POSES).is_dir():
             raise RecordingError("no segments of Waymo v2", file=path, expected=self.expects)

@@ -38,7 +38,7 @@ def make_drives(
         UsageError: the preset does not exist, it has fewer scenes, or the seed is out of range.
     """
     if not 0 <= seed < _SEEDS:
-        raise UsageError(f"seed {seed}", place="seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
+        raise UsageError(f"{seed}", place="--seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
     definition, count, many = resolve_preset(preset, scenes, traversals)
     drives = []
     for scene in range(count):

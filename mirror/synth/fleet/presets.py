@@ -195,10 +195,12 @@ def resolve_preset(preset: str, scenes: int | None = None, traversals: int | Non
     definition = PRESETS[preset]
     count = len(definition.sites) if scenes is None else scenes
     if not 1 <= count <= len(definition.sites):
-        raise UsageError(f"{count} scenes of preset {preset!r}", expected=f"1 to {len(definition.sites)}")
+        raise UsageError(
+            f"{count} scenes of preset {preset!r}", place="--scenes", expected=f"1 to {len(definition.sites)}"
+        )
     traversal_count = definition.traversals if traversals is None else traversals
     if traversal_count < 1:
-        raise UsageError(f"{traversal_count} traversals a scene", expected="at least 1")
+        raise UsageError(f"{traversal_count} traversals a scene", place="--traversals", expected="at least 1")
     return definition, count, traversal_count
 
 

@@ -105,7 +105,7 @@ def open_journal(out: Path, arguments: dict[str, str]) -> Iterator[Journal]:
         if document is not None and document.arguments != arguments:
             differing = sorted(key for key in arguments if document.arguments.get(key) != arguments[key])
             raise UsageError(
-                f"it holds recordings of other arguments: {', '.join(differing)} differ: nothing was written",
+                f"it holds recordings made with another {', '.join(map(_flag, differing))}: nothing was written",
                 file=out,
                 place="--out",
                 expected="a new or an empty folder, or recordings of the same arguments",
@@ -130,3 +130,9 @@ def _lock(folder: Path) -> Iterator[None]:
         raise DatasetError("another run is writing these recordings", file=folder, remedy="let it finish") from error
     finally:
         os.close(number)
+
+
+def _flag(argument: str) -> str:
+    """How `mirror synth` names an argument."""
+    names = {"toolkit": "version of the toolkit", "effects": "--without"}
+    return names.get(argument, f"--{argument}")

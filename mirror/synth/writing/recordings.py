@@ -100,7 +100,7 @@ def write_recordings(
         DatasetError: the folder is not writable, the disk is full, or another run is writing to the folder.
     """
     if workers is not None and workers < 1:
-        raise UsageError(f"{workers} workers", expected="at least one")
+        raise UsageError(f"{workers} workers", place="--workers", expected="at least one")
     settings, drives = make_drives(preset, seed, scenes, traversals)
     errors = settings.errors if errors is None else errors
     if settings.on_demand:

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 from hybridworldsim.simulator.remote.lenses import Lens
 from mirror.errors import SchemaError, UsageError
 from mirror.schema.documents import Document
+from mirror.schema.problems import describe_problem
 
 FRONT_WIDE: Final = "camera_front_wide_120fov"
 
@@ -52,7 +53,7 @@ def read_driver_file(path: Path) -> DriverFile:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{first['msg']} (got {first.get('input')!r:.80})", file=path,
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})", file=path,
             place=".".join(str(part) for part in first["loc"]) or None,
             expected="a driver's file as docs/simulation.md describes it",
         ) from error  # fmt: skip

@@ -48,7 +48,7 @@ class _LogReader(ABC):
         Raises:
             RecordingError: there is no topics file, or it does not fit the log.
         """
-        refuse_options(options, _OPTIONS, path)
+        refuse_options(options, _OPTIONS, path, self.name)
         logs = self._logs(path)
         file = self._topics_file(path, options)
         if file is None:

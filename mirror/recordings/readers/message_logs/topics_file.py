@@ -16,6 +16,7 @@ from mirror.recordings.paths import to_identifier
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.decoding import RAW_IMAGES, kind_of
 from mirror.schema.documents import Document, Identifier
+from mirror.schema.problems import describe_problem
 
 CANONICAL: Final = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
 _STRICT: Final = "a topics file as docs/recordings.md describes it"
@@ -110,7 +111,7 @@ def read_topics_file(file: Path) -> TopicsFile:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordingError(
-            f"{first['msg']} (got {first.get('input')!r:.80})",
+            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
             file=file,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected=_STRICT,

@@ -118,9 +118,10 @@ def find_rollouts(folder: Path) -> list[Path]:
     if not folder.is_dir():
         problem = "a file, not a folder" if folder.exists() else "no such folder"
         raise UsageError(problem, file=folder, expected="a rollout of `mirror simulate`, or a folder of them")
-    if (problem := _OTHERS.get(find_kind(folder) or FolderKind.ROLLOUT)) is not None:
+    kind = find_kind(folder)
+    if kind in _OTHERS:
         raise UsageError(
-            problem, file=folder, expected="mirror evaluate DATASET SUBMISSION, or a folder of rollouts alone"
+            _OTHERS[kind], file=folder, expected="mirror evaluate DATASET SUBMISSION, or a folder of rollouts alone"
         )
     found = [path.parent for path in sorted(folder.rglob(ROLLOUT)) if find_kind(path.parent) is FolderKind.ROLLOUT]
     if not found:

@@ -126,6 +126,7 @@ def evaluate(
     dataset = mirror.open(truth)
     plan = plan_views(dataset, protocol, split)
     _require_matching_options(plan, options)
+    required = _list_required(options.require, protocol)
     files = open_untrusted(submission)
     progress.start("checking", len(plan.views))
     check = check_submission(files, plan, advance=progress.advance)
@@ -135,7 +136,7 @@ def evaluate(
         require_hidden_truth(options.hidden, plan)
     available = _find_availability(plan, check.manifest, options)
     unavailable = available.unavailable
-    _require_metrics(options.require, protocol, unavailable)
+    _require_available(required, unavailable)
     inputs = ScoringInputs(
         protocol=protocol,
         submission=submission,
@@ -255,8 +256,10 @@ def _require_weights(resolver: WeightResolver, name: str) -> None:
         raise UsageError(error.problem, file=error.file, place=f"--weights {name}", expected=error.expected) from error
 
 
-def _require_metrics(required: Sequence[str], protocol: Protocol, unavailable: Mapping[str, str]) -> None:
-    for name in required:
+def _list_required(names: Sequence[str], protocol: Protocol) -> list[str]:
+    """The metrics of a protocol that ``--require`` names."""
+    required = []
+    for name in names:
         matching = [metric for metric in protocol.metric_names if name in (metric, metric.partition("_")[0])]
         if not matching:
             raise UsageError(
@@ -264,9 +267,14 @@ def _require_metrics(required: Sequence[str], protocol: Protocol, unavailable: M
                 place="--require",
                 expected=f"one of {', '.join(protocol.metric_names)}",
             )
-        for metric in matching:
-            if metric in unavailable:
-                raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
+        required += matching
+    return required
+
+
+def _require_available(required: Sequence[str], unavailable: Mapping[str, str]) -> None:
+    for metric in required:
+        if metric in unavailable:
+            raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
 
 
 def _require_recorded_images(dataset: Dataset, jobs: Sequence[Job]) -> None:

@@ -180,6 +180,8 @@ def test_unavailable_metrics_are_listed_and_can_be_required(
             evaluate(
                 tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, require=[name])
             )
+    # A wrong option comes before the problems of the submission.
+    (tmp_path / "s" / "manifest.json").unlink()
     with pytest.raises(UsageError, match="no metric"):
         evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1, require=["fid"]))
 

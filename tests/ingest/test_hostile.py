@@ -136,7 +136,7 @@ def test_text_of_files_is_not_markup(tmp_path: Path, capsys: pytest.CaptureFixtu
     said = captured.out + captured.err
     assert "'[/b]' is not a date and time" in said
     assert "[red]when[/red], [bold]lon, :smile:" in said
-    assert "1 traversals" in said
+    assert "1 traversal, " in said
 
 
 @pytest.fixture(scope="module")

@@ -147,7 +147,7 @@ def test_margins_do_not_reach_across_a_jump(tmp_path: Path) -> None:
     ],
 )
 def test_thresholds_out_of_range_are_named(options: IngestOptions, drives: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"min_overlap|max_gap_s|max_speed_mps|workers"):
+    with pytest.raises(UsageError, match=r"^--(min-overlap|max-gap-s|max-speed-mps): |workers"):
         ingest_recordings(drives, [SCENE], tmp_path / "d", options)
     assert tree(tmp_path / "d") == {}
 

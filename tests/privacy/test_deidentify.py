@@ -201,7 +201,7 @@ def test_a_dataset_without_images_or_an_unknown_traversal(tmp_path: Path) -> Non
     make_dataset(root, frames=1)
     with pytest.raises(UsageError, match="nowhere"):
         deidentify(root, options(), traversals=["nowhere"])
-    with pytest.raises(DatasetError, match="no dataset"):
+    with pytest.raises(DatasetError, match="the folder does not exist; expected the folder that `mirror ingest"):
         deidentify(tmp_path / "none", options())
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from hybridworldsim.generation.devices import device_name, repeating_exactly, require_counts
+from hybridworldsim.generation.devices import repeating_exactly, require_counts
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import calibrations_of, open_background
 from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
@@ -116,6 +116,7 @@ def generate_submission(
         *(str(request.threads), request.device),
         *(f"{name} of {scene}: {value}" for scene, one in maps.items() for name, value in one.inputs.items()),
     )
+    on_gpu = torch.device(request.device).type == "cuda"
     with repeating_exactly(request.device):
         return write_submission(
             dataset,
@@ -125,7 +126,7 @@ def generate_submission(
             Appearance(policy="other", description=f"of the background: {request.appearance}"),
             out,
             progress,
-            costs=Runtime(device=device_name(request.device)),
+            costs=Runtime(device=torch.cuda.get_device_name(request.device)) if on_gpu else None,
             of="|".join(inputs),
             notes=note,
         )

@@ -70,7 +70,8 @@ def prepare(
         _run(main, ["synth", "--out", str(recordings), "--preset", declaration.preset,
                     "--seed", str(declaration.scenes_seed)])  # fmt: skip
     if not (dataset / "index" / "manifest.json").is_file():
-        drives = [str(path) for path in sorted(recordings.iterdir()) if path.is_dir()]
+        # Beside the recordings lies the folder of exact maps.
+        drives = [str(path.parent) for path in sorted(recordings.glob("*/recording.json"))]
         _run(main, ["ingest", *drives, "--rois", str(recordings / "rois.geojson"), "--out", str(dataset),
                     "--licence", "CC0-1.0"])  # fmt: skip
     split = dataset / "splits" / f"{declaration.split}.json"

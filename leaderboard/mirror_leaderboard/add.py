@@ -153,6 +153,7 @@ def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None 
             protocol_hash=result.protocol_hash,
             dataset=dataset,
             dataset_hash=result.dataset.dataset_hash,
+            plan_hash=result.dataset.plan_hash,
             split=result.dataset.split,
             options=_list_options(result),
             setting=setting,

@@ -24,7 +24,7 @@ Column = tuple[str, str]
 """A group and a metric."""
 
 _Options = tuple[tuple[str, str], ...]
-_Key = tuple[str, str, str | None, tuple[str, str] | None, _Options]
+_Key = tuple[str, str, str | None, tuple[str, ...] | None, _Options]
 
 _NEVER_RANKS: Final = ("psnr_cc", "psnr_affine")
 """Metrics that rank nothing: a render can be recoloured for their fits (docs/threat-model.md)."""
@@ -46,7 +46,7 @@ class Board:
         protocol: name of the protocol.
         title: name of the dataset, or a note that the paper does not state it.
         split: split of measured entries.
-        hashes: hashes of the protocol and the dataset, for measured entries.
+        hashes: hashes of the protocol, the dataset and the plan (where it is known), for measured entries.
         options: other options that determine the figures.
         entries: the rows, best first.
         columns: groups and metrics with a value in any entry, in the protocol's order.
@@ -55,7 +55,7 @@ class Board:
     protocol: str
     title: str
     split: str | None
-    hashes: tuple[str, str] | None
+    hashes: tuple[str, ...] | None
     options: _Options
     entries: tuple[Entry, ...]
     columns: tuple[Column, ...]
@@ -134,7 +134,9 @@ def _board_key(entry: Entry) -> _Key:
     if isinstance(entry, Reported):
         return (entry.protocol, entry.dataset or "Data set not stated", None, None, ())
     unverified = {} if entry.verified else UNVERIFIED
-    hashes, options = (entry.protocol_hash, entry.dataset_hash), tuple(sorted({**entry.options, **unverified}.items()))
+    plan = () if entry.plan_hash is None else (entry.plan_hash,)
+    hashes = (entry.protocol_hash, entry.dataset_hash, *plan)
+    options = tuple(sorted({**entry.options, **unverified}.items()))
     return (entry.protocol, entry.dataset, entry.split, hashes, options)
 
 

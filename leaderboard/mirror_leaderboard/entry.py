@@ -152,6 +152,7 @@ class Measured(Document):
         protocol_hash: hash of the protocol.
         dataset: name of the dataset on the board.
         dataset_hash: hash of the tables that the split was made from.
+        plan_hash: hash of what was asked: the views, or the scenarios with their seeds and maps; None: it is not known.
         split: split of the dataset.
         options: other options that determine the figures: only entries with equal options are comparable.
         setting: setting that distinguishes rows of one method.
@@ -179,6 +180,7 @@ class Measured(Document):
     protocol_hash: Hash
     dataset: Name
     dataset_hash: Hash
+    plan_hash: Hash | None = Field(default=None, exclude_if=lambda plan: plan is None)
     split: Name
     options: dict[Name, Note] = Field(default_factory=dict)
     setting: Name | None = None
@@ -258,6 +260,7 @@ def entry_key(entry: Entry) -> tuple[str | None, ...]:
         entry.split,
         entry.protocol_hash,
         entry.dataset_hash,
+        entry.plan_hash,
     )
 
 

@@ -151,3 +151,10 @@ def test_seal_covers_all_other_fields() -> None:
         if name not in ("seal", "kind", "key", "signed_on", "signature"):
             changed = entry.model_copy(update={name: "other"})
             assert changed.content_hash != entry.content_hash, name
+
+
+def test_entries_of_different_plans_stand_in_different_tables() -> None:
+    """Before: rollouts of ten easy scenarios stood beside rollouts of other ones."""
+    rows = [measured("one", 20.0, plan_hash="1" * 64), measured("two", 21.0, plan_hash="2" * 64), measured("old", 19.0)]
+    assert [[entry.method for entry in board.entries] for board in make_boards(rows)].count(["one"]) == 1
+    assert len({board.id for board in make_boards(rows)}) == 3

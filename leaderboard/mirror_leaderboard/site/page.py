@@ -124,7 +124,7 @@ def _tab_word(option: tuple[str, str]) -> str:
 def _format_heading(board: Board) -> str:
     evidence = ""
     if board.split is not None and board.hashes is not None:
-        hashes = zip(("protocol", "data"), board.hashes)
+        hashes = zip(("protocol", "data", "plan"), board.hashes)
         codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
         older = " · an older version of the protocol" if board.is_older else ""
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.synth_matching.posed_images import PosedImage
 from mirror.arrays import Float32, Float64, Int64, UInt8
+from mirror.calibration.descriptors import COLMAP_FARTHEST_RAD, find_clear_nearest
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
 
@@ -18,8 +19,6 @@ _MODELS: Final = {
     "rational": ("FULL_OPENCV", 0),
     "kannala_brandt": ("OPENCV_FISHEYE", 0),
 }
-_FARTHEST_RAD: Final = 0.7
-_RATIO: Final = 0.8
 _GREY: Final = np.array([0.114, 0.587, 0.299])
 
 
@@ -91,7 +90,9 @@ def match_features(one: Features, other: Features) -> Int64:
     if len(one.uv_px) < 2 or len(other.uv_px) < 2:
         return np.zeros((0, 2), np.int64)
     alike = one.descriptors @ other.descriptors.T
-    forth, back = _clear_nearest(alike), _clear_nearest(alike.T)
+    forth = find_clear_nearest(one.descriptors, other.descriptors, alike, farthest_rad=COLMAP_FARTHEST_RAD)
+    alike = np.ascontiguousarray(alike.T)
+    back = find_clear_nearest(other.descriptors, one.descriptors, alike, farthest_rad=COLMAP_FARTHEST_RAD)
     first = np.flatnonzero(forth >= 0)
     first = first[back[forth[first]] == first]
     return np.stack([first, forth[first]], axis=1)
@@ -117,15 +118,3 @@ def match_errors_px(pairs: Int64, one: Features, first: PosedImage, other: Featu
     """
     projected = second.image_of(first.points(one.uv_px[pairs[:, 0]]))
     return np.nan_to_num(np.linalg.norm(projected - other.uv_px[pairs[:, 1]], axis=1), nan=np.inf)
-
-
-def _clear_nearest(alike: Float32) -> Int64:
-    """Nearest neighbours (N,) by similarity (N, K); -1 if the nearest is too far or the second nearest is too close."""
-    rows = np.arange(len(alike))
-    nearest = alike.argmax(axis=1)
-    best = alike[rows, nearest]
-    alike[rows, nearest] = -1.0
-    second = alike.max(axis=1)
-    alike[rows, nearest] = best
-    angle, next_angle = np.arccos(np.minimum(best, 1.0)), np.arccos(np.minimum(second, 1.0))
-    return np.where((angle <= _FARTHEST_RAD) & (angle < _RATIO * next_angle), nearest, -1)

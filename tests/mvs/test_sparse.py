@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybridworldsim.mvs.sparse import extract_features, triangulate
+from hybridworldsim.mvs.sparse import Features, extract_features, match_features, triangulate
 from tests.mvs.images import SIZE, Wall, make_image
 
 pytest.importorskip("pycolmap")
@@ -22,6 +22,20 @@ def test_points_lie_on_the_wall_in_its_colours() -> None:
     assert len(points.cloud) >= 10 and np.median(np.abs(off)) < 0.1
     assert points.cloud.views.min() >= 2 and points.first_image.max() <= 2 and np.isnan(points.cloud.sigma_m).all()
     assert points.cloud.rgb.std(axis=1).max() == 0.0
+
+
+def test_matches_are_mutual_and_clear() -> None:
+    rng = np.random.default_rng(2)
+    descriptors = rng.integers(0, 255, (40, 128)).astype(np.uint8)
+    order = rng.permutation(40)
+    uv = rng.uniform(0.0, 100.0, (40, 2))
+    everywhere = np.zeros((3, 3))  # the line of each point has the distance zero to each other point
+    first, second = Features(uv, descriptors), Features(uv[order], descriptors[order])
+    pairs = match_features(first, second, everywhere)
+    assert len(pairs) == 40 and (order[pairs[:, 1]] == pairs[:, 0]).all()
+    twice = Features(np.concatenate([uv, uv]), np.concatenate([descriptors, descriptors]))
+    assert not len(match_features(first, twice, everywhere))
+    assert not len(match_features(first, Features(uv[:1], descriptors[:1]), everywhere))
 
 
 @pytest.mark.parametrize("grey", [0, 128, 255])

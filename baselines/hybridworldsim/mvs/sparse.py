@@ -13,11 +13,11 @@ import numpy as np
 from hybridworldsim.mvs.estimator import StereoImage
 from hybridworldsim.mvs.fusion import PointCloud
 from mirror.arrays import Float32, Float64, Int64, UInt8
+from mirror.calibration.descriptors import find_clear_nearest, find_nearest
 from mirror.errors import UsageError
 from mirror.installation import install_command
 
 _MAX_FEATURES: Final = 2000
-_RATIO: Final = 0.8
 _EPIPOLAR_PX: Final = 2.0
 _LUMA: Final = np.array([0.299, 0.587, 0.114])
 
@@ -73,7 +73,7 @@ def triangulate(get_image: Callable[[int], StereoImage], sources: Sequence[Int64
     matches = {}
     for first, second in sorted(pairs):
         fundamental = _compute_fundamental(cameras[first], cameras[second])
-        matched = _match_features(features[first], features[second], fundamental)
+        matched = match_features(features[first], features[second], fundamental)
         if len(matched):
             matches[first, second] = matched
     if not matches:
@@ -101,12 +101,14 @@ def extract_features(image: StereoImage) -> Features:
     return Features(uv[static], np.asarray(descriptors.data, np.uint8)[static].reshape(-1, 128))
 
 
-def _match_features(first: Features, second: Features, fundamental: Float64) -> Int64:
+def match_features(first: Features, second: Features, fundamental: Float64) -> Int64:
     """Match features (M, 2): mutual nearest neighbours that pass the ratio test and lie on their epipolar lines."""
     if min(len(first.uv_px), len(second.uv_px)) < 2:
         return np.empty((0, 2), np.int64)
-    similarity = _normalise(first.descriptors) @ _normalise(second.descriptors).T
-    forth, back = _find_clear_nearest(similarity), similarity.argmax(axis=0)
+    first_units, second_units = _normalise(first.descriptors), _normalise(second.descriptors)
+    similarity = first_units @ second_units.T
+    forth = find_clear_nearest(first_units, second_units, similarity)
+    back = find_nearest(second_units, first_units, np.ascontiguousarray(similarity.T))
     row = np.flatnonzero(forth >= 0)
     pairs = np.stack([row, forth[row]], axis=1)[back[forth[row]] == row]
     a = np.column_stack([first.uv_px[pairs[:, 0]], np.ones(len(pairs))])
@@ -122,16 +124,6 @@ def _normalise(descriptors: UInt8) -> Float32:
     """Scale descriptors to unit length."""
     data = descriptors.astype(np.float32)
     return data / np.maximum(np.linalg.norm(data, axis=1, keepdims=True), np.float32(1e-12))
-
-
-def _find_clear_nearest(similarity: Float32) -> Int64:
-    """Find the most similar (N,) of (N, K); -1 where it fails the ratio test against the second."""
-    two = np.argpartition(similarity, -2, axis=1)[:, -2:]
-    score = np.take_along_axis(similarity, two, axis=1)
-    order = np.argsort(score, axis=1)
-    best = np.take_along_axis(two, order[:, 1:], axis=1)[:, 0]
-    angle = np.arccos(np.clip(np.take_along_axis(score, order, axis=1), -1.0, 1.0))
-    return np.where(angle[:, 1] < _RATIO * angle[:, 0], best, -1)
 
 
 def _compute_fundamental(first: tuple[Float64, Float64], second: tuple[Float64, Float64]) -> Float64:

@@ -12,11 +12,9 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
+from mirror.calibration.descriptors import COLMAP_FARTHEST_RAD, find_clear_nearest
 from mirror.calibration.tracking import OPENCV_OFFSET_PX, TrackedImage
 
-_RATIO: Final = 0.8
-_FARTHEST: Final = 0.7
-"""Largest angle between descriptors of a match, radians (COLMAP's)."""
 _CONTRAST: Final = 0.02
 _OCTAVE_LAYERS: Final = 3
 
@@ -71,19 +69,11 @@ def match_features(one: Features, other: Features) -> Int64:
     """Pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), np.int64)
-    alike = one.unit_descriptors() @ other.unit_descriptors().T
-    forth, back = _clear_nearest(alike), _clear_nearest(np.ascontiguousarray(alike.T))
+    first_units, second_units = one.unit_descriptors(), other.unit_descriptors()
+    alike = first_units @ second_units.T
+    forth = find_clear_nearest(first_units, second_units, alike, farthest_rad=COLMAP_FARTHEST_RAD)
+    alike = np.ascontiguousarray(alike.T)
+    back = find_clear_nearest(second_units, first_units, alike, farthest_rad=COLMAP_FARTHEST_RAD)
     first = np.flatnonzero(forth >= 0)
     first = first[back[forth[first]] == first]
     return np.stack([first, forth[first]], axis=1)
-
-
-def _clear_nearest(alike: Float32) -> Int64:
-    """Nearest neighbours (N,) by similarity (N, K), which is changed; -1 where the nearest is far or not clear."""
-    rows = np.arange(len(alike))
-    nearest = alike.argmax(axis=1)
-    best = alike[rows, nearest]
-    alike[rows, nearest] = -1.0
-    angle, next_angle = (np.arccos(np.clip(value, -1.0, 1.0)) for value in (best, alike.max(axis=1)))
-    alike[rows, nearest] = best
-    return np.where((angle <= _FARTHEST) & (angle < _RATIO * next_angle), nearest, -1)

@@ -16,11 +16,12 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.ranking import ALL
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.problems import describe_problem
 from mirror.version import __version__
-from mirror_leaderboard.entry import ALL, IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
+from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
 from mirror_leaderboard.images import copy_pairs
 from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.names import find_name_problem, skeleton

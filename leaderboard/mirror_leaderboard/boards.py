@@ -10,9 +10,11 @@ from functools import cached_property
 from typing import Final
 
 from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.ranking import ALL, Ranking
 from mirror.schema.files import sha256_bytes
-from mirror_leaderboard.entry import ALL, Entry, Figure, Measured, Reported
-from mirror_leaderboard.measures import MEASURES, Measure
+from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
+from mirror_leaderboard.former import find_former
+from mirror_leaderboard.measures import MEASURES
 
 FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
@@ -28,14 +30,6 @@ _Key = tuple[str, str, str | None, tuple[str, ...] | None, _Options]
 
 _NEVER_RANKS: Final = ("psnr_cc", "psnr_affine")
 """Metrics that rank nothing: a render can be recoloured for their fits (docs/threat-model.md)."""
-
-_RANKED_BY: Final = {
-    "static-reconstruction": ("novel", "psnr_invariant"),
-    "lane-shift": ("right-3m", "psnr"),
-    "vehicle-translation": ("0m", "fid"),
-    "editing-accuracy": (ALL, "edit_iou_hull"),
-    "safety": ("rollouts", "epdms"),
-}
 
 
 @dataclass(frozen=True)
@@ -72,10 +66,21 @@ class Board:
         """Whether the entries were measured by another version of the protocol than today's."""
         return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
 
+    @property
+    def version(self) -> int | None:
+        """Version of the protocol that measured the entries; None: reported entries, or an unknown version."""
+        if self.hashes is None:
+            return None
+        protocol = load_protocol(self.protocol)
+        if protocol.hash == self.hashes[0]:
+            return protocol.version
+        former = find_former(self.hashes[0])
+        return None if former is None else former.version
+
     @cached_property
     def ranked_by(self) -> Column:
         """The column that the rows are sorted by."""
-        return _select_rank_column(self.protocol, self.columns, self.entries)
+        return _select_rank_column(_find_ranking(self.protocol, self.hashes), self.columns, self.entries)
 
     def best(self, column: Column) -> float | None:
         """Return the best value of a column; None if fewer than two entries have a value."""
@@ -141,24 +146,40 @@ def _board_key(entry: Entry) -> _Key:
 
 
 def _make_board(key: _Key, entries: list[Entry]) -> Board:
+    ranking = _find_ranking(key[0], key[3])
     columns = _list_columns(key[0], entries)
-    rank_column = _select_rank_column(key[0], columns, entries)
+    rank_column = _select_rank_column(ranking, columns, entries)
     measure = MEASURES[rank_column[1]]
-    rows = sorted(entries, key=lambda entry: _sort_key(entry, rank_column, measure))
-    return Board(*key, tuple(rows), columns)
+
+    def sort_key(entry: Entry) -> tuple[bool, bool, float, str]:
+        value = find_value(entry, rank_column)
+        is_ranked = ranking is None or ranking.passes_gate(lambda column: find_value(entry, column))
+        sign = -1.0 if measure.better == "higher" else 1.0
+        return (value is None, not is_ranked, 0.0 if value is None else sign * value, entry.method.lower())
+
+    if key[3] is not None:
+        columns = _lead_with(rank_column, columns)
+    return Board(*key, tuple(sorted(entries, key=sort_key)), columns)
 
 
-def _sort_key(entry: Entry, column: Column, measure: Measure) -> tuple[bool, float, str]:
-    value = find_value(entry, column)
-    sign = -1.0 if measure.better == "higher" else 1.0
-    return (value is None, 0.0 if value is None else sign * value, entry.method.lower())
+def _lead_with(rank_column: Column, columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Order columns so that the group that ranks comes first, and in it the metric that ranks."""
+    return tuple(sorted(columns, key=lambda column: (column[0] != rank_column[0], column != rank_column)))
 
 
-def _select_rank_column(protocol: str, columns: Sequence[Column], entries: Sequence[Entry]) -> Column:
-    """Return the protocol's rank column, or the first column with the most values if that has none."""
-    preferred = _RANKED_BY.get(protocol)
-    if preferred is not None and any(find_value(entry, preferred) is not None for entry in entries):
-        return preferred
+def _find_ranking(protocol: str, hashes: tuple[str, str] | None) -> Ranking | None:
+    """Find the ranking key of the version of the protocol that measured the entries."""
+    current = load_protocol(protocol)
+    if hashes is None or hashes[0] == current.hash:
+        return current.ranking
+    former = find_former(hashes[0])
+    return None if former is None else former.ranking
+
+
+def _select_rank_column(ranking: Ranking | None, columns: Sequence[Column], entries: Sequence[Entry]) -> Column:
+    """Return the column that ranks, or the first column with the most values if no entry has a value in that."""
+    if ranking is not None and any(find_value(entry, ranking.column) is not None for entry in entries):
+        return ranking.column
     allowed = [column for column in columns if column[1] not in _NEVER_RANKS] or columns
     return max(allowed, key=lambda column: sum(find_value(entry, column) is not None for entry in entries))
 

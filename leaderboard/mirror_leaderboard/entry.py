@@ -17,9 +17,6 @@ from mirror.schema.files import read_json, sha256_bytes
 from mirror_leaderboard.keys import KeyId
 from mirror_leaderboard.measures import MEASURES
 
-ALL: Final = "all"
-"""The group of figures over all groups of a protocol, or of figures that belong to none of its groups."""
-
 IMAGE_FOLDER: Final = "pictures"
 """Folder of images, in a board beside its folder of entries, and in the site."""
 

@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mirror.errors import DatasetError
-from mirror.evaluation.figures import mean_weights
+from mirror.evaluation.figures import mean_weights, overall_averaging
 from mirror.evaluation.result import IMAGES, Figure, Result
+from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
-from mirror_leaderboard.entry import ALL
 from mirror_leaderboard.refused import RefusedError
 
 _TOLERANCE: Final = 1e-9
@@ -37,13 +37,19 @@ def require_recomputed_means(result: Result, path: Path) -> None:
     """
     rows = read_rows(path)
     columns = set(rows[0]) if rows else set()
+    ranking = result.protocol.ranking
+    overall = ranking.groups if ranking is not None else ()
     for number, figure in enumerate(result.figures):
         if figure.level == "group" and figure.metric in columns:
-            members = [row for row in rows if figure.group in (ALL, row["group"])]
+            averaged = overall if figure.group == ALL else (figure.group,)
+            members = [row for row in rows if row["group"] in averaged]
             _require_mean(result, figure, members, path, f"figures.{number}")
     present = {(figure.group, figure.metric) for figure in result.figures if figure.level == "group"}
+    groups = dict.fromkeys(row["group"] for row in rows)
+    if ranking is not None and set(ranking.groups) & set(groups):
+        groups[ranking.group] = None
     for metric in sorted(columns & set(result.protocol.metric_names)):
-        for group in dict.fromkeys(row["group"] for row in rows):
+        for group in groups:
             if (group, metric) not in present:
                 raise RefusedError(
                     f"{metric} of {group} is missing, although {IMAGES} has its values",
@@ -67,9 +73,11 @@ def _require_mean(result: Result, figure: Figure, rows: Sequence[Mapping[str, An
     finite = [row for row in rows if row[figure.metric] is not None and math.isfinite(row[figure.metric])]
     mean = None
     if finite:
-        keys = ("scene_id", "traversal_id")
+        keys = ("group", "scene_id", "traversal_id")
         views = [RenderView.model_construct(**{key: row[key] for key in keys}) for row in finite]
-        weights = mean_weights(views, result.protocol.averaging)
+        is_overall = figure.group == ALL
+        averaging = overall_averaging(result.protocol) if is_overall else result.protocol.averaging
+        weights = mean_weights(views, averaging)
         mean = math.fsum(weights * np.array([row[figure.metric] for row in finite]))
     is_equal = (
         mean is None

@@ -65,7 +65,7 @@ def main(argv: Sequence[str]) -> int:
             better = {"first": first.submission.method.name, "other": other.name}.get(row.better or "", "")
             table.add_row(
                 row.group,
-                row.metric,
+                f"{row.metric} (ranks)" if row.ranks else row.metric,
                 *(_number(value) for value in (row.first, row.other)),
                 "" if row.difference is None else f"{row.difference:+.4f}",
                 interval,

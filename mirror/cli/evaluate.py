@@ -193,12 +193,14 @@ def _print(result: Result, out: Path, page: Path | None, scored: str = "image") 
     for name in ("value", f"{100 * result.protocol.intervals.level:g} % interval", "n"):
         table.add_column(name, justify="right")
     reasons: dict[str, int] = {}
-    for figure in result.figures:
+    column = None if result.protocol.ranking is None else result.protocol.ranking.column
+    for figure in sorted(result.figures, key=lambda figure: (figure.group, figure.metric) != column):
         if figure.level == "group":
             value, interval, count = figure_words(figure)
             if figure.low is None and figure.interval_reason is not None:
                 interval = f"[{reasons.setdefault(figure.interval_reason, len(reasons) + 1)}]"
-            table.add_row(figure.group, figure.metric, value, interval, count)
+            metric = f"{figure.metric} (ranks)" if (figure.group, figure.metric) == column else figure.metric
+            table.add_row(figure.group, metric, value, interval, count)
     console.print(table)
     for reason, number in reasons.items():
         console.print(f"[{number}] no interval: {reason}", soft_wrap=True)

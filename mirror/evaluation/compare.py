@@ -13,13 +13,21 @@ import pyarrow.parquet as pq
 
 from mirror.counting import count_of
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks, linearise_mean, mean_weights
+from mirror.evaluation.figures import (
+    MIN_BLOCKS,
+    TOO_FEW_BLOCKS,
+    assign_blocks,
+    linearise_mean,
+    mean_weights,
+    overall_averaging,
+)
 from mirror.evaluation.result import IMAGES, Figure, Result, finite_or_none
 from mirror.evaluation.run import read_result
 from mirror.metrics.images.bootstrap import paired_difference
+from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
 
-_KEYS: Final = ("scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
+_KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,7 @@ class FigureComparison:
         n: number of compared images.
         reason: why there is no interval or p-value.
         better: ``first`` or ``other``; None: the interval contains 0, or the p-value is above 1 - confidence level.
+        ranks: whether this is the figure that ranks results of the protocol.
     """
 
     metric: str
@@ -52,6 +61,7 @@ class FigureComparison:
     n: int
     reason: str | None
     better: str | None
+    ranks: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,7 +71,7 @@ class ResultComparison:
     Attributes:
         name: method name of the other result.
         path: path of the other result.
-        rows: comparisons, one for each figure.
+        rows: comparisons, one for each figure; the one that ranks is the first.
     """
 
     name: str
@@ -121,11 +131,14 @@ def _compare(
     first: Result, other: Result, first_rows: dict[str, dict[str, Any]], other_rows: dict[str, dict[str, Any]]
 ) -> list[FigureComparison]:
     figures = {(figure.group, figure.metric): figure for figure in other.figures if figure.level == "group"}
-    return [
+    rows = [
         _compare_figure(first, figure, figures[figure.group, figure.metric], first_rows, other_rows)
         for figure in first.figures
         if figure.level == "group" and (figure.group, figure.metric) in figures
     ]
+    column = None if first.protocol.ranking is None else first.protocol.ranking.column
+    rows = [replace(row, ranks=(row.group, row.metric) == column) for row in rows]
+    return sorted(rows, key=lambda row: not row.ranks)
 
 
 def _compare_figure(
@@ -136,10 +149,13 @@ def _compare_figure(
     other_rows: dict[str, dict[str, Any]],
 ) -> FigureComparison:
     name = first.metric
+    ranking = result.protocol.ranking
+    is_overall = ranking is not None and first.group == ALL
+    groups = ranking.groups if ranking is not None and is_overall else (first.group,)
     paths = [
         path
         for path, row in first_rows.items()
-        if row["group"] == first.group
+        if row["group"] in groups
         and path in other_rows
         and _is_finite(row.get(name))
         and _is_finite(other_rows[path].get(name))
@@ -150,7 +166,8 @@ def _compare_figure(
         return _without_difference(first, other, reason)
     views = [_make_view(first_rows[path]) for path in paths]
     changes = np.array([other_rows[path][name] - first_rows[path][name] for path in paths])
-    weights = mean_weights(views, result.protocol.averaging)
+    averaging = overall_averaging(result.protocol) if is_overall else result.protocol.averaging
+    weights = mean_weights(views, averaging)
     spread = linearise_mean(changes, weights)
     options = result.protocol.intervals
     blocks = assign_blocks(result.protocol, views)

@@ -16,6 +16,7 @@ from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
+from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
 
 Better = Literal["higher", "lower", "none"]
@@ -26,6 +27,9 @@ _PARTS: Final[Mapping[Level, Callable[[RenderView], str]]] = {
     "camera": lambda view: view.camera,
     "condition": lambda view: f"{view.light}, {view.weather}",
 }
+
+_LEVELS: Final[Mapping[str, str]] = {"traversal": "traversal_id", "scene": "scene_id", "group": "group"}
+"""Fields of a view that name its part of each level of a mean."""
 
 _CACHED: Final = 256
 
@@ -71,25 +75,62 @@ def compute_figures(
     return figures
 
 
+def compute_overall_figure(
+    protocol: Protocol, measure: Measure, views: Sequence[RenderView], scores: Sequence[Score]
+) -> list[Figure]:
+    """Compute the mean of one metric over the groups that rank, each group counting equally.
+
+    Args:
+        protocol: protocol with the ranking key and the settings of means and intervals.
+        measure: the metric.
+        views: (N,) views of any groups.
+        scores: (N,) scores, one for each view.
+
+    Returns:
+        The figure of the group `ALL`; nothing if the protocol ranks by a single group, whose figure is known.
+    """
+    if protocol.ranking is None or protocol.ranking.group != ALL:
+        return []
+    rows = [row for row, view in enumerate(views) if view.group in protocol.ranking.groups]
+    if not rows:
+        return []
+    members, member_scores = [views[row] for row in rows], [scores[row] for row in rows]
+    averaging = overall_averaging(protocol)
+    return [_compute_figure(protocol, measure, ALL, "group", "", members, member_scores, averaging)]
+
+
+def overall_averaging(protocol: Protocol) -> tuple[str, ...]:
+    """Levels of the mean over groups, innermost first: those of the protocol, then the group."""
+    return (*protocol.averaging, "group")
+
+
 def mean_weights(views: Sequence[RenderView], averaging: Sequence[str]) -> Float64:
-    """Compute the weights (N,), of sum 1, of images in the mean of means; ``averaging`` lists the outermost level last.
+    """Compute the weights (N,), of sum 1, of images in the mean of means.
+
+    Args:
+        views: (N,) views.
+        averaging: levels of the mean, innermost first: ``traversal``, ``scene``, ``group``.
+
+    Returns:
+        (N,) weights.
 
     Raises:
         ValueError: `views` is empty.
     """
     if not views:
         raise ValueError("no views")
-    return _mean_weights(tuple((view.traversal_id, view.scene_id) for view in views), tuple(averaging))
+    parts = [tuple(getattr(view, _LEVELS[name]) for name in averaging) for view in views]
+    return _mean_weights(tuple(parts))
 
 
 @lru_cache(_CACHED)
-def _mean_weights(parts: tuple[tuple[str, str], ...], averaging: tuple[str, ...]) -> Float64:
-    """Weights of images by their traversals and scenes; the metrics of a group share them."""
+def _mean_weights(parts: tuple[tuple[str, ...], ...]) -> Float64:
+    """Weights of images by their parts of each level, innermost first; the metrics of a group share them."""
     weights = np.ones(len(parts))
     # From the outermost level inwards, all parts of a parent get equal shares of its weight.
     parents = np.zeros(len(parts), np.int64)
-    for name in reversed(averaging):
-        keys = [f"{parent} {part[name != 'traversal']}" for parent, part in zip(parents, parts)]
+    for level in reversed(range(len(parts[0]))):
+        keys = [f"{parent} {part[level]}" for parent, part in zip(parents, parts)]
         children = np.unique(keys, return_inverse=True)[1]
         # The number of different children of each parent. (Without an inverse, `np.unique` imports masked arrays.)
         families = dict.fromkeys(zip(parents.tolist(), children.tolist()))

@@ -16,7 +16,7 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
-from mirror.evaluation.report_tables import Footnotes, breakdown_tables, format_value, headlines, summary_table
+from mirror.evaluation.report_tables import Footnotes, breakdown_tables, find_headline, format_value, summary_table
 from mirror.evaluation.result import Result
 from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -58,7 +58,7 @@ def write_report(done: Evaluation, out: Path, baselines: Sequence[Result] = ()) 
         _format_unavailable(result),
         *breakdown_tables(result, notes),
         notes.format(),
-        *_list_examples(done.scored, done.inputs),
+        *_list_examples(result, done.scored, done.inputs),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
     ]
@@ -110,21 +110,24 @@ def _format_header(done: Evaluation, result: Result, baselines: Sequence[Result]
         *result.warnings,
     ]
     texts = "".join(f'<p class="dim">{escape(line)}</p>' for line in lines)
-    return _format_tiles(result, baselines) + texts
+    return _format_headline(result, baselines) + texts
 
 
-def _format_tiles(result: Result, baselines: Sequence[Result]) -> str:
-    tiles = []
-    for figure in headlines(result):
-        beside = [
-            f"{one.submission.method.name} {format_value(other)}"
-            for one in baselines
-            for other in one.figures
-            if (other.level, other.group, other.metric) == ("group", figure.group, figure.metric)
-        ]
-        words = "; ".join([f"{figure.group}: {figure.metric}", *beside])
-        tiles.append(f'<div class="tile"><b>{escape(format_value(figure))}</b><span>{escape(words)}</span></div>')
-    return f'<div class="tiles">{"".join(tiles)}</div>'
+def _format_headline(result: Result, baselines: Sequence[Result]) -> str:
+    """Format the figure that ranks, with those of the baselines; empty if no group has a figure."""
+    figure = find_headline(result)
+    if figure is None:
+        return ""
+    beside = [
+        f"{one.submission.method.name} {format_value(other)}"
+        for one in baselines
+        for other in one.figures
+        if (other.level, other.group, other.metric) == ("group", figure.group, figure.metric)
+    ]
+    ranks = "ranks results" if result.protocol.ranking is not None else ""
+    words = "; ".join(filter(None, [f"{figure.group}: {figure.metric}", ranks, *beside]))
+    tile = f'<div class="tile"><b>{escape(format_value(figure))}</b><span>{escape(words)}</span></div>'
+    return f'<div class="tiles">{tile}</div>'
 
 
 def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
@@ -146,21 +149,27 @@ def _format_unavailable(result: Result) -> str:
     return f'<p class="dim">Not scored: {escape("; ".join(parts))}.</p>'
 
 
-def _list_examples(scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
-    """List the worst, median and best renders of each group by PSNR."""
+def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
+    """List the worst, median and best renders of each group by the metric that ranks, or by PSNR."""
+    ranking = result.protocol.ranking
+    metric = "psnr" if ranking is None else ranking.metric
+    figure = next((figure for figure in result.figures if figure.metric == metric), None)
+    if figure is None:
+        return
     ranked: dict[str, list[tuple[float, ScoredJob]]] = {}
     for scored_job in scored:
-        value = scored_job.values.get("psnr")
+        value = scored_job.values.get(metric)
         if isinstance(value, float) and not math.isnan(value):
             ranked.setdefault(scored_job.job.views[0].group, []).append((value, scored_job))
     for group, group_ranked in ranked.items():
-        group_ranked.sort(key=lambda item: item[0])
+        group_ranked.sort(key=lambda item: item[0], reverse=figure.better == "lower")
         yield f"<h2>Renders of {escape(group)}</h2>"
         yield '<p class="dim">Render, truth, and error: white is 64 of 255 levels or more, grey is not scored.</p>'
         for title, ranks in _select_ranks(len(group_ranked)).items():
             for rank in ranks:
                 value, scored_job = group_ranked[rank]
-                yield _format_triple(f"{title}: {value:.2f} dB", scored_job.job.views[0], inputs)
+                shown = format_value(figure.model_copy(update={"value": value}))
+                yield _format_triple(f"{title}: {metric} {shown}", scored_job.job.views[0], inputs)
 
 
 def _select_ranks(count: int) -> dict[str, range]:

@@ -67,25 +67,18 @@ def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, st
             yield f"<h3>{title}</h3>{_format(('group', level), parts, notes)}"
 
 
-def headlines(result: Result) -> list[Figure]:
-    """The figure that ranks each group: invariant PSNR of held-out traversals, else the first one with a value."""
-    found = {}
-    for figure in result.figures:
-        if figure.level != "group" or figure.value is None:
-            continue
-        if figure.group not in found or figure.metric == _ranks(result, figure.group):
-            found[figure.group] = figure
-    return list(found.values())
+def find_headline(result: Result) -> Figure | None:
+    """Find the figure that ranks; without a ranking key, the first figure of a group with a value."""
+    of_groups = [figure for figure in result.figures if figure.level == "group"]
+    if result.protocol.ranking is not None:
+        column = result.protocol.ranking.column
+        return next((figure for figure in of_groups if (figure.group, figure.metric) == column), None)
+    return next((figure for figure in of_groups if figure.value is not None), None)
 
 
 def format_value(figure: Figure) -> str:
     """Format a value with its unit."""
     return "none" if figure.value is None else f"{_number(figure, figure.value)} {figure.unit}".strip()
-
-
-def _ranks(result: Result, group: str) -> str | None:
-    roles = next((one.roles for one in result.protocol.groups if one.name == group), ())
-    return "psnr_invariant" if "held_out" in roles else None
 
 
 def _format(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> str:

@@ -13,7 +13,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from mirror.errors import SchemaError, UsageError
 from mirror.geometry.cameras import WIDEST_DEG
-from mirror.protocols.metrics import Metric, metric_name
+from mirror.protocols.metrics import Metric, figure_names, metric_name
+from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
 from mirror.schema.problems import describe_problem
@@ -164,6 +165,7 @@ class Protocol(Document):
         fitted_part: the only part of held-out images that an appearance may be fitted to. A submission with a fitted
             appearance is scored on the rest, in every group. None: no appearance may be fitted. The hash omits None.
         metrics: metrics that are computed.
+        ranking: the figure that ranks results; None: the protocol ranks nothing. The hash omits None.
         averaging: levels of the mean, innermost first: image values are averaged within each part of the first level,
             these means within the next. ``("traversal", "scene")`` is the order of MTGS, ``("scene",)`` of OmniRe.
         intervals: settings of the confidence intervals.
@@ -180,6 +182,7 @@ class Protocol(Document):
     vehicles: Vehicles | None = None
     fitted_part: Rectangle | None = Field(default=None, exclude_if=lambda part: part is None)
     metrics: tuple[Metric, ...] = Field(min_length=1)
+    ranking: Ranking | None = Field(default=None, exclude_if=lambda ranking: ranking is None)
     averaging: tuple[Literal["traversal", "scene"], ...]
     intervals: Intervals = Intervals()
 
@@ -192,7 +195,21 @@ class Protocol(Document):
         edits = any(group.vehicle_shift_m is not None or group.without_vehicles for group in self.groups)
         if edits and self.vehicles is None:
             raise ValueError("groups edit vehicles, but there is no table [vehicles] that selects them")
+        self._require_known_ranking()
         return self
+
+    def _require_known_ranking(self) -> None:
+        if self.ranking is None:
+            return
+        groups = [group.name for group in self.groups]
+        unknown = [name for name in self.ranking.groups if name not in groups]
+        if unknown or len(set(self.ranking.groups)) < len(self.ranking.groups):
+            raise ValueError(f"ranking.groups must be different groups of {', '.join(groups)}")
+        figures = [name for metric in self.metrics for name in figure_names(metric)]
+        named = [self.ranking.metric] if self.ranking.gate is None else [self.ranking.metric, self.ranking.gate.metric]
+        for name in named:
+            if name not in figures:
+                raise ValueError(f"the ranking names {name!r}; the metrics give {', '.join(figures)}")
 
     @property
     def metric_names(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ class PsnrAffine(Document):
 
 
 class PsnrInvariant(Document):
-    """PSNR that no recolouring of the render changes; it ranks novel groups."""
+    """PSNR that no recolouring of the render changes."""
 
     metric: Literal["psnr_invariant"]
 
@@ -169,3 +169,8 @@ def metric_name(metric: Metric) -> str:
     if isinstance(metric, Lpips):
         return f"lpips_{metric.net}"
     return metric.metric
+
+
+def figure_names(metric: Metric) -> tuple[str, ...]:
+    """The names of a metric's figures that can rank; most metrics have one."""
+    return ("mean_ap", "nds_no_attr") if isinstance(metric, Detection) else (metric_name(metric),)

@@ -71,7 +71,6 @@ def test_fitted_appearance_is_refused_where_the_protocol_has_no_part_for_it(
     done = evaluate(tmp_path / "s", root, small(), SPLIT, tmp_path / "out", ALONE)
     assert [problem.kind for problem in done.check.problems] == ["manifest"]
     assert "lets no appearance be fitted" in done.check.problems[0].message
-    assert load_protocol("static-reconstruction").version == 2
     assert load_protocol("lane-shift").fitted_part is None
 
 

@@ -152,7 +152,7 @@ def test_other_version_of_the_protocol_is_refused(folder: Path, board: Path) -> 
     plain["protocol"]["masks"]["ego"] = False
     other = PROTOCOL.model_validate(plain["protocol"]).hash
     plain["protocol_hash"] = plain["submission"]["protocol_hash"] = other
-    with pytest.raises(RefusedError, match="is not the board's version 2"):
+    with pytest.raises(RefusedError, match=f"is not the board's version {PROTOCOL.version}"):
         add_result(write(folder, plain), board, "a street")
     plain["protocol"]["name"] = plain["submission"]["protocol"] = "own"
     own = PROTOCOL.model_validate(plain["protocol"]).hash
@@ -218,13 +218,17 @@ def test_means_of_all_groups_together(folder: Path, board: Path) -> None:
     plain["figures"] = [
         {**shared, "group": "left-1m", "value": 0.3, "n": 2},
         {**shared, "group": "right-1m", "value": 0.6, "n": 2, "n_missing": 1},
-        {**shared, "group": "all", "value": 0.4, "n": 4, "n_missing": 1},
+        {**shared, "group": "all", "value": 0.45, "n": 4, "n_missing": 1},
     ]
     plain["unavailable"] = {}
-    plain["figures"][2]["value"] = 0.45
-    with pytest.raises(RefusedError, match=r"edit_iou_hull of all is 0\.45"):
-        add_result(write(folder, plain), board, "a street")
+    # Each group counts equally: 0.4 is the mean of all images.
     plain["figures"][2]["value"] = 0.4
+    with pytest.raises(RefusedError, match=r"edit_iou_hull of all is 0\.4,"):
+        add_result(write(folder, plain), board, "a street")
+    overall = plain["figures"].pop()
+    with pytest.raises(RefusedError, match=r"edit_iou_hull of all is missing"):
+        add_result(write(folder, plain), board, "a street")
+    plain["figures"].append({**overall, "value": 0.45})
     add_result(write(folder, plain), board, "a street")
 
 

@@ -44,6 +44,35 @@ def test_rows_are_sorted_by_the_protocols_column() -> None:
     assert board.best(("novel", "lpips_alex")) is None
 
 
+def test_older_tables_keep_their_version_and_its_key() -> None:
+    entries = [entry for entry in load_entries(MEASURED) if isinstance(entry, Measured)]
+    found = {(board.protocol, board.entries[0].protocol_version): board.ranked_by for board in make_boards(entries)}
+    former = {
+        ("static-reconstruction", 1): ("training", "psnr"),
+        ("static-reconstruction", 2): ("novel", "psnr_invariant"),
+        ("lane-shift", 1): ("right-3m", "psnr"),
+        ("lane-shift", 2): ("right-3m", "psnr"),
+    }
+    assert former.items() <= found.items()
+
+
+def test_the_mean_over_groups_ranks_moved_cameras() -> None:
+    protocol = load_protocol("lane-shift")
+    assert protocol.ranking is not None
+    group, metric = protocol.ranking.column
+
+    def row(method: str, ranks: float, right: float) -> Measured:
+        figures = tuple(
+            Figure(group=name, metric=metric, value=value, n=6) for name, value in ((group, ranks), ("right-3m", right))
+        )
+        return measured(
+            method, 20.0, protocol="lane-shift", protocol_hash=protocol.hash, figures=figures, result_hash=method * 64
+        )
+
+    (board,) = make_boards([row("a", 0.2, 0.9), row("b", 0.5, 0.1)])
+    assert (board.ranked_by, [entry.method for entry in board.entries]) == (("all", metric), ["b", "a"])
+
+
 def test_lower_distances_are_better() -> None:
     boards = [board for board in make_boards(load_entries(REPORTED)) if board.protocol == "vehicle-translation"]
     for board in boards:
@@ -54,13 +83,13 @@ def test_lower_distances_are_better() -> None:
 
 def test_columns_are_in_the_protocols_order() -> None:
     (board,) = make_boards([measured("a", 10.0)])
+    # The group and the metric that rank come first; LPIPS has no value.
     assert board.columns == (
-        ("training", "psnr"),
-        ("novel", "psnr"),
         ("novel", "psnr_invariant"),
+        ("novel", "psnr"),
         ("novel", "psnr_cc"),
-        # LPIPS has no value.
         ("novel", "ssim"),
+        ("training", "psnr"),
     )
     offsets = [board for board in make_boards(load_entries(REPORTED)) if board.title == "MIRROR"][1]
     assert [group for group, _ in offsets.columns] == ["right-3m", "right-1.5m", "0m", "left-1.5m", "left-3m"]

@@ -109,11 +109,17 @@ def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[En
 def _format_panel(board: Board, notes: dict[str, int]) -> str:
     """Format a board. The script shows one panel of a section at a time; without it all are shown."""
     kind = "reported" if board.hashes is None else "measured"
-    label = ", ".join([board.title, *(["older version"] if board.is_older else []), *map(_tab_word, board.options)])
+    older = [_version_word(board)] if board.is_older else []
+    label = ", ".join([board.title, *older, *map(_tab_word, board.options)])
     return (
         f'<div class="panel" id="{board.id}" data-tab="{escape(label)}" data-kind="{kind}">'
         f"{_format_heading(board)}{board_table(board, notes)}{board_slider(board)}</div>"
     )
+
+
+def _version_word(board: Board) -> str:
+    """Name the version of an older board's protocol."""
+    return "older version" if board.version is None else f"version {board.version}"
 
 
 def _tab_word(option: tuple[str, str]) -> str:
@@ -126,7 +132,7 @@ def _format_heading(board: Board) -> str:
     if board.split is not None and board.hashes is not None:
         hashes = zip(("protocol", "data", "plan"), board.hashes)
         codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
-        older = " · an older version of the protocol" if board.is_older else ""
+        older = f" · {_version_word(board)}, an older version of the protocol" if board.is_older else ""
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
         evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
     ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"

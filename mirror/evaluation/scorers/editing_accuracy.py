@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Float64
 from mirror.evaluation.extractors import Extractor, make_extractor
-from mirror.evaluation.figures import Measure, compute_figures
+from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.reconstruction import find_score
@@ -24,7 +24,6 @@ from mirror.protocols.metrics import EditIou, metric_name
 from mirror.protocols.views.plan import Plan, render_path
 from mirror.protocols.views.view import Edit, RenderView, to_pose
 
-ALL: Final = "all"
 _VARIANTS: Final[Mapping[str, HullVariant]] = {
     "hull": "mask_hull",
     "box": "box_box",
@@ -94,17 +93,22 @@ class EditingAccuracy:
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """Return the means of each group of shifted vehicles, and of all groups together."""
+        """Return the means of each group of shifted vehicles, and the means over the groups that rank."""
         figures: list[Figure] = []
         background = _background_group(plan.protocol)
         names = [group.name for group in plan.protocol.groups if group.name != background]
-        for group in (*names, ALL):
-            members = [scored_job for scored_job in scored if group in (ALL, scored_job.job.views[0].group)]
+        for group in names:
+            members = [scored_job for scored_job in scored if group == scored_job.job.views[0].group]
             views = [scored_job.job.views[0] for scored_job in members]
             for metric in plan.protocol.metrics:
                 name = metric_name(metric)
                 scores = [find_score(scored_job.values, name) for scored_job in members]
                 figures += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
+        views = [scored_job.job.views[0] for scored_job in scored]
+        for metric in plan.protocol.metrics:
+            name = metric_name(metric)
+            scores = [find_score(scored_job.values, name) for scored_job in scored]
+            figures += compute_overall_figure(plan.protocol, Measure(name, "", "higher"), views, scores)
         return figures
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
-from mirror.evaluation.figures import Measure, compute_figures
+from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Values
@@ -76,7 +76,10 @@ class Reconstruction:
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
-        """Return the means of each group in the protocol's order, and the PSNR over all pixels of a group."""
+        """Return the means of each group in the protocol's order, of the PSNR also over all pixels of a group.
+
+        Where several groups rank, the means over these groups follow.
+        """
         figures: list[Figure] = []
         for group in plan.protocol.groups:
             members = [scored_job for scored_job in scored if scored_job.job.views[0].group == group.name]
@@ -86,12 +89,21 @@ class Reconstruction:
                 if name is None:
                     continue
                 scores = [find_score(scored_job.values, name) for scored_job in members]
-                measure = _MEASURES.get(name, Measure(name, "", "lower"))
-                for figure in compute_figures(plan.protocol, measure, group.name, views, scores):
+                for figure in compute_figures(plan.protocol, _find_measure(name), group.name, views, scores):
                     figures.append(_add_rank_note(figure, name, members) if figure.level == "group" else figure)
                 if name == "psnr" and members:
                     figures.append(_compute_pooled_psnr(group.name, members))
+        views = [scored_job.job.views[0] for scored_job in scored]
+        for metric in plan.protocol.metrics:
+            name = computed_metric_name(metric, inputs)
+            if name is not None:
+                scores = [find_score(scored_job.values, name) for scored_job in scored]
+                figures += compute_overall_figure(plan.protocol, _find_measure(name), views, scores)
         return figures
+
+
+def _find_measure(name: str) -> Measure:
+    return _MEASURES.get(name, Measure(name, "", "lower"))
 
 
 def computed_metric_name(metric: Metric, inputs: ScoringInputs) -> str | None:

@@ -1,0 +1,68 @@
+"""The ranking key of a protocol: the one figure that orders a board, leads a report and decides a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from pydantic import Field, model_validator
+
+from mirror.schema.documents import Document
+
+ALL: Final = "all"
+"""The group of figures that are means over several groups of a protocol."""
+
+
+class Gate(Document):
+    """A second figure that a row must reach in order to be ranked; rows that miss it follow all ranked rows.
+
+    Attributes:
+        metric: name of the figure, of the same group as the ranking figure.
+        at_least: smallest value that is ranked; None: no lower bound.
+        at_most: largest value that is ranked; None: no upper bound.
+    """
+
+    metric: str
+    at_least: float | None = None
+    at_most: float | None = None
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Gate:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("a gate needs at_least or at_most")
+        return self
+
+
+class Ranking(Document):
+    """The figure that ranks results. Its direction is the metric's own.
+
+    Attributes:
+        metric: name of the figure.
+        groups: groups whose mean ranks; each group counts equally.
+        gate: a second figure that a row must reach in order to be ranked; None: every row with a value is ranked.
+    """
+
+    metric: str
+    groups: tuple[str, ...] = Field(min_length=1)
+    gate: Gate | None = Field(default=None, exclude_if=lambda gate: gate is None)
+
+    @property
+    def group(self) -> str:
+        """The group of the figure that ranks: the only one, or `ALL` for a mean over several."""
+        return self.groups[0] if len(self.groups) == 1 else ALL
+
+    @property
+    def column(self) -> tuple[str, str]:
+        """Group and metric of the figure that ranks."""
+        return self.group, self.metric
+
+    def passes_gate(self, find_value: Callable[[tuple[str, str]], float | None]) -> bool:
+        """Whether a row is ranked, given its value of a group and metric; a row without the gate's figure is not."""
+        if self.gate is None:
+            return True
+        value = find_value((self.group, self.gate.metric))
+        if value is None:
+            return False
+        is_low = self.gate.at_least is not None and value < self.gate.at_least
+        is_high = self.gate.at_most is not None and value > self.gate.at_most
+        return not (is_low or is_high)

@@ -167,7 +167,7 @@ def _lead_with(rank_column: Column, columns: Sequence[Column]) -> tuple[Column, 
     return tuple(sorted(columns, key=lambda column: (column[0] != rank_column[0], column != rank_column)))
 
 
-def _find_ranking(protocol: str, hashes: tuple[str, str] | None) -> Ranking | None:
+def _find_ranking(protocol: str, hashes: tuple[str, ...] | None) -> Ranking | None:
     """Find the ranking key of the version of the protocol that measured the entries."""
     current = load_protocol(protocol)
     if hashes is None or hashes[0] == current.hash:

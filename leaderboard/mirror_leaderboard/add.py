@@ -10,7 +10,7 @@ from typing import Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
@@ -27,7 +27,8 @@ from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
-from mirror_leaderboard.rescore import Sources, require_plan, rescore, rescore_rollouts
+from mirror_leaderboard.rescore import Sources, require_plan, rescore
+from mirror_leaderboard.rollouts import rescore_rollouts
 from mirror_leaderboard.trust import today
 
 _MAX_BYTES: Final = 64 << 20
@@ -59,7 +60,7 @@ def add_result(
         sources: dataset that the result is held against. With its submission, the renders are scored again, and a few
             are shown beside their truth; without, the entry stands in a table of unverified ones. None: the result is
             held against its own table of images alone. For the protocol safety: the rollouts, which are always scored
-            again from their state logs.
+            again from their state logs, and the plan on which their controls are driven again.
         progress: receives the progress of the scoring.
         day: day of the entry; None: today (UTC).
 
@@ -67,7 +68,7 @@ def add_result(
         The new entry's file.
 
     Raises:
-        UsageError: ``board`` is another kind of folder.
+        UsageError: ``board`` is another kind of folder, or a plan of rollouts is given for another protocol.
         RefusedError: the result is inconsistent, or is on the board already.
         DatasetError: the file cannot be read, or the entry cannot be written.
         SchemaError: an existing entry is broken.
@@ -79,9 +80,23 @@ def add_result(
     for name in filter(None, (entry.version, entry.setting, dataset)):
         _require_name(name, "version, setting or dataset name", path)
     if result.protocol.task == "safety":
-        result = rescore_rollouts(result, path, sources, progress)
+        if sources is None or sources.submission is not None or sources.hidden is not None:
+            raise RefusedError(
+                "figures of rollouts are taken from their state logs",
+                file=path,
+                expected="the folder of the rollouts",
+                remedy="mirror leaderboard add RESULT ROLLOUTS, without --submission and --hidden",
+            )
+        result = rescore_rollouts(result, path, Path(sources.dataset), sources.plan, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)
-        entry = entry.model_copy(update={"verified": True})
+        entry = entry.model_copy(update={"verified": sources.plan is not None})
+    elif sources is not None and sources.plan is not None:
+        raise UsageError(
+            f"the result is one of the protocol {result.protocol.name}",
+            file=path,
+            place="--street, --scenarios",
+            expected="a result of the protocol safety",
+        )
     elif sources is not None and sources.submission is not None:
         result = rescore(result, path, sources, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)

@@ -19,8 +19,8 @@ from mirror_leaderboard.measures import MEASURES
 FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
-UNVERIFIED: Final = {"unverified:": "the renders were not scored again"}
-"""Option that separates the tables of entries whose renders the organiser did not score again."""
+UNVERIFIED: Final = "unverified:"
+"""Option that separates the tables of entries that the organiser did not verify; its value says why."""
 
 Column = tuple[str, str]
 """A group and a metric."""
@@ -138,7 +138,8 @@ def seconds_per_image(entry: Entry, entries: Sequence[Entry]) -> float | None:
 def _board_key(entry: Entry) -> _Key:
     if isinstance(entry, Reported):
         return (entry.protocol, entry.dataset or "Data set not stated", None, None, ())
-    unverified = {} if entry.verified else UNVERIFIED
+    what = "controls were not driven" if load_protocol(entry.protocol).task == "safety" else "renders were not scored"
+    unverified = {} if entry.verified else {UNVERIFIED: f"the {what} again"}
     plan = () if entry.plan_hash is None else (entry.plan_hash,)
     hashes = (entry.protocol_hash, entry.dataset_hash, *plan)
     options = tuple(sorted({**entry.options, **unverified}.items()))

@@ -29,6 +29,8 @@ _ADD_EXAMPLES = (
     "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street' --board board",
     "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street'"
     " --submission demo/submissions/mean_color --board board",
+    "mirror leaderboard add scores/result.json rollouts --dataset-name 'my street' --street synth:block"
+    " --scenarios scenarios --board board",
 )
 _SIGN_EXAMPLES = (
     "mirror leaderboard sign --board demo/board --key organiser.key",
@@ -64,7 +66,7 @@ class Add:
     """`result.json` of `mirror evaluate`."""
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset: the result is held against its plan. For the protocol safety: the folder of the
-    rollouts, which are scored again from their state logs."""
+    rollouts, which are scored again."""
     dataset_name: Annotated[str, help_text(metavar="NAME")]
     """Name of the dataset on the board."""
     setting: Annotated[str | None, help_text(default="none")] = None
@@ -75,6 +77,15 @@ class Add:
     """Folder of the hidden truth, for protocols that use it."""
     features: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
+    street: Annotated[tuple[str, ...], help_text(default="none", metavar="DATASET|synth:PRESET ...")] = ()
+    """Protocol safety: drive the recorded controls again in these streets, with all of --scenarios in each. Each scene
+    of a dataset is a street. Without it, the row stands in a table of unverified ones."""
+    scenarios: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
+    """Scenarios (.toml) that were asked for, each with its seed; one rollout of each is required."""
+    map: Annotated[Path | None, help_text(default="exact, or recorded, or fitted", metavar="FILE")] = None
+    """Road map of --street, as `mirror simulate --map` took it."""
+    boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
+    """Layer of boxes of --street, as `mirror simulate --boxes` took it."""
     board: Annotated[Path, help_text(metavar="FOLDER")] = BOARD
     """Folder of the board, created if it does not exist."""
 
@@ -139,11 +150,18 @@ def _build(argv: Sequence[str]) -> int:
 def _add(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Add, argv, "mirror leaderboard add", examples=_ADD_EXAMPLES, renamed=_ADD_RENAMED)
     from mirror_leaderboard.add import add_result
-    from mirror_leaderboard.rescore import Sources
+    from mirror_leaderboard.rescore import RolloutPlan, Sources
 
     if arguments.submission is None and arguments.hidden is not None:
         raise UsageError("--hidden requires --submission", expected="both, or neither")
-    sources = Sources(arguments.dataset, arguments.submission, arguments.hidden, arguments.features)
+    if bool(arguments.street) != (arguments.scenarios is not None):
+        raise UsageError("only one of --street and --scenarios", expected="both, or neither")
+    plan = None
+    if arguments.scenarios is not None:
+        plan = RolloutPlan(arguments.street, arguments.scenarios, arguments.map, arguments.boxes)
+    elif arguments.map is not None or arguments.boxes is not None:
+        raise UsageError("--map and --boxes belong to a street", expected="--street and --scenarios with them")
+    sources = Sources(arguments.dataset, arguments.submission, arguments.hidden, arguments.features, plan=plan)
     with progress_bar(quiet=False) as bar:
         entry = add_result(
             arguments.result,

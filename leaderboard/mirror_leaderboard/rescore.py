@@ -13,7 +13,6 @@ import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.result import Figure, Result
-from mirror.evaluation.rollouts import evaluate_rollouts
 from mirror.evaluation.run import EvaluationOptions, evaluate, list_warnings
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -36,6 +35,23 @@ _COMPARED: Final = ("value", "n", "n_inf", "n_missing", "low", "high", "reason",
 
 
 @dataclass(frozen=True)
+class RolloutPlan:
+    """What an organiser asked to be driven: each scenario of a folder, with its seed, in each street.
+
+    Attributes:
+        streets: synthetic streets ``synth:PRESET[:SEED[:DRIVE]]``, and datasets, of which each scene is a street.
+        scenarios: folder of scenarios (``.toml``); files with one name and different seeds are several drives.
+        road_map: file of the map of the streets; None: their own.
+        boxes: layer of boxes ``source@version`` of the datasets; None: they have one at most.
+    """
+
+    streets: tuple[str, ...]
+    scenarios: Path
+    road_map: Path | None = None
+    boxes: str | None = None
+
+
+@dataclass(frozen=True)
 class Sources:
     """What an organiser holds a result against.
 
@@ -45,6 +61,7 @@ class Sources:
         hidden: folder of hidden truth, for protocols that use it.
         features: folder of cached features of the truth, by hash; None: none are kept.
         workers: number of worker processes.
+        plan: for the protocol safety, what was asked to be driven; None: controls are not driven again.
     """
 
     dataset: str
@@ -52,6 +69,7 @@ class Sources:
     hidden: Path | None = None
     features: Path | None = None
     workers: int = 2
+    plan: RolloutPlan | None = None
 
 
 def rescore(result: Result, path: Path, sources: Sources, progress: ProgressReporter | None = None) -> Result:
@@ -85,46 +103,14 @@ def rescore(result: Result, path: Path, sources: Sources, progress: ProgressRepo
     if done.result is None:
         problem = done.check.problems[0]
         raise RefusedError(f"{problem.path} {problem.message}", file=sources.submission, expected="a whole submission")
-    _require_equal("submission_hash", result.submission_hash, done.result.submission_hash, path)
-    _require_equal("dataset", result.dataset, done.result.dataset, path)
-    _require_equal("submission", result.submission, done.result.submission, path)
-    _require_equal("unavailable", sorted(result.unavailable), sorted(done.result.unavailable), path)
-    _require_equal("weights", result.weights, done.result.weights, path)
-    _require_equal("warnings", result.warnings, done.result.warnings, path)
-    _require_equal_figures(result.figures, done.result.figures, path)
+    require_equal("submission_hash", result.submission_hash, done.result.submission_hash, path)
+    require_equal("dataset", result.dataset, done.result.dataset, path)
+    require_equal("submission", result.submission, done.result.submission, path)
+    require_equal("unavailable", sorted(result.unavailable), sorted(done.result.unavailable), path)
+    require_equal("weights", result.weights, done.result.weights, path)
+    require_equal("warnings", result.warnings, done.result.warnings, path)
+    require_equal_figures(result.figures, done.result.figures, path)
     return done.result
-
-
-def rescore_rollouts(
-    result: Result, path: Path, sources: Sources | None, progress: ProgressReporter | None = None
-) -> Result:
-    """Score rollouts again from their state logs, and return the new result if the given one states the same.
-
-    Args:
-        result: the given result.
-        path: its file, for messages.
-        sources: the rollouts.
-        progress: receives the progress.
-
-    Raises:
-        RefusedError: there are no sources, the rollouts are others, or a figure or a warning differs.
-        UsageError: there is no rollout in the folder.
-        DatasetError: a rollout is incomplete or was changed.
-    """
-    if sources is None or sources.submission is not None or sources.hidden is not None:
-        raise RefusedError(
-            "figures of rollouts are taken from their state logs", file=path, expected="the folder of the rollouts",
-            remedy="mirror leaderboard add RESULT ROLLOUTS, without --submission and --hidden",
-        )  # fmt: skip
-    with tempfile.TemporaryDirectory(prefix="mirror-rescore-") as folder:
-        done = evaluate_rollouts(Path(sources.dataset), result.protocol, Path(folder) / "results", progress).result
-    _require_equal("submission_hash", result.submission_hash, done.submission_hash, path)
-    _require_equal("dataset", result.dataset, done.dataset, path)
-    _require_equal("submission.method", result.submission.method, done.submission.method, path)
-    _require_equal("options", result.options, done.options, path)
-    _require_equal("warnings", result.warnings, done.warnings, path)
-    _require_equal_figures(result.figures, done.figures, path)
-    return done
 
 
 def require_plan(result: Result, path: Path, dataset: str) -> None:
@@ -152,15 +138,15 @@ def require_plan(result: Result, path: Path, dataset: str) -> None:
         )
     opened = mirror.open(dataset)
     plan = plan_views(opened, result.protocol, result.dataset.split)
-    _require_equal("dataset.dataset_hash", result.dataset.dataset_hash, plan.dataset_hash, path)
-    _require_equal("dataset.plan_hash", result.dataset.plan_hash, plan.hash, path)
+    require_equal("dataset.dataset_hash", result.dataset.dataset_hash, plan.dataset_hash, path)
+    require_equal("dataset.plan_hash", result.dataset.plan_hash, plan.hash, path)
     _require_available(result, plan, path)
     stand_ins = tuple(dict.fromkeys(f.metric for f in result.figures if f.metric.startswith(STAND_IN_PREFIX)))
-    _require_equal("warnings", result.warnings, tuple(list_warnings(plan, result.submission, stand_ins)), path)
+    require_equal("warnings", result.warnings, tuple(list_warnings(plan, result.submission, stand_ins)), path)
     # The task runtime has no images: its figures are those of the manifest.
     scored = _scored_jobs(plan, read_rows(path), path) if result.protocol.task in _OF_IMAGES else []
     inputs = _stated_inputs(result, path, opened, plan, stand_ins)
-    _require_equal_figures(result.figures, load_scorer(result.protocol.task).figures(plan, scored, inputs), path)
+    require_equal_figures(result.figures, load_scorer(result.protocol.task).figures(plan, scored, inputs), path)
 
 
 def _require_available(result: Result, plan: Plan, path: Path) -> None:
@@ -230,7 +216,12 @@ def _stated_inputs(
     )
 
 
-def _require_equal(place: str, stated: object, expected: object, path: Path) -> None:
+def require_equal(place: str, stated: object, expected: object, path: Path) -> None:
+    """Require that a result states what the evaluation finds.
+
+    Raises:
+        RefusedError: it states something else.
+    """
     if stated != expected:
         raise RefusedError(
             f"{str(stated)!r:.200} is not what the evaluation finds",
@@ -241,7 +232,12 @@ def _require_equal(place: str, stated: object, expected: object, path: Path) -> 
         )
 
 
-def _require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], path: Path) -> None:
+def require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], path: Path) -> None:
+    """Require that a result states the figures that the evaluation finds, to 1e-9.
+
+    Raises:
+        RefusedError: a figure differs, is missing, or was not found.
+    """
     found = {_figure_key(figure): figure for figure in stated}
     computed = {_figure_key(figure): figure for figure in expected}
     for key in sorted(found.keys() ^ computed.keys()):

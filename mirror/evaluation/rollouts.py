@@ -75,13 +75,21 @@ def evaluate_rollouts(
     folders = find_rollouts(folder)
     require_output_folder(out, FolderKind.RESULTS)
     rollouts = {path: read_rollout(path) for path in folders}
-    policy = _require_one_policy(rollouts)
+    _require_one_policy(rollouts)
     progress.start("scoring rollouts", len(rollouts))
     scored = []
     for path, rollout in rollouts.items():
         scored.append(score_folder(path, path.relative_to(folder).as_posix(), rollout, protocol))
         progress.advance(1)
-    identity = _identify(scored)
+    result = make_result(scored, protocol)
+    write_bytes(out / IMAGES, _encode_table(scored, protocol))
+    write_json(out / RESULT, result)
+    return RolloutEvaluation(result, tuple(scored))
+
+
+def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
+    """Make the result of scored rollouts of one policy in one world."""
+    identity, policy = _identify(scored), scored[0].rollout
     manifest = SubmissionManifest(
         protocol=protocol.name,
         protocol_hash=protocol.hash,
@@ -91,12 +99,12 @@ def evaluate_rollouts(
         method=Method(name=policy.policy, version=(policy.policy_hash or "1")[:12]),
         appearance=Appearance(policy="none"),
     )
-    result = Result(
+    return Result(
         protocol=protocol,
         protocol_hash=protocol.hash,
         dataset=identity,
         submission=manifest,
-        submission_hash=_hash([rollout.hash for rollout in rollouts.values()]),
+        submission_hash=_hash([one.rollout.hash for one in scored]),
         figures=tuple(rollout_figures(protocol, scored)),
         unavailable={},
         weights={},
@@ -104,9 +112,6 @@ def evaluate_rollouts(
         options={"world": policy.world, "road_map": ", ".join(sorted({_map_source(one) for one in scored}))},
         warnings=tuple(_list_warnings(scored)),
     )
-    write_bytes(out / IMAGES, _encode_table(scored, protocol))
-    write_json(out / RESULT, result)
-    return RolloutEvaluation(result, tuple(scored))
 
 
 def find_rollouts(folder: Path) -> list[Path]:
@@ -133,7 +138,7 @@ def find_rollouts(folder: Path) -> list[Path]:
     return found
 
 
-def _require_one_policy(rollouts: dict[Path, Rollout]) -> Rollout:
+def _require_one_policy(rollouts: dict[Path, Rollout]) -> None:
     (first_path, first), *others = rollouts.items()
     for path, rollout in rollouts.items():
         if rollout.ending == "interrupted":
@@ -155,7 +160,6 @@ def _require_one_policy(rollouts: dict[Path, Rollout]) -> Rollout:
                 file=path,
                 expected="one rollout of each",
             )
-    return first
 
 
 def _identify(scored: Sequence[ScoredRollout]) -> DatasetIdentity:

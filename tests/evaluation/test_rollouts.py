@@ -111,8 +111,10 @@ def test_a_row_stands_on_the_board(runs: Path, tmp_path: Path) -> None:
     evaluate_rollouts(runs, PROTOCOL, tmp_path / "out")
     add_result(tmp_path / "out" / "result.json", tmp_path / "board", "Synthetic street", sources=Sources(str(runs)))
     (entry,) = load_entries(tmp_path / "board" / "entries")
-    assert isinstance(entry, Measured) and entry.verified
+    # Nobody has driven the controls again (tests/leaderboard/test_rollout_attacks.py).
+    assert isinstance(entry, Measured) and not entry.verified
     (board,) = make_boards([entry])
+    assert dict(board.options)["unverified:"] == "the controls were not driven again"
     assert (board.protocol, board.ranked_by) == ("safety", ("rollouts", "epdms"))
     assert board.entries[0].method == "cautious"
     assert {metric for _, metric in board.columns} == set(PROTOCOL.metric_names)

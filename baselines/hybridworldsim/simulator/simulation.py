@@ -28,7 +28,7 @@ from hybridworldsim.simulator.policies.protocol import (
 from hybridworldsim.simulator.street.route import RoutePlan, plan_route
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot, StateRecorder, World, state_log
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.safety import find_collisions
 from mirror.schema.rollout import Ending
@@ -162,8 +162,11 @@ class Simulation:
 
     def _ending(self) -> Ending | None:
         now = self.now
-        if self.stops_at_collision and find_collisions(state_log(self.recorder.snapshots[-2:])):
-            return "collision"
+        if self.stops_at_collision:
+            last = self.recorder.snapshots[-2:]
+            near = _find_near(*last)
+            if len(near) and find_collisions(state_log(last, near)):
+                return "collision"
         if now.step >= self.scenario.steps:
             return "duration"
         ego = np.array([now.ego.x_m, now.ego.y_m])
@@ -224,6 +227,18 @@ def _start(street: Street, scenario: Scenario, chosen: int, stops_at_collision: 
         source = street.recordings[recording]
         recorded = Trajectory(source.times_s - start_s, source.poses)
     return Simulation(street, scenario, route, chosen, world, recorder, stops_at_collision, recorded)
+
+
+def _find_near(before: Snapshot, after: Snapshot) -> Int64:
+    """Find the agents (K,) that come so near to the ego in a step, by circles around boxes, that they may touch."""
+    first, last = before.boxes().states, after.boxes().states
+    place, end = first[1:, :2] - first[0, :2], last[1:, :2] - last[0, :2]
+    reach = np.hypot(*last[:, 4:6].T)
+    # Between the ends of the step, relative places are linear in time.
+    least = np.hypot(*place.T) - np.hypot(*(end - place).T)
+    present = (first[1:, 6] > 0.0) | (last[1:, 6] > 0.0)
+    comes_or_goes = first[1:, 6] != last[1:, 6]
+    return np.flatnonzero(present & (comes_or_goes | ~(least > reach[0] + reach[1:])))
 
 
 def _clock_of_green(street: Street, route: RoutePlan) -> float:

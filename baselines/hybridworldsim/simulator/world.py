@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from hybridworldsim.simulator.ego.vehicle import (
     center_position,
     center_velocity,
 )
-from mirror.arrays import Float64
+from mirror.arrays import Float64, Int64
 from mirror.metrics.safety import StateLog
 from mirror.schema.road_features import SIGNAL_STATES, SignalState
 
@@ -51,7 +52,11 @@ class Snapshot:
     signals: Mapping[str, SignalState]
 
     def boxes(self) -> Boxes:
-        """Return the boxes of all actors; the ego is the first."""
+        """Return the boxes of all actors, which must not be changed; the ego is the first."""
+        return self._boxes
+
+    @cached_property
+    def _boxes(self) -> Boxes:
         rows = np.empty((len(self.agents) + 1, 7))
         vehicle, ego = self.vehicle, self.ego
         center = center_position(vehicle, ego)
@@ -117,10 +122,16 @@ class StateRecorder:
         return state_log(shots)
 
 
-def state_log(snapshots: list[Snapshot]) -> StateLog:
-    """Make a log of states; the ego is actor 0, the agents follow in the order of their ids."""
+def state_log(snapshots: list[Snapshot], rows: Int64 | None = None) -> StateLog:
+    """Make a log of states; the ego is actor 0, the agents follow in the order of their ids.
+
+    Args:
+        snapshots: the states.
+        rows: (K,) numbers of the agents in the log; None: all.
+    """
     first = snapshots[0]
-    vehicle, agents = first.vehicle, first.agents
+    chosen = np.arange(len(first.agents)) if rows is None else rows
+    vehicle, agents = first.vehicle, [first.agents[row] for row in chosen]
     shape = len(snapshots), len(agents) + 1
     columns: dict[str, Float64] = {name: np.empty(shape) for name in ("x_m", "y_m", "yaw_rad", "vx_mps", "vy_mps")}
     present = np.ones(shape, np.bool_)
@@ -128,9 +139,9 @@ def state_log(snapshots: list[Snapshot]) -> StateLog:
         ego = (*center_position(vehicle, shot.ego), _wrap(shot.ego.yaw_rad), *center_velocity(vehicle, shot.ego))
         for (name, values), value in zip(columns.items(), ego, strict=True):
             values[row, 0] = value
-            values[row, 1:] = getattr(shot.states, name)
+            values[row, 1:] = getattr(shot.states, name)[chosen]
         columns["yaw_rad"][row, 1:] = np.remainder(columns["yaw_rad"][row, 1:] + math.pi, 2.0 * math.pi) - math.pi
-        present[row, 1:] = shot.states.present
+        present[row, 1:] = shot.states.present[chosen]
     return StateLog(
         stamps_ns=np.array([shot.stamp_ns for shot in snapshots], np.int64),
         **columns,

@@ -11,12 +11,12 @@ from typing import Final
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, Measure, compute_figures
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.scorer import Values
-from mirror.metrics.safety import FIGURES, read_state_log, score_rollout
+from mirror.metrics.safety import FIGURES, StateLog, read_state_log, score_rollout
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import DrivableArea, LeastTtc
 from mirror.protocols.views.view import RenderView
-from mirror.schema.road_map import read_road_map
+from mirror.schema.road_map import RoadMap, read_road_map
 from mirror.schema.rollout import MAP_FILE, SCENARIO_FILE, STATES_FILE, Rollout
 from mirror.schema.scenario import Scenario, read_scenario
 
@@ -47,18 +47,33 @@ class ScoredRollout:
 
 
 def score_folder(folder: Path, path: str, rollout: Rollout, protocol: Protocol) -> ScoredRollout:
-    """Score one rollout.
-
-    Progress counts as complete at the distance that the scenario's speed (or else the ego's speed at the start of the
-    log) covers in the scenario's duration, or at the end of the route if that comes earlier. The least time to
-    collision is at most its horizon.
+    """Score one rollout by the files of its folder; see `score_drive`.
 
     Raises:
         DatasetError: a file is missing.
         SchemaError: a file does not follow its schema.
     """
     log, scenario = read_state_log(folder / STATES_FILE), read_scenario(folder / SCENARIO_FILE)
-    road_map = read_road_map(folder / MAP_FILE)
+    return score_drive(log, read_road_map(folder / MAP_FILE), scenario, path, rollout, protocol)
+
+
+def score_drive(
+    log: StateLog, road_map: RoadMap, scenario: Scenario, path: str, rollout: Rollout, protocol: Protocol
+) -> ScoredRollout:
+    """Score one rollout.
+
+    Progress counts as complete at the distance that the scenario's speed (or else the ego's speed at the start of the
+    log) covers in the scenario's duration, or at the end of the route if that comes earlier. The least time to
+    collision is at most its horizon.
+
+    Args:
+        log: its states.
+        road_map: the map.
+        scenario: the scenario.
+        path: its folder, relative to the evaluated one.
+        rollout: its document, which states the route.
+        protocol: the protocol.
+    """
     speed_mps = scenario.ego.speed_mps or math.hypot(log.vx_mps[0, 0], log.vy_mps[0, 0])
     horizon_s = next((metric.horizon_s for metric in protocol.metrics if isinstance(metric, LeastTtc)), 3.0)
     tolerance_m = next((metric.tolerance_m for metric in protocol.metrics if isinstance(metric, DrivableArea)), 0.0)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mirror.metrics.safety.lanes import RedLight as RedLight
     from mirror.metrics.safety.lanes import find_red_lights as find_red_lights
     from mirror.metrics.safety.lanes import locate_on_lanes as locate_on_lanes
+    from mirror.metrics.safety.motion_bounds import ImpossibleMotion as ImpossibleMotion
+    from mirror.metrics.safety.motion_bounds import find_impossible_motion as find_impossible_motion
     from mirror.metrics.safety.presets import NavsimTimeToCollision as NavsimTimeToCollision
     from mirror.metrics.safety.presets import NuplanTimeToCollision as NuplanTimeToCollision
     from mirror.metrics.safety.presets import collisions_at_stamps as collisions_at_stamps
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from mirror.metrics.safety.report import SafetyFigure as SafetyFigure
     from mirror.metrics.safety.report import SafetyReport as SafetyReport
     from mirror.metrics.safety.report import score_rollout as score_rollout
+    from mirror.metrics.safety.same_states import find_difference as find_difference
     from mirror.metrics.safety.state_file import StateLogWriter as StateLogWriter
     from mirror.metrics.safety.state_file import read_state_log as read_state_log
     from mirror.metrics.safety.state_file import write_state_log as write_state_log
@@ -47,6 +50,7 @@ __all__ = [
     "Comfort",
     "DrivableAreaCompliance",
     "DrivingScore",
+    "ImpossibleMotion",
     "LanePositions",
     "LeastTimeToCollision",
     "NavsimTimeToCollision",
@@ -60,6 +64,8 @@ __all__ = [
     "collisions_at_stamps",
     "drivable_area_compliance",
     "find_collisions",
+    "find_difference",
+    "find_impossible_motion",
     "find_red_lights",
     "inside_area",
     "least_time_to_collision",
@@ -84,6 +90,7 @@ __getattr__, __dir__ = lazy_names(
         "DrivableAreaCompliance": "mirror.metrics.safety.drivable_area",
         "DrivingScore": "mirror.metrics.safety.driving_score",
         "FIGURES": "mirror.metrics.safety.report",
+        "ImpossibleMotion": "mirror.metrics.safety.motion_bounds",
         "LanePositions": "mirror.metrics.safety.lanes",
         "LeastTimeToCollision": "mirror.metrics.safety.ttc",
         "NavsimTimeToCollision": "mirror.metrics.safety.presets",
@@ -97,6 +104,8 @@ __getattr__, __dir__ = lazy_names(
         "collisions_at_stamps": "mirror.metrics.safety.presets",
         "drivable_area_compliance": "mirror.metrics.safety.drivable_area",
         "find_collisions": "mirror.metrics.safety.collisions",
+        "find_difference": "mirror.metrics.safety.same_states",
+        "find_impossible_motion": "mirror.metrics.safety.motion_bounds",
         "find_red_lights": "mirror.metrics.safety.lanes",
         "inside_area": "mirror.metrics.safety.drivable_area",
         "least_time_to_collision": "mirror.metrics.safety.ttc",

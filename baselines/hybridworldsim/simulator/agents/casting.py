@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from hybridworldsim.simulator.agents.attack import AttackPlan
 from hybridworldsim.simulator.agents.bodies import draw_body
 from hybridworldsim.simulator.agents.groups import AgentGroup
-from hybridworldsim.simulator.agents.on_ways import AgentsOnWays, WayAgent
+from hybridworldsim.simulator.agents.on_ways import AgentsOnWays, Halt, WayAgent
 from hybridworldsim.simulator.agents.replay import ReplayedAgents
 from hybridworldsim.simulator.agents.scripts import Script
 from hybridworldsim.simulator.agents.states import Agent
@@ -64,6 +65,8 @@ class Stage:
         recording: the recording whose road users are replayed.
         start_s: time in it at the start.
         seed: seed of the rollout.
+        ways: ways along lanes that were built, by the ids of the lanes.
+        places: places of the lanes near the ego that agents may start at, by the distance.
     """
 
     street: Street
@@ -73,6 +76,8 @@ class Stage:
     recording: str
     start_s: float
     seed: int
+    ways: dict[tuple[str, ...], tuple[Way, tuple[Halt, ...]]] = field(default_factory=dict)
+    places: dict[float, list[tuple[str, float]]] = field(default_factory=dict)
 
     @property
     def ego_front_m(self) -> float:
@@ -101,8 +106,11 @@ def cast_agents(stage: Stage) -> list[AgentGroup]:
         check_free(stage.street, member.agent.agent_id, member.agent.category, _box(member))
     street, step_s = stage.street, 1.0 / stage.scenario.rate_hz
 
+    # All halts are asked about at one time.
+    signals = lru_cache(maxsize=1)(street.signals)
+
     def is_red(signal_id: str, time_s: float) -> bool:
-        return street.signals(time_s).get(signal_id, "green") != "green"
+        return signals(time_s).get(signal_id, "green") != "green"
 
     def is_drivable(points: Float64) -> bool:
         return bool(inside_area(points, street.road_map.drivable_rings).all())
@@ -181,25 +189,39 @@ def _drawn(stage: Stage, agent: Agent, behaviour: Idm, taken: list[Float64]) -> 
     """An agent at a free place on the lanes near the ego, drawn from the seed; None: there is no room."""
     digest = hashlib.sha256(f"place/{stage.seed}/{agent.agent_id}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-    ego = np.array([stage.ego.x_m, stage.ego.y_m])
-    lanes = sorted(stage.street.road_map.lanes_of(("drive",)), key=lambda lane: lane.lane_id)
-    places = []
-    for lane in lanes:
-        near = np.hypot(*(lane.center_m[:, :2] - ego).T) < behaviour.radius_m
-        near &= stage.street.is_inside(lane.center_m[:, :2])
-        places += [(lane.lane_id, float(along)) for along in lane.along_m[near]]
+    places = _places(stage, behaviour.radius_m)
     manner = _manner(behaviour)
     for _ in range(_TRIES if places else 0):
         lane_id, along = places[int(rng.integers(len(places)))]
-        names = onward_lanes(stage.street.road_map, lane_id, rng)
-        members = [stage.street.road_map.lanes[name] for name in names]
-        way = way_along(members)
+        way, halts = _way_from(stage, onward_lanes(stage.street.road_map, lane_id, rng))
         front = along + agent.size_m[0]
         speed = _pace(way, front, manner) if behaviour.speed_mps is None else behaviour.speed_mps
-        member = WayAgent(agent, way, front, speed, 0.0, halts_along(members), manner=manner)
-        if front < way.length_m and not any(_is_near(_box(member), other, 0.8 * speed) for other in taken):
-            return member
+        member = WayAgent(agent, way, front, speed, 0.0, halts, manner=manner)
+        if front < way.length_m:
+            box = _box(member)
+            if not any(_is_near(box, other, 0.8 * speed) for other in taken):
+                return member
     return None
+
+
+def _places(stage: Stage, radius_m: float) -> list[tuple[str, float]]:
+    """The places of driving lanes within a distance of the ego: lanes and lengths along them."""
+    if radius_m not in stage.places:
+        ego = np.array([stage.ego.x_m, stage.ego.y_m])
+        found = stage.places[radius_m] = []
+        for lane in sorted(stage.street.road_map.lanes_of(("drive",)), key=lambda lane: lane.lane_id):
+            near = np.hypot(*(lane.center_m[:, :2] - ego).T) < radius_m
+            near &= stage.street.is_inside(lane.center_m[:, :2])
+            found += [(lane.lane_id, float(along)) for along in lane.along_m[near]]
+    return stage.places[radius_m]
+
+
+def _way_from(stage: Stage, names: tuple[str, ...]) -> tuple[Way, tuple[Halt, ...]]:
+    """The way along lanes and its stop lines."""
+    if names not in stage.ways:
+        members = [stage.street.road_map.lanes[name] for name in names]
+        stage.ways[names] = way_along(members), halts_along(members)
+    return stage.ways[names]
 
 
 def _is_near(box: Float64, other: Float64, gap_m: float) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -30,19 +31,30 @@ def write_actions(path: Path, actions: Sequence[Controls]) -> None:
     write_bytes(path, sink.getvalue().to_pybytes())
 
 
-def read_actions(path: Path) -> tuple[Controls, ...]:
+def read_actions(path: Path, most: int | None = None) -> tuple[Controls, ...]:
     """Read the controls of each step.
 
+    Args:
+        path: the file.
+        most: greatest number of steps that is accepted; None: any.
+
     Raises:
-        DatasetError: the file is missing or broken.
+        DatasetError: the file is missing or broken, has more steps, or a value is missing or not finite.
     """
+    expected = "the controls of a rollout of `mirror simulate`"
     try:
+        with pq.ParquetFile(path) as file:
+            steps = file.metadata.num_rows
+            if most is not None and steps > most:
+                raise DatasetError(f"{steps} steps", file=path, expected=f"at most {most}")
         table = pq.read_table(path, schema=_SCHEMA)
     except (OSError, pa.ArrowException) as error:
-        raise DatasetError(
-            "missing or broken", file=path, expected="the controls of a rollout of `mirror simulate`"
-        ) from error
-    return tuple(Controls(row["acceleration_mps2"], row["curvature_radpm"]) for row in table.to_pylist())
+        raise DatasetError("missing or broken", file=path, expected=expected) from error
+    columns = [table[name].to_numpy() for name in _SCHEMA.names]
+    wrong = np.flatnonzero(~np.isfinite(columns).all(axis=0))
+    if len(wrong):
+        raise DatasetError("no finite number", file=path, place=f"step {wrong[0]}", expected=expected)
+    return tuple(Controls(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
 
 
 class Repeat:

@@ -1,0 +1,53 @@
+"""Drives the recorded controls of a rollout again, without a policy and without images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hybridworldsim.simulator.ego.vehicle import Controls
+from hybridworldsim.simulator.simulation import start_simulation
+from hybridworldsim.simulator.street.street import Street
+from mirror.metrics.safety import StateLog
+from mirror.schema.rollout import Ending
+from mirror.schema.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenAgain:
+    """What recorded controls lead to.
+
+    Attributes:
+        log: the states.
+        steps: number of controls that were driven.
+        ending: why the rollout ended; None: the controls ended before it did.
+        route_m: points (x, y) of the ego's route.
+    """
+
+    log: StateLog
+    steps: int
+    ending: Ending | None
+    route_m: tuple[tuple[float, float], ...]
+
+
+def drive_again(street: Street, scenario: Scenario, controls: Sequence[Controls]) -> DrivenAgain:
+    """Drive the controls of each step until the rollout ends, or until there are no more.
+
+    The same street, scenario and controls give the same states as `run_rollout` with a policy that answers them.
+
+    Args:
+        street: the street.
+        scenario: the scenario, whose seed is that of the rollout.
+        controls: the controls.
+
+    Raises:
+        UsageError: the scenario does not fit on the street.
+    """
+    simulation = start_simulation(street, scenario)
+    ending: Ending | None = None
+    for one in controls:
+        ending = simulation.advance(one)
+        if ending is not None:
+            break
+    route = tuple((float(x), float(y)) for x, y in simulation.route.way.points)
+    return DrivenAgain(simulation.recorder.log(), simulation.now.step, ending, route)

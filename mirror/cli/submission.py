@@ -74,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Hidden:
-    """Render the true images of moved cameras in a synthetic street, for organisers: `mirror evaluate --hidden`."""
+    """Render the true images of moved cameras and edited vehicles in a synthetic street: `mirror evaluate --hidden`."""
 
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset. Its recordings were written by `mirror synth`."""

@@ -88,8 +88,8 @@ def test_hidden_truth_with_another_appearance_is_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another preset can have the same drives and timestamps: the check compares the images."""
-    render = synthetic.render_shifted
-    monkeypatch.setattr(synthetic, "render_shifted", lambda *words: np.flip(render(*words), axis=1))
+    render = synthetic.render_view
+    monkeypatch.setattr(synthetic, "render_view", lambda *words: np.flip(render(*words), axis=1))
     plan = plan_views(dataset, small(task="lane-shift", groups=SHIFTS, every=12), SPLIT)
     with pytest.raises(DatasetError, match=r"is not what was recorded \(\d+\.\d dB\)"):
         write_hidden_truth(dataset, plan, "tiny", 0, tmp_path / "hidden")

@@ -60,7 +60,7 @@ def drive_of(view: RenderView) -> SynthDrive:
 def test_vehicles_that_stay_give_the_recorded_bytes(
     tiny_dataset: Dataset, protocol: Protocol, views: tuple[RenderView, ...]
 ) -> None:
-    """Every edited vehicle is placed anew, parked ones in a new static scene; all effects are as recorded."""
+    """Every edited vehicle is placed again, parked ones in a new static scene; all effects are as recorded."""
     truth = GroundTruth(tiny_dataset, protocol, {})
     kinds, light = set(), set()
     for view in [view for view in views if view.group == "0m"][::3]:

@@ -8,6 +8,7 @@ import shutil
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -136,3 +137,18 @@ class LayerWriter:
         return DatasetError(
             "the layer exists already", file=self.folder, remedy="write it under another version, side by side"
         )
+
+
+def remove_layer(folder: Path) -> None:
+    """Remove a layer that an interrupted run left; from the first moment on it is no layer.
+
+    The caller holds the dataset's writer lock.
+
+    Raises:
+        DatasetError: the folder cannot be written.
+    """
+    try:
+        (folder / MANIFEST).unlink(missing_ok=True)
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise unwritable_error(folder, error) from error

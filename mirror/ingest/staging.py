@@ -16,6 +16,7 @@ from typing import Final
 from mirror.dataset.generation import supersede
 from mirror.dataset.layout import MANIFEST, Layout, complete_manifest
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
+from mirror.dataset.unfinished_work import drop_work
 from mirror.schema.files import unmovable_error
 
 FOLDER: Final = ".staging"
@@ -123,6 +124,8 @@ class Staging:
         # The drive goes first: without it its traversals do not count, whatever happens next.
         supersede(self.dataset, target)
         for name in made | (_traversals({} if before is None else before.derived_from) - named):
+            # Its layers go with it, and so does what an interrupted run would make layers of.
+            drop_work(self.dataset, name)
             supersede(self.dataset, self.dataset.traversal(name))
         for name in sorted(made):
             _rename(self.layout.traversal(name), self.dataset.traversal(name))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -12,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from mirror.arrays import Bool, UInt8
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.images.decoding import decode_grey, decode_rgb
 from mirror.dataset.images.metadata import read_orientation
 from mirror.dataset.images.video_decoders import VideoDecoders
@@ -25,8 +27,7 @@ from mirror.privacy.operators import Redaction
 from mirror.privacy.options import SkipRules
 from mirror.privacy.regions import Region
 from mirror.schema.documents import Document
-from mirror.schema.json_lines import append_line, read_lines
-from mirror.schema.strict_json import decode_json
+from mirror.schema.finished_work import FinishedWork, hash_inputs
 
 ImageKey = tuple[str, int]
 """Camera and timestamp_ns."""
@@ -78,29 +79,20 @@ class Detected(Document):
         return self.camera, self.timestamp_ns
 
 
-class DetectionLog:
-    """The detections of a traversal so far: a file with a line an image, to which lines are appended.
+DetectionLog: TypeAlias = FinishedWork[Detected]
+"""The detections of a traversal so far; each is reused for the bytes, masks and regions that it was made from."""
+
+
+def open_log(path: Path) -> DetectionLog:
+    """Read the detections of an interrupted run; an added one is on disk before the next.
 
     Args:
-        path: the file.
+        path: the file; it need not exist.
 
     Raises:
         DatasetError: a line is broken.
     """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        found = read_lines(path, lambda line: Detected.model_validate(decode_json(line)))
-        self.done: dict[ImageKey, Detected] = {detected.key: detected for detected in found}
-
-    def append(self, detected: Detected) -> None:
-        """Add an image; it is on disk when this returns.
-
-        Raises:
-            DatasetError: the disk is full.
-        """
-        append_line(self._path, detected.model_dump_json(), sync=True)
-        self.done[detected.key] = detected
+    return FinishedWork(path, Detected.model_validate, sync=True)
 
 
 DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
@@ -122,29 +114,61 @@ def detect_images(
     tasks: Sequence[DetectionTask],
     pool: DetectionPool,
     log: DetectionLog,
+    hashes: ContentHashes,
     advance: Callable[[int], object],
-) -> dict[ImageKey, Failure]:
-    """Search the images that the log lacks.
+) -> tuple[dict[ImageKey, Detected], dict[ImageKey, Failure]]:
+    """Search images; those that the log has, with the same bytes, are not searched again.
 
     Args:
         tasks: the images.
         pool: processes with the detectors.
         log: takes the results.
+        hashes: hashes images and masks.
         advance: called with the number of images done since the last call.
 
     Returns:
-        The images that failed: unreadable ones, and those on which a detector failed, crashed or hung.
+        What was found, by image, and the images that failed: unreadable ones, and those on which a detector failed,
+        crashed or hung.
+
+    Raises:
+        DatasetError: a mask cannot be read, or the log cannot be written.
     """
-    waiting = [task for task in tasks if task.key not in log.done]
-    advance(len(tasks) - len(waiting))
+    found: dict[ImageKey, Detected] = {}
+    waiting = []
+    for task in tasks:
+        known = log.find(_item(task.key), partial(_hash_task, task, hashes))
+        if known is None:
+            waiting.append(task)
+        else:
+            found[task.key] = known
+    advance(len(found))
     failures: dict[ImageKey, Failure] = {}
     for number, answer in pool.map(waiting):
+        task = waiting[number]
         if isinstance(answer, Failure):
-            failures[waiting[number].key] = answer
+            failures[task.key] = answer
         else:
-            log.append(answer)
+            inputs = hash_inputs(answer.sha256, _hash_conditions(task, hashes))
+            log.add(_item(task.key), inputs, answer.model_dump(mode="json"), answer)
+            found[task.key] = answer
         advance(1)
-    return failures
+    return found, failures
+
+
+def _item(key: ImageKey) -> str:
+    return f"{key[0]}/{key[1]}"
+
+
+def _hash_task(task: DetectionTask, hashes: ContentHashes) -> str:
+    return hash_inputs(hashes.image_bytes(task.row), _hash_conditions(task, hashes))
+
+
+def _hash_conditions(task: DetectionTask, hashes: ContentHashes) -> str:
+    """Hash everything but the image's bytes that decides what is found in it."""
+    masks = [None if path is None else hashes.file(path) for path in (task.ego_mask, task.sky_mask)]
+    regions = [region.model_dump(mode="json") for region in task.regions]
+    redaction = None if task.redaction is None else asdict(task.redaction)
+    return hash_inputs(masks, task.is_skipped, regions, redaction, task.row["codec"], task.row["video_pts"])
 
 
 def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[DetectionTask], Detected]:

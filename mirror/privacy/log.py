@@ -56,6 +56,8 @@ class ImageRecord(Document):
         camera: the camera.
         timestamp_ns: mid-exposure of the image.
         out_sha256: SHA-256 of the redacted bytes, in hexadecimal.
+        source_sha256: SHA-256 of the recorded bytes that were searched and redacted; None: an earlier version did not
+            record it, or the line is one of a release, which must not identify originals.
         width_px: width of the raster.
         height_px: height of the raster.
         detectors: detectors that searched it.
@@ -73,6 +75,7 @@ class ImageRecord(Document):
     camera: str
     timestamp_ns: int
     out_sha256: str
+    source_sha256: str | None = None
     width_px: int
     height_px: int
     detectors: tuple[DetectorRecord, ...]

@@ -17,20 +17,22 @@ from typing import Any, Final
 import pyarrow.compute as pc
 
 import mirror
+from mirror.dataset.content_hashes import ContentHashes, read_content
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, read_manifest, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.redaction import REDACTION
+from mirror.dataset.unfinished_work import DEIDENTIFICATION, work_folder
 from mirror.errors import DatasetError, ExitCode
 from mirror.guarded import Failure
 from mirror.privacy.detection import (
-    DetectionLog,
     DetectionPool,
     DetectionTask,
     ImageKey,
     detect_images,
     detection_pool,
+    open_log,
     used_masks,
 )
 from mirror.privacy.detectors.registry import describe, require_coverage
@@ -44,8 +46,6 @@ from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES, MASKS
 
 _COVERED: Final = 0.9
-WORK: Final = ".deidentify"
-"""Folder in a dataset with the results of unfinished work, and with what reviewers said."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def deidentify(
         counts = {name: dataset.where(traversal=name).count("images") for name in chosen}
         todo = [name for name in chosen if counts[name] and not _is_done(layout, name, configuration, report)]
         bar.start("images searched", sum(counts[name] for name in todo))
-        folder = layout.root / WORK / f"{options.version}.{detection_hash(records, options)[:16]}"
+        folder = work_folder(layout, DEIDENTIFICATION, options.version, detection_hash(records, options))
         with detection_pool(
             layout.root, options.detectors, workers=options.workers, timeout_s=options.timeout_s
         ) as pool:
@@ -154,7 +154,7 @@ def deidentify(
         if not report.unfinished:
             shutil.rmtree(folder, ignore_errors=True)
             with suppress(OSError):
-                (layout.root / WORK).rmdir()
+                (layout.root / DEIDENTIFICATION).rmdir()
         build_index(layout.root)
     return report
 
@@ -164,13 +164,19 @@ def _is_done(layout: Layout, traversal_id: str, configuration: Configuration, re
     manifest = read_manifest(folder)
     if manifest is None:
         return False
+    remedy = "write another version beside it: --version NAME; the newest is the one that readers get"
     if manifest.derived_from.get("configuration") != configuration.sha256:
         raise DatasetError(
             "the layer was made with other detectors or options",
             file=folder,
             expected="the same detectors, weights, thresholds, region of number plates and other options",
-            remedy="write another version beside it: --version NAME; the newest is the one that readers get",
+            remedy=remedy,
         )
+    if manifest.derived_from.get("recorded") != read_content(layout.recorded(traversal_id)):
+        raise DatasetError(
+            "the layer was made from other recorded images", file=folder,
+            expected="a layer of the images that the traversal has now", remedy=remedy,
+        )  # fmt: skip
     report.unchanged.append(traversal_id)
     return True
 
@@ -186,24 +192,30 @@ def _traversal(
     report: DeidentifyReport,
     bar: ProgressReporter,
 ) -> None:
-    log = DetectionLog(folder / f"{traversal_id}.jsonl")
+    log = open_log(folder / f"{traversal_id}.jsonl")
+    hashes = ContentHashes(dataset.store)
     tasks = _tasks(layout, dataset, traversal_id, options)
-    failures = detect_images(tasks, pool, log, bar.advance)
+    searched, failures = detect_images(tasks, pool, log, hashes, bar.advance)
     report.failures += _named(traversal_id, failures)
     if failures and not options.withhold_failed:
         report.unfinished.append(traversal_id)
         return
-    done = [task for task in tasks if task.key in log.done]
-    detected = {task.key: log.done[task.key].regions for task in done}
+    done = [task for task in tasks if task.key in searched]
+    detected = {task.key: searched[task.key].regions for task in done}
     regions = propagate(dataset, traversal_id, detected, options.propagation, grow=options.redaction.grow)
-    failures = _repeat(traversal_id, done, regions, options, configuration, pool, folder)
+    failures = _repeat(traversal_id, done, regions, options, configuration, pool, folder, hashes)
     report.failures += _named(traversal_id, failures)
     if failures and not options.withhold_failed:
         report.unfinished.append(traversal_id)
         return
     regions = {key: found for key, found in regions.items() if key not in failures}
-    skipped = {key: log.done[key].skipped for key in regions}
-    rows = {task.key: dict(task.row) for task in done if task.key in regions}
+    skipped = {key: searched[key].skipped for key in regions}
+    # The redaction reads bytes with the hash of the search, or fails.
+    rows = {
+        task.key: {**task.row, "sha256": bytes.fromhex(searched[task.key].sha256)}
+        for task in done
+        if task.key in regions
+    }
     bar.status(f"writing {traversal_id}")
     write_layers(layout, traversal_id, rows, regions, skipped, configuration, workers=options.workers)
     report.written.append(traversal_id)
@@ -222,6 +234,7 @@ def _repeat(
     configuration: Configuration,
     pool: DetectionPool,
     folder: Path,
+    hashes: ContentHashes,
 ) -> dict[ImageKey, Failure]:
     """Search the redacted images again and add what is found, until nothing is: a redaction changes what is around it.
 
@@ -238,8 +251,8 @@ def _repeat(
             for task in tasks
             if task.key in changed
         ]
-        log = DetectionLog(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
-        failed = detect_images(again, pool, log, lambda steps: None)
+        log = open_log(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
+        searched, failed = detect_images(again, pool, log, hashes, lambda steps: None)
         failures |= failed
         if failed and not options.withhold_failed:
             break
@@ -248,7 +261,7 @@ def _repeat(
             size = task.row["width_px"], task.row["height_px"]
             boxes = [grown_box(one, options.redaction.grow, *size) for one in regions[task.key]]
             covering = [box for box in boxes if box is not None]
-            more = [one for one in log.done[task.key].regions if covered_share(one.box_px, covering) < _COVERED]
+            more = [one for one in searched[task.key].regions if covered_share(one.box_px, covering) < _COVERED]
             if more:
                 regions[task.key] += [one.moved_to(one.box_px, "repeat") for one in merged(more)]
                 changed.add(task.key)

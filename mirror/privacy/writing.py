@@ -13,7 +13,7 @@ import numpy as np
 
 from mirror.arrays import Bool
 from mirror.dataset.images.video_decoders import VideoDecoders
-from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layer_writer import LayerWriter, remove_layer
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.redaction import REDACTION
 from mirror.dataset.store import Store
@@ -24,6 +24,7 @@ from mirror.privacy.encoding import RedactedImage
 from mirror.privacy.log import LOG, DetectorRecord, ImageRecord, encode_log
 from mirror.privacy.operators import Redaction
 from mirror.privacy.regions import Region
+from mirror.schema.finished_work import hash_inputs
 from mirror.schema.tables import IMAGES, MASKS
 
 SOURCE: Final = "deidentify"
@@ -67,7 +68,7 @@ def write_layers(
     Args:
         layout: the dataset; the caller holds its writer lock.
         traversal_id: the traversal.
-        rows: rows of the recorded images table, by image.
+        rows: rows of the recorded images table, by image, with the hashes of the bytes that were searched.
         regions: what is removed, by image.
         skipped: tiles that were not searched, by image.
         configuration: detectors and operators.
@@ -77,8 +78,9 @@ def write_layers(
         DatasetError: an image cannot be read or written; a layer of another configuration exists.
     """
     store = Store(layout.root)
+    derived_from = {"configuration": configuration.sha256, "searched": _hash_searched(rows, regions)}
     images = LayerWriter(layout, traversal_id, REDACTION, SOURCE, configuration.version)
-    masks = _mask_writer(layout, traversal_id, configuration)
+    masks = _mask_writer(layout, traversal_id, configuration, derived_from)
     image_rows, mask_rows, records = [], [], []
     for key, redacted in _redacted(store, rows, regions, configuration.redaction, workers):
         camera, timestamp_ns = key
@@ -97,6 +99,7 @@ def write_layers(
                 camera=camera,
                 timestamp_ns=timestamp_ns,
                 out_sha256=digest.hex(),
+                source_sha256=row["sha256"].hex(),
                 width_px=row["width_px"],
                 height_px=row["height_px"],
                 detectors=configuration.detectors,
@@ -111,7 +114,6 @@ def write_layers(
         if redacted.mask is not None and masks is not None:
             file = masks.file(f"{camera}/{timestamp_ns}.png", _encode_mask(redacted.mask))
             mask_rows.append({"camera": camera, "timestamp_ns": timestamp_ns, "kind": MASK_KIND, **file})
-    derived_from = {"configuration": configuration.sha256}
     # A layer of masks without rows would say that no road user is visible: none is written then.
     if masks is not None and mask_rows:
         masks.finish(MASKS, mask_rows, derived_from)
@@ -119,19 +121,32 @@ def write_layers(
     images.finish(IMAGES, image_rows, derived_from)
 
 
-def _mask_writer(layout: Layout, traversal_id: str, configuration: Configuration) -> LayerWriter | None:
-    """A writer of the masks; None: an interrupted run completed them."""
-    folder = layout.layer(traversal_id, "masks", SOURCE, configuration.version)
+def _hash_searched(rows: Mapping[ImageKey, Mapping[str, Any]], regions: Mapping[ImageKey, Sequence[Region]]) -> str:
+    """Hash the images that were searched, and what was found in them."""
+    found = [
+        [*key, rows[key]["sha256"].hex(), [region.model_dump(mode="json") for region in regions[key]]]
+        for key in sorted(rows)
+    ]
+    return hash_inputs(found)
+
+
+def _mask_writer(
+    layout: Layout, traversal_id: str, configuration: Configuration, derived_from: Mapping[str, str]
+) -> LayerWriter | None:
+    """A writer of the masks; None: an interrupted run completed them. Its masks of other images are removed."""
+    folder = layout.layer(traversal_id, MASKS.name, SOURCE, configuration.version)
     manifest = read_manifest(folder)
-    if manifest is None:
-        return LayerWriter(layout, traversal_id, "masks", SOURCE, configuration.version)
-    if manifest.derived_from.get("configuration") == configuration.sha256:
-        return None
-    raise DatasetError(
-        "the layer of masks was made with other options", file=folder,
-        expected="the same detectors, region of number plates and other options",
-        remedy="write another version: --version NAME",
-    )  # fmt: skip
+    if manifest is not None:
+        if manifest.derived_from.get("configuration") != configuration.sha256:
+            raise DatasetError(
+                "the layer of masks was made with other options", file=folder,
+                expected="the same detectors, region of number plates and other options",
+                remedy="write another version: --version NAME",
+            )  # fmt: skip
+        if derived_from.items() <= manifest.derived_from.items():
+            return None
+        remove_layer(folder)
+    return LayerWriter(layout, traversal_id, MASKS.name, SOURCE, configuration.version)
 
 
 def _redacted(

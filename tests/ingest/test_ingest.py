@@ -204,6 +204,27 @@ def test_changed_recording_needs_replace_and_a_failed_replacement_harms_nothing(
     assert tree(out) == tree(tmp_path / "fresh")
 
 
+def test_a_replacement_drops_unfinished_work_on_the_replaced_traversals_alone(
+    copied: list[Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "d"
+    report = ingest_recordings(copied[:2], [SCENE], out)
+    names = [one.traversal_id for one in report.traversals]
+    replaced = [name for name in names if f".{copied[0].name}." in name]
+    left = [
+        out / work / "1.abc" / f"{name}.jsonl" for work in (".deidentify", ".annotate", ".refine") for name in names
+    ]
+    left += [out / ".mvs" / "1.abc" / name / "rear" / "1.png" for name in names]
+    reviews = out / ".deidentify" / "reviews.jsonl"
+    for path in (*left, reviews):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"{}\n")
+    assert not ingest_recordings(copied[:1], [SCENE], out, IngestOptions(replace=True)).failures
+    kept = [path for path in left if path.exists()]
+    assert kept == [path for path in left if not any(name in str(path) for name in replaced)]
+    assert replaced and kept and reviews.exists()
+
+
 def test_verify_notices_bytes_that_changed_behind_an_unchanged_size_and_time(
     copied: list[Path], tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -290,14 +291,23 @@ def _privacy() -> Iterator[Edit]:
     yield of("PRV002", lambda broken: _redact(broken, 0, derived=True), f"traversals/{A0}/layers/depth/sweep@1")
     yield of("PRV003", lambda broken: image(broken, 0, _commented()), f"{RECORDED}/images.parquet")
     yield of("PRV004", lambda broken: _redact(broken, 0, log=False), folder)
+    yield of("PRV005", lambda broken: _redact(broken, 0, source=bytes(32)), f"{folder}/log.jsonl")
 
 
-def _redact(broken: Broken, left_out: int, *, derived: bool = False, log: bool = True) -> None:
+def _redact(
+    broken: Broken, left_out: int, *, derived: bool = False, log: bool = True, source: bytes | None = None
+) -> None:
     """A layer that replaces images by themselves; without `derived`, depth and points follow from it."""
     writer = LayerWriter(broken.layout, A0, "redaction", "made", "1")
+    rows = broken.read(A0, "images")[left_out:]
     if log:
-        writer.document("log.jsonl", b"")
-    writer.finish(IMAGES, broken.read(A0, "images")[left_out:], {})
+        lines = [
+            {"camera": row["camera"], "timestamp_ns": row["timestamp_ns"],
+             "source_sha256": (source or row["sha256"]).hex()}
+            for row in rows
+        ]  # fmt: skip
+        writer.document("log.jsonl", "".join(f"{json.dumps(line)}\n" for line in lines).encode())
+    writer.finish(IMAGES, rows, {})
     for kind in () if derived else ("depth", "points"):
         path = f"traversals/{A0}/layers/{kind}/sweep@1/{MANIFEST}"
         current = current_redaction(broken.layout, A0)

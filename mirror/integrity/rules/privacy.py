@@ -16,6 +16,8 @@ from mirror.integrity.images import leaves_dataset
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 from mirror.schema.files import read_table
+from mirror.schema.json_lines import decode_object
+from mirror.schema.strict_json import JsonError
 from mirror.schema.tables import IMAGES
 
 _FROM_IMAGES = ("depth", "points")
@@ -106,3 +108,36 @@ def _log(view: SceneView) -> Iterator[Finding]:
         folder = view.dataset.layout.layer(item.traversal_id, REDACTION, *newest)
         if not (folder / "log.jsonl").is_file():
             yield Finding(view.dataset.name(folder), None, "no log.jsonl")
+
+
+@scene_rule(
+    "PRV005",
+    Severity.ERROR,
+    title="An image was redacted from other bytes than those that are recorded: what it shows was not searched.",
+    remedy="`mirror deidentify` under another version; readers get the newest",
+)
+def _other_sources(view: SceneView) -> Iterator[Finding]:
+    layout = view.dataset.layout
+    for item in view.traversals:
+        newest = newest_redaction(item.layers)
+        if newest is None:
+            continue
+        log = layout.layer(item.traversal_id, REDACTION, *newest) / "log.jsonl"
+        try:
+            table = read_table(layout.recorded(item.traversal_id) / "images.parquet", IMAGES)
+            lines = [decode_object(line) for line in log.read_bytes().splitlines()]
+        except (MirrorError, OSError, JsonError):
+            # Other rules name the fault.
+            continue
+        columns = [table.column(name).to_pylist() for name in ("camera", "timestamp_ns", "sha256")]
+        recorded = {(camera, stamp): sha256 for camera, stamp, sha256 in zip(*columns)}
+        others = [
+            line
+            for line in lines
+            if line.get("source_sha256") is not None
+            and (sha256 := recorded.get((line.get("camera"), line.get("timestamp_ns")))) is not None
+            and sha256.hex() != line["source_sha256"]
+        ]
+        if others:
+            first = f"camera {others[0].get('camera')}, timestamp_ns {others[0].get('timestamp_ns')}"
+            yield Finding(view.dataset.name(log), first, f"{len(others)} images of other recorded bytes", len(others))

@@ -21,6 +21,7 @@ from mirror.dataset.lock import writer_lock
 from mirror.dataset.owned_folder import OwnedFolder, abandoned_folders
 from mirror.dataset.splits.split import hash_manifests
 from mirror.dataset.store import Store
+from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError, UsageError
 from mirror.privacy.detection import decode_recorded, read_recorded
 from mirror.privacy.log import ImageRecord, encode_log
@@ -31,7 +32,6 @@ from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, choose_sample
 from mirror.privacy.release.texts import datasheet, licence_text
 from mirror.privacy.release.tree import TreeReport, read_drives, read_plate_regions, write_drive
 from mirror.privacy.release.vault import OriginalRecord, Vault, open_vault, write_private_log
-from mirror.privacy.run import WORK
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import DatasetDocument, DriveDocument, Rig, SplitDocument
 from mirror.schema.files import read_json, read_table, unmovable_error, write_bytes, write_json
@@ -218,7 +218,7 @@ def _plate_region(layout: Layout, stated: str | None) -> str | None:
 def _write_documents(
     source: Layout, target: Layout, options: ReleaseOptions, parts: Sequence[TreeReport], trimmed: int
 ) -> Release:
-    reviews = read_reviews(source.root / WORK / REVIEWS)
+    reviews = read_reviews(source.root / DEIDENTIFICATION / REVIEWS)
     records = with_reviews([record for part in parts for record in part.records], reviews)
     sampled = choose_sample(records, options.sample)
     reviewed = [record for record in sampled if record.review is not None]

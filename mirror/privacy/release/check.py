@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.images.decoding import decode_rgb
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.layout import Layout, require_dataset
-from mirror.dataset.redaction import REDACTION
+from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError, ExitCode, MirrorError
 from mirror.guarded import Failure
@@ -23,14 +24,14 @@ from mirror.privacy.log import LOG, read_log
 from mirror.privacy.regions import covered_share, grown_box
 from mirror.privacy.release.rules import RULES
 from mirror.privacy.release.vault import VAULT, Vault, is_expired, read_private_logs
-from mirror.privacy.release.view import ReleaseView
+from mirror.privacy.release.view import ImageName, ReleaseView
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import read_json, read_table
 from mirror.schema.tables import IMAGES
 
 COVERED: Final = 0.9
 """The share of what detectors find again that logged regions must cover: they fire on redacted faces too."""
-_REDETECTED, _ORIGINALS, _INTEGRITY, _RETENTION = "REL012", "REL013", "REL014", "REL015"
+_REDETECTED, _ORIGINALS, _INTEGRITY, _RETENTION, _SOURCES = "REL012", "REL013", "REL014", "REL015", "REL016"
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ def check_release(
     Args:
         root: folder of the release.
         detectors: detectors that search the images again; each region that they find must be covered by logged ones.
-        originals: the dataset that the release was built of; no file of the release may be one of its images.
+        originals: the dataset that the release was built of; no file of the release may be one of its images, and each
+            image must have been redacted from the bytes that are recorded there.
         vault: a vault, whose private logs are used in the same way.
         models: folders of models that are to be published with the release.
         workers: number of processes for the detectors.
@@ -121,6 +123,9 @@ def check_release(
     if originals is not None or vault is not None:
         rules += 1
         findings += _originals(view, originals, vault)
+    if originals is not None:
+        rules += 1
+        findings += _other_sources(view, originals)
     if vault is not None:
         rules += 1
         if is_expired(read_json(vault / VAULT, Vault)):
@@ -190,9 +195,66 @@ def _hashes_of(root: Path) -> Iterator[tuple[str, str]]:
         }
         for row in read_table(layout.recorded(name) / "images.parquet", IMAGES).to_pylist():
             if (row["camera"], row["timestamp_ns"]) in with_regions:
-                data = read_recorded(store, row)
-                pixels = decode_recorded(store, videos, row, data)
+                recorded = "" if row["sha256"] is None else row["sha256"].hex()
+                try:
+                    data = read_recorded(store, row)
+                    pixels = decode_recorded(store, videos, row, data)
+                except DatasetError:
+                    # Another rule finds that the recorded bytes have changed.
+                    yield recorded, ""
+                    continue
                 yield hashlib.sha256(data).hexdigest(), hashlib.sha256(pixels.tobytes()).hexdigest()
+
+
+def _other_sources(view: ReleaseView, originals: Path) -> Iterator[Finding]:
+    """Images that were redacted from other bytes than those that the dataset has recorded now.
+
+    No detector has searched the bytes that such an image should show.
+    """
+    title = "An image was redacted from other bytes than those that are recorded."
+    remedy = "de-identify the dataset under another version, and build the release again"
+    logged, recorded = _read_sources(originals)
+    for record in view.records:
+        sources = logged.get(record.out_sha256, [])
+        # Several recorded images may have become these bytes: none of them may have changed.
+        others = [(key, source) for key, source in sources if source is None or source != recorded(key)]
+        if sources and not others:
+            continue
+        if not sources:
+            problem = "no log of the newest redactions has an image with these bytes"
+        elif others[0][1] is None:
+            problem = "the log of the dataset does not state from which bytes it was redacted"
+        else:
+            problem = f"the recorded bytes of {'/'.join(map(str, others[0][0]))} are not those that were redacted"
+        yield Finding(_SOURCES, title, remedy, "/".join(map(str, record.key)), problem)
+
+
+def _read_sources(
+    root: Path,
+) -> tuple[dict[str, list[tuple[ImageName, str | None]]], Callable[[ImageName], str | None]]:
+    """The images of the newest redactions of a dataset and their source hashes, by the hash of the redacted bytes.
+
+    Returns:
+        That mapping, and a function that hashes the recorded bytes of an image; None: there are none.
+    """
+    layout, hashes = Layout(root), ContentHashes(Store(root))
+    logged: dict[str, list[tuple[ImageName, str | None]]] = {}
+    rows: dict[ImageName, Mapping[str, Any]] = {}
+    for folder in sorted((root / "traversals").glob("*")):
+        newest = newest_redaction(layout.layers(folder.name))
+        if newest is not None and (log := layout.layer(folder.name, REDACTION, *newest) / LOG).is_file():
+            for record in read_log(log):
+                logged.setdefault(record.out_sha256, []).append((record.key, record.source_sha256))
+        for row in read_table(layout.recorded(folder.name) / "images.parquet", IMAGES).to_pylist():
+            rows[folder.name, row["camera"], row["timestamp_ns"]] = row
+
+    def hash_recorded(key: ImageName) -> str | None:
+        try:
+            return hashes.image_bytes(rows[key]) if key in rows else None
+        except DatasetError:
+            return None
+
+    return logged, hash_recorded
 
 
 def _redetected(

@@ -20,11 +20,11 @@ from pydantic import ValidationError
 
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
+from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError
 from mirror.html import style_sheet
 from mirror.privacy.log import LOG, ImageRecord, Review, read_log
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, ReviewedImage, choose_sample, read_reviews
-from mirror.privacy.run import WORK
 from mirror.schema.files import read_table
 from mirror.schema.json_lines import append_line
 from mirror.schema.strict_json import decode_json
@@ -52,7 +52,7 @@ class ReviewSession:
     def __init__(self, root: Path, reviewer: str, sample: int = DEFAULT_SAMPLE) -> None:
         layout = Layout(root)
         require_dataset(layout)
-        self._path = root / WORK / REVIEWS
+        self._path = root / DEIDENTIFICATION / REVIEWS
         self._reviewer = reviewer
         self._uris: dict[str, Path] = {}
         records: list[ImageRecord] = []

@@ -117,6 +117,9 @@ def _hashes_of_originals(view: ReleaseView) -> Iterator[Found]:
             yield Found(
                 folder.relative_to(view.root).as_posix(), "a redaction layer: hashes of originals follow from it"
             )
+    for record in view.records:
+        if record.source_sha256 is not None:
+            yield Found("redaction_log.jsonl", f"{'/'.join(map(str, record.key))}: a hash of the original")
     for drive, _ in view.drives:
         if drive.source.fingerprint != _EMPTY_HASH or drive.source.files or drive.source.bytes:
             yield Found(f"drives/{drive.drive_id}/drive.json", "it names files, size or fingerprint of the recording")

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
 from mirror.dataset.redaction import REDACTION, current_redaction, newest_redaction
+from mirror.dataset.store import Store
 from mirror.errors import DatasetError
 from mirror.ingest.tables import assign_frames
 from mirror.privacy.log import LOG, ImageRecord, read_log, read_plate_region
@@ -127,15 +129,17 @@ def _write_recorded(
         records = {record.key[1:]: record for record in read_log(layer / LOG)}
         report.withheld += rows.num_rows - redacted.num_rows
         original = {(row["camera"], row["timestamp_ns"]): row for row in rows.to_pylist()}
+        hashes = ContentHashes(Store(source.root))
         out_rows = []
         for row in redacted.to_pylist():
             key = (row["camera"], row["timestamp_ns"])
+            _require_source(hashes, records[key], original[key], layer / LOG)
             data = _read(source, row, row["sha256"])
             stamp = row["timestamp_ns"] + renaming.shift_ns
             name = f"{row['camera']}/{stamp}{PurePosixPath(row['uri']).suffix}"
             write_bytes(folder / name, data)
             out_rows.append({**row, "uri": f"traversals/{new}/recorded/{name}"})
-            change = {"traversal_id": new, "timestamp_ns": stamp}
+            change = {"traversal_id": new, "timestamp_ns": stamp, "source_sha256": None}
             report.records.append(records[key].model_copy(update=change))
             report.recorded.append((old, original[key]))
             total += len(data)
@@ -151,6 +155,18 @@ def _write_recorded(
         files[name] = encode_table(renaming.table(data_rows, report.traversals), table)
         write_bytes(folder / name, files[name])
     seal(folder, files, derived_from={}, images=ImageTotals(count=images.num_rows, bytes=total))
+
+
+def _require_source(hashes: ContentHashes, record: ImageRecord, row: Mapping[str, Any], log: Path) -> None:
+    """Raise if an image was redacted from other bytes than those recorded now."""
+    recorded = hashes.image_bytes(row) if row["sha256"] is None else row["sha256"].hex()
+    if record.source_sha256 != recorded:
+        problem = "does not state from which bytes an image was redacted"
+        raise DatasetError(
+            problem if record.source_sha256 is None else "an image was redacted from other bytes than those recorded",
+            file=log, place="/".join(map(str, record.key)), expected=f"SHA-256 {recorded}",
+            remedy="de-identify the dataset under another --version, which replaces this one",
+        )  # fmt: skip
 
 
 def _write_layer(

@@ -1,0 +1,50 @@
+"""The folders in a dataset with the results of interrupted runs: their names, and what is dropped with a traversal.
+
+A verb keeps the finished items of a run in ``<folder>/<version and hash of the settings>/``, in files and folders whose
+names begin with the id of the traversal. The items are keyed by the content of their inputs (`FinishedWork`).
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Final
+
+from mirror.dataset.layout import Layout
+from mirror.schema.files import unwritable_error
+
+ANNOTATION: Final = ".annotate"
+DEIDENTIFICATION: Final = ".deidentify"
+"""It also holds what reviewers said; those lines name redacted images by their hashes."""
+REFINEMENT: Final = ".refine"
+DEPTH: Final = ".mvs"
+_FOLDERS: Final = (ANNOTATION, DEIDENTIFICATION, REFINEMENT, DEPTH)
+
+
+def work_folder(layout: Layout, verb: str, layer: str, inputs: str) -> Path:
+    """The folder of one run's unfinished work.
+
+    Args:
+        layout: the dataset.
+        verb: one of the constants of this module.
+        layer: version, or ``source@version``, of what the run writes.
+        inputs: hash of the settings, in hexadecimal; other settings get another folder.
+    """
+    return layout.root / verb / f"{layer}.{inputs[:16]}"
+
+
+def drop_work(layout: Layout, traversal_id: str) -> None:
+    """Remove all unfinished work on a traversal, such as one that is replaced by another recording of it.
+
+    Raises:
+        DatasetError: it cannot be removed.
+    """
+    for folder in _FOLDERS:
+        for path in (layout.root / folder).glob(f"*/{traversal_id}*"):
+            try:
+                if path.is_dir():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink(missing_ok=True)
+            except OSError as error:
+                raise unwritable_error(path, error) from error

@@ -1,4 +1,4 @@
-"""``mirror dataset publish DATASET`` and ``mirror dataset fetch URL``."""
+"""``mirror dataset publish DATASET``, ``mirror dataset fetch URL`` and ``mirror dataset audit PUBLISHED``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
 from mirror.errors import ExitCode
 
+if TYPE_CHECKING:
+    from mirror.dataset.door.inspection import Leak, SameBytes
+
+_LISTED: Final = 5
 _PUBLISH_EXAMPLES = (
     "mirror dataset publish demo/dataset --split novel --out published",
     "mirror dataset publish demo/dataset --split novel --protocol lane-shift --name 'My street' --out published",
@@ -22,6 +26,10 @@ _FETCH_EXAMPLES = (
     "mirror dataset fetch published --out street",
     "mirror dataset fetch https://example.org/street --out street --json",
 )
+_AUDIT_EXAMPLES = (
+    "mirror dataset audit published --against demo/dataset",
+    "mirror dataset audit https://example.org/street --against demo/dataset --json",
+)
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,9 @@ class Publish:
     """Write a bundle of a dataset without the images that submissions are scored against.
 
     The bundle has a datasheet, a licence and the hash of every file. An interrupted call continues when it is repeated.
+    Every file is held against all images that stay, before the bundle is sealed.
+
+    Exit codes: 0 done, 1 a file must not leave and nothing was sealed, 2 could not run.
     """
 
     dataset: tyro.conf.Positional[Path]
@@ -66,11 +77,34 @@ class Fetch:
     """Print JSON."""
 
 
+@dataclass(frozen=True)
+class Audit:
+    """Hold what is already published against the dataset that it came from. Nothing is changed.
+
+    Of a published dataset, every file must be one that publishing would copy today, and every image must have the bytes
+    that it has in the dataset. Releases, exports, models and pages are searched for images that must not leave.
+
+    Exit codes: 0 nothing found, 1 findings, 2 could not run.
+    """
+
+    published: tyro.conf.Positional[str]
+    """Folder or URL of a published dataset, or a folder with a release, an export, a model or pages."""
+    against: Annotated[Path, help_text(metavar="DATASET")]
+    """Folder of the complete dataset."""
+    split: Annotated[str | None, help_text(default="that of the published dataset", metavar="NAME")] = None
+    """Split whose held-out traversals are withheld."""
+    protocol: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME")] = ()
+    """Protocol whose images are withheld too, or path of its .toml file."""
+    json: bool = False
+    """Print JSON."""
+
+
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     subcommands = {
         "publish": Subcommand("write a bundle without held-out images", _publish),
         "fetch": Subcommand("fetch a bundle and verify it", _fetch),
+        "audit": Subcommand("hold what is published against its dataset", _audit),
     }
     return run_subcommand(argv, "mirror dataset", subcommands)
 
@@ -78,7 +112,6 @@ def main(argv: Sequence[str]) -> int:
 def _publish(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Publish, argv, "mirror dataset publish", examples=_PUBLISH_EXAMPLES)
 
-    import mirror
     from mirror.export.publish import PublishOptions, publish
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
@@ -91,19 +124,71 @@ def _publish(argv: Sequence[str]) -> int:
         contact=arguments.contact,
     )
     with progress_bar(quiet=arguments.json) as bar:
-        bundle = publish(arguments.dataset, arguments.out, options, progress=bar)
+        report = publish(arguments.dataset, arguments.out, options, progress=bar)
+    bundle = report.bundle
+    if bundle is None:
+        return _refuse(report.leaks, arguments.json)
     size = sum(entry.bytes for entry in bundle.files.values())
     if arguments.json:
-        written = {"out": arguments.out, "files": len(bundle.files), "bytes": size}
-        print(json.dumps({**written, "withheld": len(bundle.withheld)}))
-    else:
-        counts = f"{len(bundle.files):,} files, {size / 1e6:,.1f} MB; {len(bundle.withheld):,} images withheld"
-        print(f"{arguments.out}: {counts}")
-        print("README.md is the datasheet: read it, and add what only you know, before you publish the folder")
-        raw = mirror.open(arguments.dataset).table("images", ["privacy"]).column("privacy").to_pylist().count("raw")
-        if raw:
-            print(f"{raw:,} images of the dataset show faces and plates as recorded: publish them only if you may")
+        same = [one._asdict() for one in report.same_bytes]
+        written = {"out": arguments.out, "files": len(bundle.files), "bytes": size, "withheld": len(bundle.withheld)}
+        print(json.dumps({**written, "as_recorded": report.as_recorded, "same_bytes": same, "altered": report.altered}))
+        return ExitCode.DONE
+    counts = f"{len(bundle.files):,} files, {size / 1e6:,.1f} MB; {len(bundle.withheld):,} images withheld"
+    print(f"{arguments.out}: {counts}")
+    print("README.md is the datasheet: read it, and add what only you know, before you publish the folder")
+    _print_same(report.same_bytes)
+    if report.altered:
+        print(f"{len(report.altered):,} images have other bytes than their table states, such as {report.altered[0]}")
+    if report.as_recorded:
+        print(f"{report.as_recorded:,} images show faces and plates as recorded: publish them only if you may")
     return ExitCode.DONE
+
+
+def _refuse(leaks: Sequence[Leak], as_json: bool) -> int:
+    """Print the files that must not leave."""
+    if as_json:
+        print(json.dumps({"leaks": [one._asdict() for one in leaks]}))
+        return ExitCode.FINDINGS
+    _print_leaks(leaks)
+    print(f"refused: {len(leaks):,} findings; nothing was sealed")
+    return ExitCode.FINDINGS
+
+
+def _print_leaks(leaks: Sequence[Leak]) -> None:
+    for one in leaks[:_LISTED]:
+        print(f"{one.file}: {one.problem}")
+    if len(leaks) > _LISTED:
+        print(f"... and {len(leaks) - _LISTED:,} more; --json lists all")
+
+
+def _print_same(same_bytes: Sequence[SameBytes]) -> None:
+    for one in same_bytes[:_LISTED]:
+        print(f"{one.shown} is published and has the bytes of {one.kept}, {one.why}")
+    if len(same_bytes) > _LISTED:
+        print(f"... and {len(same_bytes) - _LISTED:,} more; --json lists all")
+
+
+def _audit(argv: Sequence[str]) -> int:
+    arguments = parse_arguments(Audit, argv, "mirror dataset audit", examples=_AUDIT_EXAMPLES)
+
+    from mirror.export.audit import audit
+    from mirror.progress import progress_bar
+    from mirror.protocols.document import load_protocol
+
+    protocols = tuple(load_protocol(name) for name in arguments.protocol)
+    with progress_bar(quiet=arguments.json) as bar:
+        report = audit(arguments.published, arguments.against, split=arguments.split, protocols=protocols, progress=bar)
+    if arguments.json:
+        leaks, same = ([one._asdict() for one in found] for found in (report.leaks, report.same_bytes))
+        print(json.dumps({"files": report.files, "leaks": leaks, "same_bytes": same}))
+        return report.exit_code()
+    _print_leaks(report.leaks)
+    _print_same(report.same_bytes)
+    print(f"{report.files:,} files, {len(report.leaks):,} findings")
+    if report.leaks:
+        print("take it down, publish the dataset again, and tell those who fetched it (SECURITY.md)")
+    return report.exit_code()
 
 
 def _fetch(argv: Sequence[str]) -> int:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
 
 from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.door.files import RECORDED, ImageKey, list_dataset_files
+from mirror.dataset.door.inspection import Leak, SameBytes, inspect_files, read_below
+from mirror.dataset.door.placing import dataset_state, hash_file, place_file, require_unchanged
+from mirror.dataset.door.plan import Departure, plan_departure
+from mirror.dataset.door.secrets import Secrets
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
@@ -26,13 +31,13 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import BUNDLE, PUBLISHING, Bundle
 from mirror.schema.documents import FileEntry, SplitDocument
-from mirror.schema.files import sha256_bytes, unwritable_error, write_bytes, write_json
+from mirror.schema.files import sha256_bytes, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.links import require_inside
 
-_LAYERS: Final = frozenset({"poses", "calibrations", "boxes", "masks", "redaction"})
-"""Kinds of layers that are published; depth and points may contain what held-out images show."""
-
-_FOLDERS: Final = ("drives", "index", "maps", "rigs", "splits", "traversals")
+LICENCE: Final = "LICENSE"
+DATASHEET: Final = "README.md"
+DATASET_FOLDERS: Final = ("drives", "index", "maps", "rigs", "splits", "traversals")
 """Folders of a dataset, in which a repeated call removes files."""
 
 _MAX_FILES_PER_FOLDER: Final = 10_000
@@ -60,12 +65,35 @@ class PublishOptions:
     contact: str | None = None
 
 
-def publish(root: Path, out: str, options: PublishOptions, *, progress: ProgressReporter | None = None) -> Bundle:
+@dataclass(frozen=True, eq=False)
+class PublishReport:
+    """The result of publishing.
+
+    Attributes:
+        bundle: the bundle's document, which was written last; None: files must not leave, and nothing was sealed.
+        leaks: the files that must not leave, and why.
+        same_bytes: published images with the bytes of images that stay.
+        as_recorded: number of published images that no redaction replaced.
+        altered: published images with other bytes than their table states: they were replaced since.
+    """
+
+    bundle: Bundle | None
+    leaks: Sequence[Leak]
+    same_bytes: Sequence[SameBytes]
+    as_recorded: int
+    altered: Sequence[str]
+
+
+def publish(
+    root: Path, out: str, options: PublishOptions, *, progress: ProgressReporter | None = None
+) -> PublishReport:
     """Write a bundle of a dataset without the images by which submissions are scored.
 
-    Tables, splits, calibrations, boxes and masks are complete, so that hashes of splits and plans are those of the
-    dataset. An interrupted call to a local folder continues when it is repeated; files of an earlier call that this one
-    does not publish are removed.
+    Only files that the dataset's documents and tables name are copied, and no recorded image of a traversal that has a
+    redaction layer. Tables, splits, calibrations, boxes and masks are complete, so that hashes of splits and plans are
+    those of the dataset. Every published file is hashed, and held against all images that stay, before the bundle's
+    document is written. An interrupted call to a local folder continues when it is repeated; files of an earlier call
+    that this one does not publish are removed.
 
     Args:
         root: folder of the dataset.
@@ -73,13 +101,11 @@ def publish(root: Path, out: str, options: PublishOptions, *, progress: Progress
         options: see `PublishOptions`.
         progress: receives the progress.
 
-    Returns:
-        The bundle's document, which is written last.
-
     Raises:
         UsageError: `out` is a folder of another kind, or no licence is stated.
         DatasetError: the dataset or the split does not exist, images lie outside of the dataset, a folder has too many
-            files, or a file cannot be written.
+            files, a link leads out of the dataset or of the bundle, the dataset changed meanwhile, or a file cannot be
+            written.
     """
     reporter = progress or NullProgress()
     layout = Layout(root)
@@ -87,13 +113,16 @@ def publish(root: Path, out: str, options: PublishOptions, *, progress: Progress
     if "://" not in out:
         require_output_folder(Path(out), FolderKind.BUNDLE)
         return _publish(layout, Path(out), options, reporter)
+    upload = _Upload(out)
     with tempfile.TemporaryDirectory() as folder:
-        bundle = _publish(layout, Path(folder), options, reporter)
-        _upload(Path(folder), out, bundle, reporter)
-    return bundle
+        report = _publish(layout, Path(folder), options, reporter)
+        if report.bundle is not None:
+            upload.write(Path(folder), report.bundle, reporter)
+    return report
 
 
-def _publish(layout: Layout, out: Path, options: PublishOptions, progress: ProgressReporter) -> Bundle:
+def _publish(layout: Layout, out: Path, options: PublishOptions, progress: ProgressReporter) -> PublishReport:
+    before = dataset_state(layout)
     dataset = open_dataset(layout.root)
     licence = options.licence or dataset.document.licence
     if not licence:
@@ -102,45 +131,75 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
             expected="the SPDX identifier or the name of a licence, such as CC-BY-4.0",
         )  # fmt: skip
     split = read_split(dataset.store, options.split)
-    withheld = _list_withheld(dataset, split, options.protocols)
-    names = [name for name in _list_files(layout.root) if name not in withheld]
+    departure = plan_departure(list_dataset_files(layout), withheld_images(dataset, split, options.protocols))
+    _refuse_large_folders(layout, departure.files)
     # The folder counts as a bundle again once its new document is written.
     write_bytes(out / PUBLISHING, b"")
-    (out / BUNDLE).unlink(missing_ok=True)
-    _remove_others(out, frozenset(names))
-    progress.start("copying", len(names))
-
-    def copy(name: str) -> None:
-        _place(layout.root / name, out / name)
-        progress.advance(1)
-
-    with thread_pool(_THREADS) as pool:
-        list(pool.map(copy, names))
+    require_inside(out, BUNDLE).unlink(missing_ok=True)
+    _remove_others(out, frozenset(departure.files))
+    stated = _copy(layout, out, departure, progress)
     with writer_lock(Layout(out), wait=False):
         build_index(out)
-    write_bytes(out / "LICENSE", f"The data of this dataset is licensed under: {licence}\n".encode())
-    files = _hash_files(out, progress)
+    write_bytes(out / LICENCE, f"The data of this dataset is licensed under: {licence}\n".encode())
+    secrets = Secrets(dataset.store, departure, progress)
+    present = {name for name in _walk(out) if name not in (DATASHEET, PUBLISHING)}
+    inspection = inspect_files(read_below(out), present, departure, secrets, progress, stated=stated)
+    require_unchanged(layout, before)
+    as_recorded = sum(one.layer == RECORDED for one in departure.shown.values())
+    altered = tuple(sorted(name for name, sha256 in stated.items() if departure.files[name] not in (None, sha256)))
+    if inspection.leaks:
+        return PublishReport(None, inspection.leaks, inspection.same_bytes, as_recorded, altered)
+    names = {*stated, LICENCE, *(name for name in present if name.startswith("index/"))}
     bundle = Bundle(
         split=options.split,
         protocols=tuple(protocol.name for protocol in options.protocols),
         dataset_hash=split.dataset_hash,
         licence=licence,
-        files=files,
-        withheld=tuple(sorted(withheld)),
+        files={name: inspection.entries[name] for name in sorted(names)},
+        withheld=departure.withheld,
     )
     sheet = write_datasheet(dataset, bundle, name=options.name, contact=options.contact).encode()
-    write_bytes(out / "README.md", sheet)
-    files["README.md"] = FileEntry(bytes=len(sheet), sha256=sha256_bytes(sheet))
+    write_bytes(out / DATASHEET, sheet)
+    sheet_entry = FileEntry(bytes=len(sheet), sha256=sha256_bytes(sheet))
+    files = {**bundle.files, DATASHEET: sheet_entry}
     bundle = bundle.model_copy(update={"files": dict(sorted(files.items()))})
     write_json(out / BUNDLE, bundle)
     (out / PUBLISHING).unlink()
-    return bundle
+    return PublishReport(bundle, (), inspection.same_bytes, as_recorded, altered)
+
+
+def withheld_images(
+    dataset: Dataset, split: SplitDocument, protocols: Sequence[Protocol]
+) -> Callable[[ImageKey], bool]:
+    """Whether an image is one of a held-out traversal, or one that a protocol scores."""
+    hidden = {key for key, role in split.assignments.items() if role not in ("train", "unused")}
+    scored = {key for protocol in protocols for key in list_scored_images(plan_views(dataset, protocol, split.name))}
+    return lambda key: key[0] in hidden or key in scored
+
+
+def _copy(layout: Layout, out: Path, departure: Departure, progress: ProgressReporter) -> dict[str, str]:
+    """Place the files that leave; returns the SHA-256 that each must have.
+
+    An image may have been replaced since its table was written, for instance because it was taken down: it leaves as it
+    is now.
+    """
+    images = {one.name for one in departure.shown.values()}
+    progress.start("copying", len(departure.files))
+
+    def place(name: str) -> str:
+        place_file(layout.root, name, out)
+        progress.advance(1)
+        stated = None if name in images else departure.files[name]
+        return stated or hash_file(require_inside(layout.root, name))
+
+    with thread_pool(_THREADS) as pool:
+        return dict(zip(departure.files, pool.map(place, departure.files)))
 
 
 def _remove_others(out: Path, names: frozenset[str]) -> None:
     """Remove what an earlier call left in the dataset's folders and this one does not publish; other files stay."""
-    for top in _FOLDERS:
-        for folder, folders, files in os.walk(out / top, topdown=False):
+    for top in DATASET_FOLDERS:
+        for folder, folders, files in os.walk(require_inside(out, top), topdown=False):
             for file in files:
                 path = Path(folder, file)
                 if path.relative_to(out).as_posix() not in names:
@@ -150,108 +209,98 @@ def _remove_others(out: Path, names: frozenset[str]) -> None:
                     Path(folder, name).rmdir()
 
 
-def _list_withheld(dataset: Dataset, split: SplitDocument, protocols: Sequence[Protocol]) -> frozenset[str]:
-    """Paths of the images of held-out traversals, and of those that a protocol scores."""
-    hidden = {key for key, role in split.assignments.items() if role not in ("train", "unused")}
-    scored = {key for protocol in protocols for key in list_scored_images(plan_views(dataset, protocol, split.name))}
-    columns = ["traversal_id", "camera", "timestamp_ns", "uri"]
-    rows = dataset.table("images", columns).to_pylist()
-    outside = next((row for row in rows if "://" in row["uri"] or row["uri"].startswith("/")), None)
-    if outside is not None:
-        raise DatasetError(
-            f"the image {outside['uri']} lies outside of the dataset",
-            file=dataset.root,
-            place=f"traversal {outside['traversal_id']}, camera {outside['camera']}",
-            expected="images in the dataset's folder",
-            remedy="ingest the recordings without references to images elsewhere",
-        )
-    withheld = {
-        row["uri"]
-        for row in rows
-        if row["traversal_id"] in hidden or (row["traversal_id"], row["camera"], row["timestamp_ns"]) in scored
-    }
-    kept = {row["uri"] for row in rows} - withheld
-    shared = next((row["uri"] for row in rows if row["uri"] in withheld and row["uri"] in kept), None)
-    if shared is not None:
-        raise DatasetError(f"{shared} holds published and withheld images", file=dataset.root)
-    return frozenset(withheld)
+def _walk(out: Path) -> Iterable[str]:
+    """Paths of all files in a folder, also hidden ones."""
+    return (Path(folder, name).relative_to(out).as_posix() for folder, _, names in os.walk(out) for name in names)
 
 
-def _list_files(root: Path) -> Iterator[str]:
-    """Paths of a dataset's files, without the index, temporary files and layers that are not published."""
-    for folder, folders, names in os.walk(root):
-        relative = Path(folder).relative_to(root)
-        parts = relative.parts
-        if len(parts) == 3 and parts[0] == "traversals" and parts[2] == "layers":
-            folders[:] = [name for name in folders if name in _LAYERS]
-        folders[:] = sorted(
-            name for name in folders if not name.startswith(".") and not (not parts and name == "index")
-        )
-        if len(names) > _MAX_FILES_PER_FOLDER:
+def _refuse_large_folders(layout: Layout, names: Iterable[str]) -> None:
+    for folder, count in Counter(str(PurePosixPath(name).parent) for name in names).items():
+        if count > _MAX_FILES_PER_FOLDER:
             raise DatasetError(
-                f"the folder has {len(names):,} files", file=root / relative,
+                f"the folder has {count:,} files", file=layout.root / folder,
                 expected=f"at most {_MAX_FILES_PER_FOLDER:,} files, which dataset hosts serve",
                 remedy="publish a dataset of shorter traversals",
             )  # fmt: skip
-        yield from (str(relative / name) for name in sorted(names) if not name.startswith("."))
 
 
-def _place(source: Path, target: Path) -> None:
-    """Copy a file; a hard link suffices for images, which are never opened for writing."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if source.suffix in (".jpg", ".jpeg", ".png"):
-            if target.exists():
-                return
-            try:
-                os.link(source, target)
-                return
-            except OSError:
-                pass
-        temporary = target.with_name(f".{target.name}.tmp")
-        shutil.copyfile(source, temporary)
-        temporary.replace(target)
-    except OSError as error:
-        raise unwritable_error(target, error) from error
+class _Upload:
+    """Writes a bundle to a URL, and removes there what it does not have.
 
+    Args:
+        url: address of the bundle.
 
-def _hash_files(out: Path, progress: ProgressReporter) -> dict[str, FileEntry]:
-    names = sorted(
-        str(path.relative_to(out))
-        for path in out.rglob("*")
-        if path.is_file() and path.name not in (BUNDLE, "README.md")
-        if not any(part.startswith(".") for part in path.relative_to(out).parts)
-    )
-    progress.start("hashing", len(names))
+    Raises:
+        UsageError: the URL cannot be opened, or has a dataset that is no bundle.
+    """
 
-    def entry(name: str) -> FileEntry:
-        data = (out / name).read_bytes()
-        progress.advance(1)
-        return FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+    def __init__(self, url: str) -> None:
+        import fsspec
 
-    with thread_pool(_THREADS) as pool:
-        return dict(zip(names, pool.map(entry, names)))
-
-
-def _upload(folder: Path, url: str, bundle: Bundle, progress: ProgressReporter) -> None:
-    import fsspec
-
-    try:
-        filesystem, base = fsspec.core.url_to_fs(url)
-    except (ImportError, ValueError) as error:
-        raise UsageError(
-            f"this URL cannot be opened: {error}", file=url, place="--out", expected="a folder, or a URL of fsspec"
-        ) from error
-    progress.start("uploading", len(bundle.files) + 1)
-
-    def put(name: str) -> None:
+        self._url = url
         try:
-            filesystem.makedirs(f"{base}/{Path(name).parent}", exist_ok=True)
-            filesystem.put_file(str(folder / name), f"{base}/{name}")
-        except OSError as error:
-            raise DatasetError(f"cannot be written: {error}", file=f"{url}/{name}") from error
-        progress.advance(1)
+            self._filesystem, self._base = fsspec.core.url_to_fs(url)
+        except (ImportError, ValueError) as error:
+            raise UsageError(
+                f"this URL cannot be opened: {error}", file=url, place="--out", expected="a folder, or a URL of fsspec"
+            ) from error
+        self._present = self._list()
+        tops = {name.partition("/")[0] for name in self._present}
+        if tops & {*DATASET_FOLDERS, "dataset.json"} and not tops & {BUNDLE, PUBLISHING}:
+            raise UsageError(
+                "it has a dataset that is not a published one: nothing was written", file=url, place="--out",
+                expected="a new place, or that of an earlier bundle", remedy="name another place with --out",
+            )  # fmt: skip
 
-    with thread_pool(_THREADS) as pool:
-        list(pool.map(put, bundle.files))
-    put(BUNDLE)
+    def write(self, folder: Path, bundle: Bundle, progress: ProgressReporter) -> None:
+        """Write the files; those of an earlier bundle that this one does not have are removed first."""
+        progress.start("uploading", len(bundle.files) + 1)
+        self._put_bytes(PUBLISHING, b"")
+        others = [
+            name
+            for name in self._present
+            if name == BUNDLE or (name.partition("/")[0] in DATASET_FOLDERS and name not in bundle.files)
+        ]
+        for name in others:
+            self._do(name, self._filesystem.rm_file)
+
+        def put(name: str) -> None:
+            self._do(name, lambda place: self._put(folder / name, place))
+            progress.advance(1)
+
+        with thread_pool(_THREADS) as pool:
+            list(pool.map(put, bundle.files))
+        put(BUNDLE)
+        self._do(PUBLISHING, self._filesystem.rm_file)
+
+    def _list(self) -> list[str]:
+        """Files below the URL, relative to it."""
+        base = self._base.rstrip("/")
+        try:
+            found = self._filesystem.find(base)
+        except FileNotFoundError:
+            return []
+        except (OSError, NotImplementedError) as error:
+            raise UsageError(
+                f"its files cannot be listed: {error}", file=self._url, place="--out",
+                expected="a URL of a file system that lists, writes and removes files",
+                remedy="publish to a folder, and upload that",
+            ) from error  # fmt: skip
+        return [str(path).removeprefix(base).lstrip("/") for path in found]
+
+    def _put(self, path: Path, place: str) -> None:
+        self._filesystem.makedirs(place.rpartition("/")[0], exist_ok=True)
+        self._filesystem.put_file(str(path), place)
+
+    def _put_bytes(self, name: str, data: bytes) -> None:
+        def write(place: str) -> None:
+            self._filesystem.makedirs(place.rpartition("/")[0], exist_ok=True)
+            self._filesystem.pipe_file(place, data)
+
+        self._do(name, write)
+
+    def _do(self, name: str, action: Callable[[str], Any]) -> None:
+        try:
+            action(f"{self._base}/{name}")
+        except OSError as error:
+            raise DatasetError(f"cannot be written: {error}", file=f"{self._url}/{name}") from error

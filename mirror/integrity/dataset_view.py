@@ -144,11 +144,15 @@ class DatasetView:
         return found
 
     @cached_property
+    def bundle(self) -> Bundle | None:
+        """The document of a published dataset; None: it is none, or its document is broken."""
+        file = self.layout.root / BUNDLE
+        return self._read(file, Bundle) if file.is_file() else None
+
+    @cached_property
     def withheld(self) -> frozenset[str]:
         """Paths of the images that a published dataset leaves out; empty for other datasets."""
-        file = self.layout.root / BUNDLE
-        bundle = self._read(file, Bundle) if file.is_file() else None
-        return frozenset() if bundle is None else frozenset(bundle.withheld)
+        return frozenset() if self.bundle is None else frozenset(self.bundle.withheld)
 
     @cached_property
     def index_manifest(self) -> Manifest | None:

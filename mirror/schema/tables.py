@@ -326,3 +326,13 @@ PASSES: Final = Table(
 
 RECORDED: Final[Sequence[Table]] = (EGO_POSES, IMAGES, CALIBRATIONS)
 LAYERS: Final[Sequence[Table]] = (BOXES, MASKS, DEPTH, POINTS)
+LAYER_TABLES: Final[Mapping[str, Table]] = {
+    "poses": EGO_POSES,
+    "calibrations": CALIBRATIONS,
+    "boxes": BOXES,
+    "masks": MASKS,
+    "redaction": IMAGES,
+    "depth": DEPTH,
+    "points": POINTS,
+}
+"""The table of each kind of layer."""

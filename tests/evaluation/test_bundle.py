@@ -18,7 +18,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.export.fetch import fetch
-from mirror.export.publish import PublishOptions, publish
+from mirror.export.publish import PublishOptions, PublishReport, publish
 from mirror.progress import NullProgress
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import PUBLISHING, Bundle
@@ -44,6 +44,12 @@ def options(**changes: object) -> PublishOptions:
     return PublishOptions(
         **{"split": SPLIT, "protocols": (small(),), "name": "Street", "licence": "CC0-1.0", **changes}
     )
+
+
+def published(report: PublishReport) -> Bundle:
+    """The document of a bundle that was sealed."""
+    assert report.bundle is not None, report.leaks
+    return report.bundle
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +118,7 @@ def test_images_that_a_protocol_scores_in_training_traversals_are_withheld(
 ) -> None:
     training = small(groups='[[groups]]\nname = "training"\nroles = ["train"]\n')
     scored = {view.timestamp_ns for view in plan_views(dataset, training, SPLIT).views}
-    document = publish(root, str(tmp_path / "b"), options(protocols=(small(), training)))
+    document = published(publish(root, str(tmp_path / "b"), options(protocols=(small(), training))))
     names = {path.rpartition("/")[2].partition(".")[0] for path in document.withheld}
     assert scored and {str(stamp) for stamp in scored} <= names
     assert "those scored by `small`, `small`." in (tmp_path / "b" / "README.md").read_text()
@@ -185,12 +191,12 @@ def test_an_interrupted_call_continues_and_a_stricter_one_removes(root: Path, tm
     with pytest.raises(KeyboardInterrupt):
         publish(root, str(out), options(protocols=()), progress=Interrupted())
     assert not (out / "bundle.json").exists()
-    loose = publish(root, str(out), options(protocols=()))
+    loose = published(publish(root, str(out), options(protocols=())))
     assert not (out / PUBLISHING).exists()
     (out / ".git").mkdir()
     (out / ".git" / "config").write_text("a repository of the host")
     training = small(groups='[[groups]]\nname = "training"\nroles = ["train"]\n')
-    strict = publish(root, str(out), options(protocols=(training,)))
+    strict = published(publish(root, str(out), options(protocols=(training,))))
     assert (out / ".git" / "config").exists()
     assert set(strict.withheld) > set(loose.withheld)
     assert not [name for name in strict.withheld if (out / name).exists()]
@@ -221,6 +227,6 @@ def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:
 
 
 def test_a_bundle_is_published_to_a_url(root: Path, tmp_path: Path) -> None:
-    document = publish(root, "memory://published/street", options())
+    document = published(publish(root, "memory://published/street", options()))
     report = fetch("memory://published/street", tmp_path / "d")
     assert report.fetched == len(document.files) and not report.failed

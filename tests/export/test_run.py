@@ -118,7 +118,8 @@ def test_a_missing_image_is_named(tmp_path: Path) -> None:
 def test_withheld_images_are_left_out(tmp_path: Path) -> None:
     make_street(tmp_path / "dataset", CAMERAS)
     options = PublishOptions("novel", (load_protocol("static-reconstruction"),), "street", licence="CC-BY-4.0")
-    bundle = publish(tmp_path / "dataset", str(tmp_path / "public"), options)
+    bundle = publish(tmp_path / "dataset", str(tmp_path / "public"), options).bundle
+    assert bundle is not None
     # Images of another drive that the publisher's folder should not have: the list decides, not the disk.
     leaked = tmp_path / "public" / bundle.withheld[0]
     leaked.parent.mkdir(parents=True, exist_ok=True)

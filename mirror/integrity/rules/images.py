@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Bool, Int64
+from mirror.dataset.redaction import REDACTION
 from mirror.dataset.splits.candidates import hash_bytes
 from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.images import MISSING, leaves_dataset
@@ -27,9 +28,18 @@ from mirror.integrity.scene_view import SceneView
 def _missing(view: SceneView) -> Iterator[Finding]:
     images = view.all_images
     missing = view.image_files.size == MISSING
-    if view.dataset.withheld:
-        missing &= ~np.asarray(pc.is_in(images.data.column("uri"), value_set=pa.array(sorted(view.dataset.withheld))))
+    if view.dataset.bundle is not None:
+        rows = np.flatnonzero(missing)
+        stays = _stay(view, [images.text("uri", int(row)) or "" for row in rows])
+        missing[rows] = np.logical_not(stays)
     yield from images.findings(missing, lambda row: f"{images.text('uri', row)} is missing or cannot be opened")
+
+
+def _stay(view: SceneView, uris: Sequence[str]) -> list[bool]:
+    """Which images a published bundle leaves out: withheld ones, and those that a redaction replaces."""
+    redacted = {item.traversal_id for item in view.traversals if any(kind == REDACTION for kind, _, _ in item.layers)}
+    recorded = {f"traversals/{traversal_id}/recorded/" for traversal_id in redacted}
+    return [uri in view.dataset.withheld or "/".join([*uri.split("/")[:3], ""]) in recorded for uri in uris]
 
 
 @scene_rule(

@@ -1,0 +1,90 @@
+"""Links in a folder that lead out of it: whoever walks the folder refuses them, on read and on write.
+
+A link to another place of the same folder is followed, and the folder itself may be a link. `require_inside` tests one
+path; `refuse_links_out` tests everything below a folder, without opening a file.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from mirror.errors import DatasetError
+
+
+def require_inside(root: Path, path: str | Path) -> Path:
+    """Require that no link on the way from a folder to a path below it leads out of the folder.
+
+    Args:
+        root: the folder.
+        path: relative to it; it need not exist.
+
+    Returns:
+        The path below the folder.
+
+    Raises:
+        DatasetError: the path leads out of the folder, by a link or by ``..``.
+    """
+    place = root / path
+    if not _has_link(root, path):
+        return place
+    target = os.path.realpath(place)
+    if not _is_below(target, os.path.realpath(root)):
+        raise _leads_out_error(place, target)
+    return place
+
+
+def refuse_links_out(root: Path) -> None:
+    """Refuse a folder in which a link leads out of it.
+
+    Args:
+        root: the folder; nothing happens if it does not exist.
+
+    Raises:
+        DatasetError: a link leads out; it is named.
+    """
+    inside = os.path.realpath(root)
+    waiting = [os.fspath(root)]
+    while waiting:
+        try:
+            with os.scandir(waiting.pop()) as entries:
+                listed = list(entries)
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        for entry in listed:
+            if entry.is_symlink():
+                target = os.path.realpath(entry.path)
+                if not _is_below(target, inside):
+                    raise _leads_out_error(entry.path, target)
+            elif entry.is_dir():
+                waiting.append(entry.path)
+
+
+def _has_link(root: Path, path: str | Path) -> bool:
+    """Whether a part of a path below a folder is a link, or goes up."""
+    place = os.fspath(root)
+    for part in Path(path).parts:
+        if part == "..":
+            return True
+        place = f"{place}/{part}"
+        try:
+            if stat.S_ISLNK(os.lstat(place).st_mode):
+                return True
+        except OSError:
+            # What does not exist has no link in it; whoever opens it reports what is missing.
+            return False
+    return False
+
+
+def _is_below(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(f"{folder.rstrip('/')}/")
+
+
+def _leads_out_error(place: str | Path, target: str) -> DatasetError:
+    return DatasetError(
+        f"it leads out of its folder, to {target}",
+        file=place,
+        expected="files and folders of their own, or links to others in the same folder",
+        remedy="put a copy in place of the link, or remove it",
+    )

@@ -1,0 +1,71 @@
+"""A dataset whose images differ from each other, with redaction layers, for tests of what leaves it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
+from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layout import Layout
+from mirror.export.publish import PublishOptions, PublishReport, publish
+from mirror.protocols.document import Protocol
+from mirror.schema.bundle import Bundle
+from mirror.schema.files import read_table
+from mirror.schema.tables import IMAGES
+from tests.evaluation.submissions import SPLIT, small
+
+
+def copied(dataset: Dataset, root: Path) -> Path:
+    """A copy of a dataset; its images are links."""
+
+    def copy(source: str, target: str) -> None:
+        if source.endswith(".jpg"):
+            os.link(source, target)
+        else:
+            shutil.copyfile(source, target)
+
+    return Path(shutil.copytree(dataset.root, root, copy_function=copy, ignore=shutil.ignore_patterns(".lock")))
+
+
+def redact(
+    root: Path, traversals: Sequence[str] | None = None, *, version: str = "1", without: frozenset[int] = frozenset()
+) -> None:
+    """Write a redaction layer: a black corner in every image but those of some times."""
+    layout = Layout(root)
+    for traversal_id in traversals or sorted(path.name for path in (root / "traversals").iterdir()):
+        writer = LayerWriter(layout, traversal_id, "redaction", "corner", version)
+        rows = []
+        for row in read_table(layout.recorded(traversal_id) / "images.parquet", IMAGES).to_pylist():
+            if row["timestamp_ns"] in without:
+                continue
+            pixels = cv2.imdecode(np.fromfile(root / row["uri"], np.uint8), cv2.IMREAD_COLOR)
+            pixels[: 8 + 4 * int(version), :16] = 0
+            data = cv2.imencode(".jpg", pixels)[1].tobytes()
+            file = writer.file(f"{row['camera']}/{row['timestamp_ns']}.jpg", data)
+            rows.append({**row, **file, "codec": "jpeg", "privacy": "redacted"})
+        writer.finish(IMAGES, rows, {})
+    build_index(root)
+
+
+def recorded_images(root: Path) -> dict[Path, bytes]:
+    """Bytes of the recorded images."""
+    return {path: path.read_bytes() for path in sorted(root.glob("traversals/*/recorded/*/*.jpg"))}
+
+
+def publish_to(root: Path, out: Path | str, *protocols: Protocol) -> PublishReport:
+    """Publish a dataset."""
+    options = PublishOptions(split=SPLIT, protocols=protocols or (small(),), name="Street", licence="CC0-1.0")
+    return publish(root, str(out), options)
+
+
+def sealed(report: PublishReport) -> Bundle:
+    """The document of a bundle that was sealed."""
+    assert report.bundle is not None, report.leaks
+    return report.bundle

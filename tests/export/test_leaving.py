@@ -62,9 +62,9 @@ def refused(root: Path, out: Path, *words: str) -> None:
     report = publish_to(root, out)
     assert report.bundle is None
     assert not (out / BUNDLE).exists()
-    told = " ".join(f"{one.file} {one.problem}" for one in report.leaks)
+    text = " ".join(f"{one.file} {one.problem}" for one in report.leaks)
     for word in words:
-        assert word in told
+        assert word in text
 
 
 def test_an_image_that_was_blanked_is_blank_in_the_bundle(root: Path, tmp_path: Path) -> None:

@@ -119,7 +119,7 @@ def inspect_files(
 
 
 class _Door:
-    """Looks at one file after the other."""
+    """Inspects one file after the other."""
 
     def __init__(
         self,

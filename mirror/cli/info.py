@@ -158,9 +158,13 @@ def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
         lines.append(("bad rows", f"{_counts(summary.bad_rows)}; the first: {summary.first_bad_row}"))
     for name, camera in summary.cameras.items():
         rate = f" at {camera.rate_hz:.1f} Hz" if camera.rate_hz else ""
-        stages = _counts(camera.calibrations)
+        stages = _counts(camera.calibrations) if camera.is_calibrated else "none: the source declares it uncalibrated"
         missing = f", {camera.missing:,} missing in pauses" if camera.missing else ""
-        lines.append((f"camera {name}", f"{camera.images:,} {camera.codec}{rate}{missing}; calibrations: {stages}"))
+        repeated = ""
+        if camera.repeated:
+            repeated = f", {camera.repeated:,} left out with the stamp of another, first {camera.first_repeated_ns}"
+        counts = f"{camera.images:,} {camera.codec}{rate}{missing}{repeated}"
+        lines.append((f"camera {name}", f"{counts}; calibrations: {stages}"))
     lines.append(("boxes", f"{summary.boxes:,}" if summary.boxes else "none"))
     return lines
 

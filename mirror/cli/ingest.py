@@ -223,6 +223,7 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "linked": report.linked,
         "images_without_pose": report.without_pose,
         "images_missing": report.missing,
+        "images_repeated": report.repeated,
         "maps": report.maps,
         "failures": [{"recording": str(path), **error.to_dict()} for path, error in report.failures],
     }
@@ -266,6 +267,12 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
             console.print(
                 f"{drive_id}: rows without a valid pose were dropped: {counts}", highlight=False, markup=False
             )
+        if drive.uncalibrated:
+            console.print(
+                f"{drive_id}: the recording declares cameras uncalibrated: {', '.join(drive.uncalibrated)}",
+                highlight=False,
+                markup=False,
+            )
     if report.unchanged:
         console.print(f"{len(report.unchanged)} unchanged drives were skipped")
     if dry_run:
@@ -291,6 +298,13 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
         console.print(
             f"left out: {count_of(report.without_pose, 'image')} taken in pose gaps longer than --max-gap-s,"
             " or beyond the ends of the track"
+        )
+    if report.repeated:
+        counts = ", ".join(f"{camera} {count}" for camera, count in sorted(report.repeated.items()))
+        console.print(
+            f"left out: images with the stamp of another image of their camera, by camera: {counts};"
+            " `mirror info RECORDING` names the first",
+            highlight=False,
         )
     if report.missing:
         console.print(

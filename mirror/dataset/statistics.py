@@ -194,7 +194,11 @@ def compute_statistics(dataset: Dataset) -> Statistics:
         camera_hours=sum(item["duration_s"] * len(item["cameras"]) for item in traversals) / 3600,
         frames=dataset.count("frames"),
         images=dataset.count("images"),
-        image_bytes=sum(_bytes(dataset.where(scene=scene_id)) for scene_id, items in own.items() if items),
+        image_bytes=sum(
+            stored_bytes(dataset.where(scene=scene_id).table("images", ["codec", "byte_length", "uri"]))
+            for scene_id, items in own.items()
+            if items
+        ),
         categories=_categories(dataset, [scene_id for scene_id, items in own.items() if items]),
     )
 
@@ -311,8 +315,12 @@ def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]
     return {value: counts[value] for value in (*known, *(v for v, _ in counts.most_common() if v not in known))}
 
 
-def _bytes(scene: Dataset) -> int:
-    images = scene.table("images", ["codec", "byte_length", "uri"])
+def stored_bytes(images: pa.Table) -> int:
+    """Size of the files of images in bytes; a video counts once, whatever the number of its frames.
+
+    Args:
+        images: the columns ``codec``, ``byte_length`` and ``uri`` of the `images` table.
+    """
     is_still = pc.not_equal(images.column("codec").cast(pa.string()), "video")
     videos = images.filter(pc.invert(is_still)).group_by("uri").aggregate([("byte_length", "max")])
     parts = (images.filter(is_still).column("byte_length"), videos.column("byte_length_max"))

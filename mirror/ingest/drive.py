@@ -14,10 +14,10 @@ from mirror.errors import RecordingError
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import build_pass_table
-from mirror.ingest.traversal import images_without_pose, traversal_id
+from mirror.ingest.traversal import images_without_pose, repeated_images, traversal_id
 from mirror.ingest.weather import weather_from_traversals
 from mirror.recordings.boundary import reader_errors
-from mirror.recordings.protocol import Recording
+from mirror.recordings.protocol import Recording, RigInfo
 from mirror.schema.documents import DriveDocument, Rig, RigCamera
 from mirror.schema.files import encode_table, read_json, read_table, write_bytes, write_json
 from mirror.schema.tables import IMAGES, PASSES
@@ -42,6 +42,11 @@ def make_rig_document(drive: DrivePasses) -> Rig | None:
         reference_camera=rig.reference_camera,
         cameras=cameras,
     )
+
+
+def uncalibrated_cameras(rig: RigInfo | None) -> tuple[str, ...]:
+    """Names of the cameras of which the source states that it has no calibration."""
+    return () if rig is None else tuple(camera.name for camera in rig.cameras if not camera.is_calibrated)
 
 
 def refuse_conflicting_rig(layout: Layout, drive: DrivePasses, seen: dict[str, Rig]) -> None:
@@ -119,6 +124,9 @@ def seal_drive(
             end_ns=drive.end_ns,
             cleaning=drive.cleaning,
             images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
+            images_repeated=sum(sum(repeated_images(drive, number).values()) for number in drive.slices),
+            has_date=info.has_date,
+            uncalibrated_cameras=uncalibrated_cameras(rig),
         )
     weather = weather_from_traversals(staging, drive, names, weather_plugin) if weather_plugin else {}
     ledger = encode_table(build_pass_table(drive, names, weather, weather_plugin), PASSES)

@@ -19,8 +19,7 @@ from mirror.ingest.fix_status import RESTART, Fixes
 from mirror.ingest.metric import scales, step_m, unwrap
 from mirror.ingest.visits import CROSSING, STANDSTILL, dtype_of_rows
 
-# Excursions whose lengths or times differ by less than this count as equal, and the first of them is taken as longest:
-# the choice does not depend on rounding.
+# Excursions whose lengths or times differ by less than this count as equal: the choice does not depend on rounding.
 _SAME_M = 1e-3
 _SAME_NS = 1_000_000
 
@@ -50,7 +49,7 @@ class Figures(NamedTuple):
         closest_m: smallest distance from the ROI's centre.
         poses: kept fixes between entry and exit.
         inside_ns: time within the ROI.
-        cut: number of the visit after the longest excursion; -1 for a pass of one visit.
+        cut: number of the visit after the longest excursion (`_find_cut`); -1 for a pass of one visit.
     """
 
     path_m: float
@@ -120,15 +119,28 @@ def _fill_points(fixes: Fixes, rule: StepRule, candidate: Records, points: _Poin
 
 
 @njit(cache=True, nogil=True)
-def _path_at(stamp: int, t: Int64, s: Float64, count: int) -> float:
-    """Cumulative path in metres at a time, linear between counted points."""
-    index = np.searchsorted(t[:count], stamp)
-    if index <= 0:
-        return 0.0
+def _path_at(stamp: int, start: int, t: Int64, s: Float64, count: int) -> tuple[float, int]:
+    """Cumulative path in metres at a time, linear between counted points.
+
+    Args:
+        stamp: the time.
+        start: a point that is not after the first one at or after ``stamp``: the search begins with it.
+        t: stamps of the points.
+        s: cumulative path of the points.
+        count: number of points.
+
+    Returns:
+        The path, and the first point at or after ``stamp``.
+    """
+    index = start
+    while index < count and t[index] < stamp:
+        index += 1
+    if index == 0:
+        return 0.0, 0
     if index >= count:
-        return s[count - 1]
+        return s[count - 1], index
     share = (stamp - t[index - 1]) / (t[index] - t[index - 1])
-    return s[index - 1] + share * (s[index] - s[index - 1])
+    return s[index - 1] + share * (s[index] - s[index - 1]), index
 
 
 @njit(cache=True, nogil=True)
@@ -157,24 +169,28 @@ def measure_passes(
     """
     points = _allocate_points(candidates)
     t, a, b, s = points
+    most = 0
+    for row in range(len(candidates)):
+        most = max(most, end[row] - begin[row])
+    away_m, away_ns = np.empty(most), np.empty(most, np.int64)
     for row in range(len(candidates)):
         count, kept, _ = _fill_points(fixes, rule, candidates[row], points)
-        inside_m, inside_ns, exit_at, closest = 0.0, 0, 0.0, np.inf
-        longest_m, longest_ns, cut = -1.0, -1, -1
+        inside_m, inside_ns, exit_at, closest, point = 0.0, 0, 0.0, np.inf, 0
         for visit in range(begin[row], end[row]):
-            entry_at = _path_at(visits[visit].entry_ns, t, s, count)
+            entry_at, point = _path_at(visits[visit].entry_ns, point, t, s, count)
             if visit > begin[row]:
-                away_ns = visits[visit].entry_ns - visits[visit - 1].exit_ns
-                away_m = entry_at - exit_at
-                if away_m > longest_m + _SAME_M or (away_m > longest_m - _SAME_M and away_ns > longest_ns + _SAME_NS):
-                    longest_m, longest_ns, cut = away_m, away_ns, visit
-            exit_at = _path_at(visits[visit].exit_ns, t, s, count)
+                away_ns[visit - begin[row] - 1] = visits[visit].entry_ns - visits[visit - 1].exit_ns
+                away_m[visit - begin[row] - 1] = entry_at - exit_at
+            exit_at, point = _path_at(visits[visit].exit_ns, point, t, s, count)
             inside_m += exit_at - entry_at
             inside_ns += visits[visit].exit_ns - visits[visit].entry_ns
             closest = min(closest, visits[visit].closest_m)
         figure = out[row]
         figure.path_m, figure.inside_path_m, figure.closest_m = s[count - 1], inside_m, closest
-        figure.poses, figure.inside_ns, figure.cut = kept, inside_ns, cut
+        excursions = end[row] - begin[row] - 1
+        figure.poses, figure.inside_ns, figure.cut = kept, inside_ns, -1
+        if excursions > 0:
+            figure.cut = begin[row] + 1 + _find_cut(away_m[:excursions], away_ns[:excursions])
         figure.heading_in_deg, figure.heading_out_deg = np.nan, np.nan
         for index in range(count - 1):
             if s[index + 1] > s[index]:
@@ -184,6 +200,31 @@ def measure_passes(
             if s[index + 1] > s[index]:
                 figure.heading_out_deg = _course_deg(a, b, index, fixes.geodetic)
                 break
+
+
+@njit(cache=True, nogil=True)
+def _find_cut(away_m: Float64, away_ns: Int64) -> int:
+    """The number of the longest excursion; of equally long ones the longest in time, of those the middle one.
+
+    A pass with many equal excursions is halved at each cut, so that judging its parts takes a time of n log n and not
+    of n squared.
+
+    Args:
+        away_m: (E,) lengths of the excursions.
+        away_ns: (E,) their durations.
+    """
+    longest_m = away_m.max()
+    longest_ns = -1
+    for number in range(len(away_m)):
+        if away_m[number] >= longest_m - _SAME_M:
+            longest_ns = max(longest_ns, away_ns[number])
+    found, distance = 0, 2 * len(away_m)
+    for number in range(len(away_m)):
+        if away_m[number] >= longest_m - _SAME_M and away_ns[number] >= longest_ns - _SAME_NS:
+            from_middle = abs(2 * number + 1 - len(away_m))
+            if from_middle < distance:
+                found, distance = number, from_middle
+    return found
 
 
 @njit(cache=True, nogil=True)

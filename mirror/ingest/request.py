@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,12 +87,14 @@ class DriveReport:
         info: who, where, when.
         cleaning: what cleaning did.
         passes: accepted and refused.
+        uncalibrated: names of cameras that the recording declares to be without a calibration.
     """
 
     path: Path
     info: DriveInfo
     cleaning: CleaningReport
     passes: tuple[Pass, ...]
+    uncalibrated: tuple[str, ...] = ()
 
 
 @dataclass
@@ -129,6 +132,14 @@ class IngestReport:
     def missing(self) -> int:
         """Images that the recordings lack within the traversals, by the pauses of their cameras."""
         return sum(one.missing for one in self.traversals)
+
+    @property
+    def repeated(self) -> dict[str, int]:
+        """By camera, images within the traversals that were left out, as another one has the same stamp."""
+        counts: Counter[str] = Counter()
+        for one in self.traversals:
+            counts.update(one.repeated)
+        return dict(counts)
 
     @property
     def bytes(self) -> int:

@@ -24,7 +24,7 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
 from mirror.errors import DatasetError, MirrorError, RecordingError, UsageError
-from mirror.ingest.drive import refuse_conflicting_rig, seal_drive
+from mirror.ingest.drive import refuse_conflicting_rig, seal_drive, uncalibrated_cameras
 from mirror.ingest.maps import add_maps, judge_maps, read_given_maps
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.prepare import PreparedDrive, prepare
@@ -304,7 +304,11 @@ class _Run:
         self.progress.advance(1)
 
     def _report(self, drive: DrivePasses) -> None:
-        self.report.drives[drive.info.drive_id] = DriveReport(drive.path, drive.info, drive.cleaning, drive.passes)
+        with reader_errors(drive.path):
+            uncalibrated = uncalibrated_cameras(drive.recording.rig)
+        self.report.drives[drive.info.drive_id] = DriveReport(
+            drive.path, drive.info, drive.cleaning, drive.passes, uncalibrated
+        )
 
     def _fail(self, path: Path, error: MirrorError) -> None:
         if self.options.fail_fast or isinstance(error, _FATAL):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -26,7 +26,7 @@ from mirror.ingest.videos import place_videos
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.calibration import require_covariance
 from mirror.recordings.pauses import count_missing_images
-from mirror.recordings.protocol import ImageStream, ReferencedStream
+from mirror.recordings.protocol import ImageStream, ReferencedStream, repeated_stamps
 from mirror.recordings.video import CompressedStream
 from mirror.schema.documents import ImageTotals, Roi, is_identifier
 from mirror.schema.files import conform, encode_table, write_bytes
@@ -62,6 +62,7 @@ class WriteReport:
         reused: it was complete already, and nothing was done.
         without_pose: images exposed within the pass that were left out, as they were taken in a gap of the poses.
         missing: images that the recording lacks within the pass, by the pauses of its cameras.
+        repeated: by camera, images within the pass that were left out, as another one has the same stamp.
     """
 
     traversal_id: str
@@ -71,6 +72,7 @@ class WriteReport:
     reused: bool
     without_pose: int = 0
     missing: int = 0
+    repeated: Mapping[str, int] = field(default_factory=dict)
 
 
 def traversal_id(drive_id: str, one: Pass) -> str:
@@ -242,11 +244,31 @@ def images_without_pose(drive: DrivePasses, number: int) -> int:
     return sum(int(np.count_nonzero(~poses.poses_known(stamps))) for _, _, stamps in exposed)
 
 
+def repeated_images(drive: DrivePasses, number: int) -> dict[str, int]:
+    """By camera, how many images within an accepted pass its stream leaves out: another one has the same stamp.
+
+    Args:
+        drive: judged.
+        number: of the accepted pass in ``drive.passes``.
+    """
+    one, found = drive.passes[number], {}
+    for camera, stream in sorted(drive.content.images().items()):
+        stamps = repeated_stamps(stream)
+        if count := int(np.count_nonzero((stamps >= one.entry_ns) & (stamps <= one.exit_ns))):
+            found[camera] = count
+    return found
+
+
 def _with_lost_images(written: WriteReport, drive: DrivePasses, number: int) -> WriteReport:
-    """Count the images that the pass lacks: without a pose, and missing from the recording."""
+    """Count the images that the pass lacks: without a pose, missing from the recording, and with repeated stamps."""
     exposed = _exposed_within(drive, drive.passes[number]).values()
     missing = sum(count_missing_images(stamps) for _, _, stamps in exposed)
-    return replace(written, without_pose=images_without_pose(drive, number), missing=missing)
+    return replace(
+        written,
+        without_pose=images_without_pose(drive, number),
+        missing=missing,
+        repeated=repeated_images(drive, number),
+    )
 
 
 def _exposed_within(drive: DrivePasses, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:

@@ -94,7 +94,7 @@ class FolderRecording:
         if document.rig_id is None or document.reference_camera is None:
             return None
         cameras = tuple(
-            CameraInfo(name, entry.source_name or name, self._mask(name, entry.static_mask))
+            CameraInfo(name, entry.source_name or name, self._mask(name, entry.static_mask), entry.calibrated)
             for name, entry in document.cameras.items()
         )
         return RigInfo(document.rig_id, cameras, document.reference_camera)
@@ -226,6 +226,14 @@ class FolderRecording:
                         file=file,
                         place=f"{index}.camera",
                         expected=f"one of {', '.join(self.document.cameras)}",
+                    )
+                if not self.document.cameras[calibration.camera].calibrated:
+                    raise RecordingError(
+                        f"recording.json declares the camera {calibration.camera!r} to have no calibration",
+                        file=file,
+                        place=f"{index}.camera",
+                        expected="a calibration, or calibrated: false",
+                        remedy=f"take the entry, or cameras.{calibration.camera}.calibrated, out",
                     )
                 calibrations.append((stage, calibration))
         return to_calibration_table(calibrations, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)

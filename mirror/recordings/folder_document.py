@@ -49,11 +49,13 @@ class FolderCamera(Document):
         source_name: the source's name of the camera; None: the same name.
         static_mask: PNG inside the recording, non-zero where the image shows the vehicle itself.
         video_start_ns: Unix time of the first frame of a video without a table of exposures.
+        calibrated: False: there is no calibration of the camera, and `mirror check` asks for none.
     """
 
     source_name: str | None = None
     static_mask: str | None = None
     video_start_ns: int | None = None
+    calibrated: bool = True
 
 
 class FolderDocument(Document):

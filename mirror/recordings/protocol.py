@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float64, Int64, UInt8
@@ -99,11 +100,13 @@ class CameraInfo:
         name: canonical name where the rig maps to it, else the source's own.
         source_name: the source's name.
         static_mask: (H, W) non-zero where the image shows the vehicle itself, or None.
+        is_calibrated: False: the source states that it has no calibration of this camera.
     """
 
     name: str
     source_name: str
     static_mask: UInt8 | None = None
+    is_calibrated: bool = True
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,15 @@ class ImageStream(Protocol):
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, encoded bytes)`` for ascending indices, and decode as little as possible."""
         ...
+
+
+def repeated_stamps(stream: ImageStream) -> Int64:
+    """(R,) ascending stamps of the images that a stream leaves out, because another one has the same stamp.
+
+    A stream that may leave such images out has them as its attribute ``repeated_ns``.
+    """
+    found: Int64 = getattr(stream, "repeated_ns", np.empty(0, np.int64))
+    return found
 
 
 @dataclass(frozen=True)

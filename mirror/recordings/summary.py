@@ -14,7 +14,7 @@ import pyarrow as pa
 from mirror.arrays import Float64
 from mirror.recordings.opening import unreadable_error
 from mirror.recordings.pauses import count_missing_images
-from mirror.recordings.protocol import DriveInfo, ImageStream, Recording
+from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, repeated_stamps
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,9 @@ class CameraSummary:
         rate_hz: inverse of the median step between images; None: fewer than two images.
         calibrations: number of calibration rows by stage.
         missing: number of images that are missing in the camera's pauses (`count_missing_images`).
+        repeated: number of images that are left out, because another one has the same stamp.
+        first_repeated_ns: stamp of the first of them; None: there is none.
+        is_calibrated: False: the source states that it has no calibration of the camera.
     """
 
     images: int
@@ -38,6 +41,9 @@ class CameraSummary:
     rate_hz: float | None
     calibrations: Mapping[str, int]
     missing: int = 0
+    repeated: int = 0
+    first_repeated_ns: int | None = None
+    is_calibrated: bool = True
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,7 @@ def summarise(recording: Recording) -> RecordingSummary:
     stages = [calibrations.column(name).cast(pa.string()).to_pylist() for name in ("camera", "stage")]
     rows = Counter(zip(*stages))
     streams = recording.images()
+    without = {camera.name for camera in rig.cameras if not camera.is_calibrated} if rig else set()
     names = dict.fromkeys([*(camera.name for camera in rig.cameras), *streams] if rig else streams)
     return RecordingSummary(
         info=recording.info,
@@ -120,7 +127,9 @@ def summarise(recording: Recording) -> RecordingSummary:
         rig_id=rig.rig_id if rig else None,
         reference_camera=rig.reference_camera if rig else None,
         cameras={
-            name: _summarise_camera(streams.get(name), {s: n for (c, s), n in rows.items() if c == name})
+            name: _summarise_camera(
+                streams.get(name), {s: n for (c, s), n in rows.items() if c == name}, is_calibrated=name not in without
+            )
             for name in names
         },
         boxes=0 if boxes is None else boxes.num_rows,
@@ -136,11 +145,14 @@ def _file_size(file: Path) -> int:
         raise unreadable_error(file, error) from error
 
 
-def _summarise_camera(stream: ImageStream | None, calibrations: Mapping[str, int]) -> CameraSummary:
+def _summarise_camera(
+    stream: ImageStream | None, calibrations: Mapping[str, int], *, is_calibrated: bool
+) -> CameraSummary:
     if stream is None or not len(stream.exposure_start_ns):
-        return CameraSummary(0, "" if stream is None else stream.codec, None, None, None, calibrations)
+        codec = "" if stream is None else stream.codec
+        return CameraSummary(0, codec, None, None, None, calibrations, is_calibrated=is_calibrated)
     middle = stream.exposure_start_ns + (stream.exposure_end_ns - stream.exposure_start_ns) // 2
-    steps = np.diff(middle)
+    steps, repeated = np.diff(middle), repeated_stamps(stream)
     period_s = float(np.median(steps)) * 1e-9 if len(steps) else 0.0
     return CameraSummary(
         images=len(middle),
@@ -150,4 +162,7 @@ def _summarise_camera(stream: ImageStream | None, calibrations: Mapping[str, int
         rate_hz=1.0 / period_s if period_s > 0 else None,
         calibrations=calibrations,
         missing=count_missing_images(middle),
+        repeated=len(repeated),
+        first_repeated_ns=int(repeated[0]) if len(repeated) else None,
+        is_calibrated=is_calibrated,
     )

@@ -241,6 +241,10 @@ class DriveDocument(Document):
         cleaning: the result of cleaning.
         images_without_pose: number of images within accepted passes that were left out because they were taken in a gap
             of the poses.
+        images_repeated: number of images within accepted passes that were left out because another image of their
+            camera has the same stamp.
+        has_date: False: the recording declares that its stamps count from an arbitrary date.
+        uncalibrated_cameras: cameras that the recording declares to be without a calibration.
     """
 
     schema_version: str = SCHEMA_VERSION
@@ -260,6 +264,9 @@ class DriveDocument(Document):
     end_ns: int
     cleaning: CleaningReport
     images_without_pose: int = 0
+    images_repeated: int = 0
+    has_date: bool = True
+    uncalibrated_cameras: tuple[str, ...] = ()
 
 
 class FileEntry(Document):

@@ -230,12 +230,10 @@ def judge(
             (path_at(points, after.t0) - path_at(points, before.t1), after.t0 - before.t1)
             for before, after in itertools.pairwise(parts)
         ]
-        longest = 0
-        for i, (metres, ns) in enumerate(away):
-            further = metres - away[longest][0]
-            if further > 1e-3 or (further > -1e-3 and ns > away[longest][1] + 1_000_000):
-                longest = i
-        cut = longest + 1
+        far = max(metres for metres, _ in away) - 1e-3
+        long = max(ns for metres, ns in away if metres >= far) - 1_000_000
+        tied = [i for i, (metres, ns) in enumerate(away) if metres >= far and ns >= long]
+        cut = 1 + min(tied, key=lambda i: (abs(i - (len(away) - 1) / 2), i))
         return [
             one
             for half in (parts[:cut], parts[cut:])

@@ -20,7 +20,10 @@ _MIN, _MAX = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 @scene_rule(
     "CAM001",
     Severity.ERROR,
-    title="No calibration of a camera, of any stage, is valid when one of its images was taken.",
+    title=(
+        "No calibration of a camera, of any stage, is valid when one of its images was taken, and the recording does"
+        " not declare the camera uncalibrated."
+    ),
     remedy="give the recording a calibration of that camera for that time, `mirror ingest RECORDING... --replace`",
 )
 def _calibrated(view: SceneView) -> Iterator[Finding]:
@@ -32,6 +35,11 @@ def _calibrated(view: SceneView) -> Iterator[Finding]:
     stamps = images.integers("timestamp_ns")
     for row, own, same_camera in view.calibrated_images():
         bad[own] &= ~(same_camera & (stamps[own] >= start[row]) & (stamps[own] <= end[row]))
+    camera, names = images.text_codes("camera")
+    for number, item in enumerate(view.traversals):
+        declared = [code for code, name in enumerate(names) if name in item.drive.uncalibrated_cameras]
+        if declared:
+            bad &= ~((images.traversal == number) & np.isin(camera, declared))
     yield from images.findings(bad, lambda row: "no calibration of the camera is valid at this time")
 
 

@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Int64
 from mirror.dataset.redaction import REDACTION
 from mirror.dataset.splits.candidates import hash_bytes
+from mirror.dataset.statistics import stored_bytes
 from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.images import MISSING, leaves_dataset
 from mirror.integrity.rows import TableRows
@@ -164,7 +165,9 @@ def _repeated_image(view: SceneView) -> Iterator[Finding]:
     hashes = hash_bytes(images.data.column("sha256"))
     words = np.ascontiguousarray(hashes).view(np.uint64)
     camera = images.text_codes("camera")[0]
-    keys = (*words.T, camera[rows], images.owner[rows])
+    # The frames of a video have the hash of the whole video: their time stamps in it tell them apart.
+    frame = np.where(images.is_known("video_pts"), images.integers("video_pts"), -1)
+    keys = (*words.T, frame[rows], camera[rows], images.owner[rows])
     # The rows of equal keys lie together, the first one first.
     order = np.lexsort((rows, *keys))
     same = np.all([key[order][1:] == key[order][:-1] for key in keys], axis=0) if len(rows) else np.empty(0, np.bool_)
@@ -214,10 +217,10 @@ def _uri_leads_out(view: SceneView) -> Iterator[Finding]:
     remedy="`mirror ingest RECORDING... --replace`",
 )
 def _image_total(view: SceneView) -> Iterator[Finding]:
-    length = view.images.integers("byte_length")
     for file, number, rows in view.images.slices():
         stated = view.dataset.recorded_manifests[view.traversals[number].traversal_id].pictures
-        count, total = rows.stop - rows.start, int(length[rows].sum())
+        count = rows.stop - rows.start
+        total = stored_bytes(view.images.data.slice(rows.start, count))
         if (stated.count, stated.bytes) != (count, total) if stated is not None else count > 0:
             says = f"{stated.count} images of {stated.bytes} bytes" if stated is not None else "nothing of images"
             yield Finding(file, None, f"{count} images of {total} bytes, but the manifest says {says}")

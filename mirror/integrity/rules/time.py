@@ -175,14 +175,18 @@ YEAR_2100_NS = 4_102_444_800_000_000_000
 @scene_rule(
     "TIM007",
     Severity.ERROR,
-    title="A timestamp is not in the years 2000 to 2099: another time base, or a clock that was not set.",
+    title=(
+        "A timestamp is not in the years 2000 to 2099, and its drive does not declare a clock without a date: another"
+        " time base, or a clock that was not set."
+    ),
     remedy="state the source's time base to the reader, and `mirror ingest RECORDING... --replace`",
 )
 def _epoch(view: SceneView) -> Iterator[Finding]:
+    dated = np.array([item.drive.has_date for item in view.traversals], np.bool_)
     for rows in (view.all_poses, view.all_images, view.boxes, view.masks):
         stamps = rows.integers("timestamp_ns")
         yield from rows.findings(
-            (stamps < YEAR_2000_NS) | (stamps >= YEAR_2100_NS),
+            dated[rows.traversal] & ((stamps < YEAR_2000_NS) | (stamps >= YEAR_2100_NS)),
             lambda row, stamps=stamps: f"{np.datetime64(int(stamps[row]), 'ns')}; expected 2000 to 2099",  # type: ignore[misc]
         )
 
@@ -196,6 +200,9 @@ def _epoch(view: SceneView) -> Iterator[Finding]:
 def _one_vehicle(view: DatasetView) -> Iterator[Finding]:
     by_vehicle: dict[str, list[tuple[int, str, DriveDocument]]] = defaultdict(list)
     for name, drive in view.drives.items():
+        if not drive.has_date:
+            # The clocks of two such drives have no common start.
+            continue
         by_vehicle[drive.vehicle_id].append((drive.start_ns, name, drive))
     for vehicle_id, own in by_vehicle.items():
         own.sort(key=lambda item: item[:2])

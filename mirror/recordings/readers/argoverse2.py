@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -26,7 +26,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import geodetic_to_utm
-from mirror.geometry.poses import COLUMNS, to_pose_numbers
+from mirror.geometry.poses import COLUMNS, Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_utm
 from mirror.recordings.opening import find_file, require_file
@@ -175,7 +175,15 @@ class Argoverse2Recording:
     @cached_property
     def rig(self) -> RigInfo | None:
         """The cameras that have images; None for a log without images."""
-        cameras = tuple(CameraInfo(_CANONICAL.get(name, to_identifier(name)), name) for name in self._images)
+        cameras = tuple(
+            CameraInfo(
+                _CANONICAL.get(name, to_identifier(name)),
+                name,
+                # Stereo cameras have no calibration in one log of the dataset: they stay uncalibrated.
+                is_calibrated=name in self._lenses and name in self._mountings,
+            )
+            for name in self._images
+        )
         if not cameras:
             return None
         ring = sum(camera.source_name.startswith("ring_") for camera in cameras)
@@ -206,36 +214,43 @@ class Argoverse2Recording:
         track = track_from_utm(stamps, x + east, y + north, z, rotation, zone=city.zone, north=True, file=file)
         return faults.drop_from(track)
 
+    @cached_property
+    def _lenses(self) -> dict[str, dict[str, Any]]:
+        """Rows of the intrinsics by sensor."""
+        rows = read_feather(require_file(self.path, _INTRINSICS), _INTRINSIC_SCHEMA).to_pylist()
+        return {row["sensor_name"]: row for row in rows}
+
+    @cached_property
+    def _mountings(self) -> dict[str, Poses]:
+        """``ego_SE3_sensor`` by sensor."""
+        file = require_file(self.path, _MOUNTINGS)
+        mounted = read_feather(file, _MOUNTING_SCHEMA)
+        quaternion, position = matrix_of(mounted, COLUMNS[:4]), matrix_of(mounted, COLUMNS[4:])
+        poses = require_poses(quaternion, position, file=file, place="row {}".format)
+        return {name: poses[row] for row, name in enumerate(mounted.column("sensor_name").to_pylist())}
+
     def calibrations(self) -> pa.Table:
         """The undistorted cameras that have images."""
         calibrations: list[tuple[Stage, Calibration]] = []
-        if self._images:
-            file, mountings_file = (require_file(self.path, name) for name in (_INTRINSICS, _MOUNTINGS))
-            lenses = {row["sensor_name"]: row for row in read_feather(file, _INTRINSIC_SCHEMA).to_pylist()}
-            mounted = read_feather(mountings_file, _MOUNTING_SCHEMA)
-            quaternion, position = matrix_of(mounted, COLUMNS[:4]), matrix_of(mounted, COLUMNS[4:])
-            ego_SE3_sensor = require_poses(quaternion, position, file=mountings_file, place="row {}".format)
-            mountings = {name: row for row, name in enumerate(mounted.column("sensor_name").to_pylist())}
-            for name in self._images:
-                # Stereo cameras have no calibration in one log of the dataset: they stay uncalibrated.
-                if name not in lenses or name not in mountings:
-                    continue
-                lens, mounting = lenses[name], ego_SE3_sensor[mountings[name]]
-                calibration = make_calibration(
-                    file,
-                    _CANONICAL.get(name, to_identifier(name)),
-                    model="pinhole",
-                    width_px=lens["width_px"],
-                    height_px=lens["height_px"],
-                    fx_px=lens["fx_px"],
-                    fy_px=lens["fy_px"],
-                    # The devkit follows OpenCV: the centre of the first pixel is at 0.
-                    cx_px=lens["cx_px"] + 0.5,
-                    cy_px=lens["cy_px"] + 0.5,
-                    ego_SE3_camera=to_pose_numbers(mounting),
-                    method="Argoverse 2 calibration, images undistorted",
-                )
-                calibrations.append(("factory", calibration))
+        for name in self._images:
+            if name not in self._lenses or name not in self._mountings:
+                continue
+            lens = self._lenses[name]
+            calibration = make_calibration(
+                self.path / _INTRINSICS,
+                _CANONICAL.get(name, to_identifier(name)),
+                model="pinhole",
+                width_px=lens["width_px"],
+                height_px=lens["height_px"],
+                fx_px=lens["fx_px"],
+                fy_px=lens["fy_px"],
+                # The devkit follows OpenCV: the centre of the first pixel is at 0.
+                cx_px=lens["cx_px"] + 0.5,
+                cy_px=lens["cy_px"] + 0.5,
+                ego_SE3_camera=to_pose_numbers(self._mountings[name]),
+                method="Argoverse 2 calibration, images undistorted",
+            )
+            calibrations.append(("factory", calibration))
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:

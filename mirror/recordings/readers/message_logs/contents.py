@@ -26,7 +26,11 @@ from mirror.recordings.readers.message_logs.transforms import Transforms
 
 @dataclass
 class CameraContents:
-    """The images of one camera in storage order; ``format`` is ``jpeg``, ``png``, or the suffix of a raw video."""
+    """The images of one camera in storage order.
+
+    ``format`` is ``jpeg``, ``png``, or the suffix of a raw video. ``declared_uncalibrated``: messages of its intrinsics
+    state that the camera is not calibrated; they are not among ``intrinsics``.
+    """
 
     topic: Topic
     format: str = ""
@@ -36,6 +40,7 @@ class CameraContents:
     places: list[Place] = field(default_factory=list)
     is_key: list[bool] = field(default_factory=list)
     intrinsics: list[tuple[int, CameraMessage]] = field(default_factory=list)
+    declared_uncalibrated: bool = False
 
 
 @dataclass
@@ -119,12 +124,19 @@ def _take(
         elif isinstance(decoded, PoseMessage):
             contents.turns.append((stamp, decoded))
     elif isinstance(decoded, CameraMessage):
-        entry = contents.cameras.get(camera)
-        # An intrinsics message per image: only changes are kept.
-        if entry is not None and not (entry.intrinsics and _same_lens(entry.intrinsics[-1][1], decoded)):
-            entry.intrinsics.append((stamp, decoded))
+        _take_intrinsics(contents.cameras.get(camera), decoded, stamp)
     else:
         _take_image(contents.cameras[camera], camera, number, message, decoded, stamp, log)
+
+
+def _take_intrinsics(entry: CameraContents | None, decoded: CameraMessage, stamp: int) -> None:
+    if entry is None:
+        return
+    if not decoded.is_calibrated:
+        entry.declared_uncalibrated = True
+    # An intrinsics message per image: only changes are kept.
+    elif not (entry.intrinsics and _same_lens(entry.intrinsics[-1][1], decoded)):
+        entry.intrinsics.append((stamp, decoded))
 
 
 def _take_image(

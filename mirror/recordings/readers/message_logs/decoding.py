@@ -38,7 +38,10 @@ class ImageMessage:
 
 @dataclass(frozen=True)
 class CameraMessage:
-    """Intrinsics of a camera; ``K`` (3, 3) has its pixel centres at whole numbers (OpenCV)."""
+    """Intrinsics of the published images, after region of interest and binning.
+
+    ``K`` (3, 3) has its pixel centres at whole numbers (OpenCV).
+    """
 
     header: Header
     width_px: int
@@ -46,6 +49,11 @@ class CameraMessage:
     model: str
     distortion: tuple[float, ...]
     K: Float64
+
+    @property
+    def is_calibrated(self) -> bool:
+        """False: the message states that the camera is not calibrated, by a K whose first number is 0 (CameraInfo)."""
+        return bool(self.K[0, 0] != 0.0)
 
 
 @dataclass(frozen=True)
@@ -237,16 +245,34 @@ def _to_image(message: Any) -> ImageMessage:
 
 
 def _to_camera(message: Any) -> CameraMessage:
+    """The intrinsics of the published images.
+
+    A message states the size and K of the full sensor. A region of interest is a window of the full sensor, all zero
+    for the whole; binning joins pixels of the window, 0 being the same as 1 (REP 104). As `image_geometry` has it, the
+    offsets are subtracted from the principal point first; then focal lengths and principal point are divided by the
+    binning. The distortion stays.
+    """
     K = np.array(list(_get(message, "k", "K")), np.float64)
     if K.shape != (9,):
         raise ValueError(f"K has {K.size} numbers, not 9")
+    K = K.reshape(3, 3)
+    width, height = int(_get(message, "width")), int(_get(message, "height"))
+    roi = _get(message, "roi", default=None)
+    if roi is not None:
+        x, y, across, down = (int(_get(roi, name)) for name in ("x_offset", "y_offset", "width", "height"))
+        if not (x >= 0 and y >= 0 and x + across <= width and y + down <= height):
+            raise ValueError(f"the roi {across} x {down} at {x}, {y} leaves the sensor of {width} x {height} px")
+        K[:2, 2] -= (x, y)
+        width, height = across or width - x, down or height - y
+    binning = np.array([max(int(_get(message, name, default=0)), 1) for name in ("binning_x", "binning_y")])
+    K[:2] /= binning[:, None]
     return CameraMessage(
         _header(message),
-        int(_get(message, "width")),
-        int(_get(message, "height")),
+        width // int(binning[0]),
+        height // int(binning[1]),
         str(_get(message, "distortion_model")),
         tuple(float(value) for value in _get(message, "d", "D")),
-        K.reshape(3, 3),
+        K,
     )
 
 

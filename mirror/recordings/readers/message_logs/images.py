@@ -71,12 +71,21 @@ class StoredMessages:
 
 @dataclass(frozen=True)
 class MessageImages:
-    """Encoded images in messages; the stamp of a message is taken as the middle of the exposure."""
+    """Encoded images in messages; the stamp of a message is taken as the middle of the exposure.
+
+    Attributes:
+        camera: the camera's name.
+        codec: ``jpeg`` or ``png``.
+        exposure_start_ns: (N,) the messages' stamps.
+        stored: where the images are.
+        repeated_ns: (R,) ascending stamps of the images that were left out: another one has the same stamp.
+    """
 
     camera: str
     codec: str
     exposure_start_ns: Int64
     stored: StoredMessages = field(repr=False)
+    repeated_ns: Int64 = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
 
     @property
     def exposure_end_ns(self) -> Int64:

@@ -80,8 +80,17 @@ class LogRecording:
         if not cameras:
             return None
         rig_id = self.document.rig_id or f"rig_{self.document.vehicle_id}"
-        infos = tuple(CameraInfo(name, entry.images) for name, entry in cameras.items())
+        infos = tuple(
+            CameraInfo(name, entry.images, is_calibrated=self._is_calibrated(name)) for name, entry in cameras.items()
+        )
         return RigInfo(rig_id, infos, self.document.reference_camera or next(iter(cameras)))
+
+    def _is_calibrated(self, camera: str) -> bool:
+        """False: the camera has no topic of intrinsics, or all its messages state that it is not calibrated."""
+        contents = self._contents.cameras.get(camera)
+        if self.document.cameras[camera].info is None:
+            return False
+        return contents is None or bool(contents.intrinsics) or not contents.declared_uncalibrated
 
     def files(self) -> Sequence[tuple[str, Path]]:
         """The logs and the topics file."""
@@ -247,7 +256,7 @@ class LogRecording:
         found: list[tuple[Stage, Calibration]] = []
         for name, entry in self.document.cameras.items():
             contents = self._contents.cameras.get(name)
-            if entry.info is None or contents is None:
+            if contents is None or not self._is_calibrated(name):
                 continue
             frame = entry.frame or contents.frame
             mounting = self._contents.transforms.mounting(self.document.ego_frame, frame)
@@ -312,17 +321,29 @@ class LogRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """One stream per camera with images, in the order of stamps; of repeated stamps the first is kept."""
+        """One stream per camera with images, in the order of stamps; of repeated stamps the first image is kept."""
         return {
             name: self._stream(name, contents) for name, contents in self._contents.cameras.items() if contents.places
         }
 
     def _stream(self, name: str, contents: CameraContents) -> ImageStream:
-        stamps, order = np.unique(self._clock(contents.stamps, f"camera {name}"), return_index=True)
+        every = self._clock(contents.stamps, f"camera {name}")
+        stamps, order = np.unique(every, return_index=True)
+        repeated = np.sort(np.delete(every, order))
         log = np.array(contents.log, np.int64)
         if contents.format in ("jpeg", "png"):
             stored = stored_messages(self.logs, contents.topic, log, contents.places, order)
-            return MessageImages(name, contents.format, stamps, stored)
+            return MessageImages(name, contents.format, stamps, stored, repeated)
+        if len(repeated):
+            # A frame is decoded from the packets before it: none of them can be left out.
+            raise RecordingError(
+                f"{len(repeated)} packets of the video have the stamp of another",
+                file=self.path,
+                place=f"camera {name}, topic {contents.topic.name}, stamp {repeated[0]}",
+                expected="one packet for each stamp",
+                remedy='set stamps = "log" in the topics file if the times of logging are right, or leave the camera'
+                " out of it",
+            )
         is_key = np.array(contents.is_key, np.bool_)[order]
         if not is_key.any():
             raise RecordingError(

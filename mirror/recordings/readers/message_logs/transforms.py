@@ -72,7 +72,8 @@ class Transforms:
         """``fixed_SE3_ego`` at the stamps of the chain's most frequent transform.
 
         Returns:
-            (N,) ascending stamps, and N poses. Stamps outside the range of another moving transform are left out.
+            (N,) stamps in ascending order, repeated ones included, and N poses. Stamps outside the range of another
+            moving transform are left out.
 
         Raises:
             RecordingError: no chain of transforms leads from one frame to the other, or the chain does not move.
@@ -88,8 +89,8 @@ class Transforms:
             )
         sampled = {edge: self._in_order(edge) for edge, _ in chain}
         main = max(sampled, key=lambda edge: len(sampled[edge][0]))
-        stamps = sampled[main][0]
-        if len(stamps) < 2:
+        stamps = np.sort(np.array(self._stamps[main], np.int64))
+        if len(sampled[main][0]) < 2:
             raise RecordingError(
                 f"the vehicle does not move: {' to '.join(main)} has {len(stamps)} stamp",
                 file=self.file,

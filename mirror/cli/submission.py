@@ -28,8 +28,8 @@ _CHECK_EXAMPLES = (
     "mirror submission check demo/dataset demo/submissions/nearest_frame --decode --json",
 )
 _HIDDEN_EXAMPLES = (
-    "mirror submission hidden demo/dataset --split novel --preset demo --out hidden",
-    "mirror submission hidden demo/block/dataset --split novel --preset block --protocol lane-shift --out hidden",
+    "mirror submission hidden demo/dataset --split novel --recordings demo/recordings --out hidden",
+    "mirror submission hidden street --split novel --recordings recordings --protocol lane-shift --out hidden",
 )
 
 
@@ -80,12 +80,10 @@ class Hidden:
     """Folder or URL of the dataset. Its recordings were written by `mirror synth`."""
     split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split."""
-    preset: Annotated[str, help_text(metavar="NAME")]
-    """The --preset of `mirror synth`."""
+    recordings: Annotated[Path, help_text(metavar="FOLDER")]
+    """The --out folder of `mirror synth`: it has the preset and the seed, public or secret."""
     out: Annotated[Path, help_text(metavar="FOLDER")]
     """A new or empty folder, or the folder of an interrupted run. Do not publish it."""
-    seed: int = 0
-    """The --seed of `mirror synth`."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "lane-shift"
     """Name of a protocol, or path of its .toml file."""
     json: bool = False
@@ -161,12 +159,14 @@ def _hidden(argv: Sequence[str]) -> int:
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
     from mirror.synth.hidden_truth import write_hidden_truth
+    from mirror.synth.writing.secret import read_recorded_seed
 
+    preset, seed = read_recorded_seed(arguments.recordings, "--recordings")
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("images", len(plan.views))
-        count = write_hidden_truth(dataset, plan, arguments.preset, arguments.seed, arguments.out, bar.advance)
+        count = write_hidden_truth(dataset, plan, preset, seed, arguments.out, bar.advance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), "pictures": count}))
     else:

@@ -16,6 +16,7 @@ from mirror.errors import ExitCode
 _EXAMPLES = (
     "mirror synth --preset quick --out recordings",
     "mirror synth --preset demo --scenes 1 --truth depth,boxes --out recordings",
+    "mirror synth --preset benchmark --secret --out recordings",
 )
 
 
@@ -39,7 +40,10 @@ class Arguments:
     traversals: Annotated[int | None, help_text(default="that of the preset")] = None
     """Number of drives with images through each scene."""
     seed: int = 0
-    """Seed of all random choices."""
+    """Seed of all random choices. Whoever knows it can make the recordings again: they are a practice set."""
+    secret: bool = False
+    """Draw a seed of 128 random bits in place of --seed, and keep it in OUT/secret.json, which is not to be published.
+    `mirror submission hidden` reads it there."""
     truth: Annotated[str, help_text(default="none", metavar="KIND,...")] = ""
     """Truth to write beside each recording: depth, normals, semantic, instance, flow, boxes, poses."""
     errors: Literal["default", "none"] = "default"
@@ -58,6 +62,7 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.progress import progress_bar
     from mirror.synth import Effects, Errors, write_recordings
+    from mirror.synth.writing.secret import SECRET
     from mirror.synth.writing.truth import parse_truth_kinds
 
     with progress_bar(quiet=arguments.json) as bar:
@@ -65,6 +70,7 @@ def main(argv: Sequence[str]) -> int:
             arguments.out,
             arguments.preset,
             arguments.seed,
+            secret=arguments.secret,
             scenes=arguments.scenes,
             traversals=arguments.traversals,
             errors=Errors.none() if arguments.errors == "none" else None,
@@ -86,4 +92,6 @@ def main(argv: Sequence[str]) -> int:
             f"{count_of(written.images, 'image')} ({written.lost} more lost), {written.boxes:,} boxes"
             f" ({written.unseen} more road users were near but in no image)"
         )
+        if arguments.secret:
+            print(f"{arguments.out / SECRET} holds the secret seed: keep a copy, and publish neither")
     return ExitCode.DONE

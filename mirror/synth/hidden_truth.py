@@ -24,6 +24,7 @@ from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.render_folder import finish_render_folder, start_render_folder
+from mirror.synth.seeds import derive_hash_seed, is_secret_seed, name_seed
 
 if TYPE_CHECKING:
     from mirror.synth.fleet.drive import SynthDrive
@@ -60,7 +61,7 @@ def write_hidden_truth(
         dataset: dataset of recordings that ``mirror synth`` wrote.
         plan: the views.
         preset: preset of the recordings.
-        seed: seed of the recordings.
+        seed: seed of the recordings, public or secret; a secret one is not written.
         out: a new or an empty folder, or one with an unfinished run of the same arguments, the images of which are
             kept.
         advance: receives the number of finished views.
@@ -91,7 +92,7 @@ def write_hidden_truth(
         pixels = cached_raster(image.camera_model, plan.protocol.pixels).to_final(recorded)
         write_bytes(out / view.path, encode_png(pixels))
         advance(1)
-    write_json(out / HIDDEN, make_hidden_document(plan, preset, seed))
+    write_json(out / HIDDEN, make_hidden_document(plan, preset, None if is_secret_seed(seed) else seed))
     finish_render_folder(out)
     return len(plan.views)
 
@@ -106,7 +107,7 @@ def _require_recorded(view: RenderView, truth: GroundTruth, preset: str, seed: i
             f"{image_array.shape[1]} x {image_array.shape[0]} px" for image_array in (rendered, recorded)
         )
         raise DatasetError(
-            f"drive {drive_id} of preset {preset}, seed {seed}, is not what was recorded "
+            f"drive {drive_id} of preset {preset}, {name_seed(seed)}, is not what was recorded "
             + (f"({sizes})" if psnr_db is None else f"({psnr_db:.1f} dB)"),
             place=f"camera {view.camera} at {view.timestamp_ns}",
             expected="the preset and seed that the recordings were made with, and their effects and errors",
@@ -120,7 +121,7 @@ def render_view(view: RenderView, group: Group | None, preset: str, seed: int, d
     at = np.flatnonzero(stamps == view.timestamp_ns)
     if not len(at):
         raise DatasetError(
-            f"drive {drive_id} of preset {preset}, seed {seed}, has no image at {view.timestamp_ns}",
+            f"drive {drive_id} of preset {preset}, {name_seed(seed)}, has no image at {view.timestamp_ns}",
             place=f"camera {view.camera}",
             expected="the preset and seed that the recordings were made with",
         )
@@ -137,7 +138,7 @@ def render_view(view: RenderView, group: Group | None, preset: str, seed: int, d
             drive.lenses[view.camera],
             world_SE3_ego @ drive.vehicle.ego_SE3_camera[view.camera],
             response=drive.camera_responses[view.camera],
-            seed=true_ns % (1 << 31),
+            seed=derive_hash_seed(f"shifted {view.camera}", drive.seed, true_ns, public=true_ns % (1 << 31)),
             drops=drive.drops.get(view.camera),
         )
     return np.ascontiguousarray(rendered.bgr[..., ::-1])

@@ -19,7 +19,7 @@ FOLDERS = {
     "evaluate with features": "evaluate {data} {here}/submission --protocol {here}/small.toml --out {here}/new"
     " --features {out}",
     "submission new": "submission new {data} --protocol {here}/small.toml --split novel --out {out}",
-    "submission hidden": "submission hidden {data} --split novel --preset tiny --out {out}",
+    "submission hidden": "submission hidden {data} --split novel --recordings {here}/tiny --out {out}",
     "baseline": "baseline {data} --method nearest_frame --split novel --protocol {here}/small.toml --out {out}",
     "render": "render {data} {here}/model --split novel --out {out}",
     "render along a trajectory": "render {data} {here}/model --trajectory lane-shift:2 --out {out}",
@@ -117,7 +117,7 @@ def test_interrupted_commands_continue(
     commands = {
         template: ["submission", "new", str(root), *asked, str(tmp_path / "small.toml")],
         writing: ["baseline", str(root), "--method", "nearest_frame", *asked, str(tmp_path / "small.toml")],
-        hidden: ["submission", "hidden", str(root), "--preset", "tiny", *asked, str(tmp_path / "moved.toml")],
+        hidden: ["submission", "hidden", str(root), "--recordings", str(root.parent / "tiny"), *asked, str(tmp_path / "moved.toml")],
     }
     for module, words in commands.items():
         assert main([*words, "--out", str(tmp_path / "whole")]) == 0

@@ -27,7 +27,7 @@ class HiddenDocument(Document):
         dataset_hash: hash of the dataset that the split was made from.
         plan_hash: hash of the plan, that is of the requested views.
         preset: preset of the synthetic street that was rendered.
-        seed: seed of the synthetic street.
+        seed: public seed of the synthetic street; None: it has a secret seed.
     """
 
     format: Literal["mirror-hidden-truth"] = "mirror-hidden-truth"
@@ -38,10 +38,10 @@ class HiddenDocument(Document):
     dataset_hash: str
     plan_hash: str
     preset: str
-    seed: int
+    seed: int | None
 
 
-def make_hidden_document(plan: Plan, preset: str, seed: int) -> HiddenDocument:
+def make_hidden_document(plan: Plan, preset: str, seed: int | None) -> HiddenDocument:
     """Make the document that identifies the hidden truth of a plan."""
     return HiddenDocument(
         protocol=plan.protocol.name,

@@ -25,6 +25,7 @@ from mirror.synth.driving.ways import STEP_M
 from mirror.synth.driving.zones import find_zones
 from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Body, Motion, RoadUser
+from mirror.synth.seeds import name_seed, random_stream
 
 _WARM_UP_S: Final = 60.0
 _LONGEST_S: Final = 240.0
@@ -90,13 +91,13 @@ def simulate_journey(
     for attempt in range(_ATTEMPTS):
         share = scalars.power(2.0 / 3.0, attempt)
         less = replace(bustle, vehicles=bustle.vehicles * share, people=bustle.people * share)
-        journey = _attempt(site, route, chosen, chassis, np.random.default_rng([seed, attempt]), scene_seed,
+        journey = _attempt(site, route, chosen, chassis, random_stream("traffic", seed, attempt), scene_seed,
                          fastest_mps, aside_m, less)  # fmt: skip
         if journey is not None:
             return journey
     raise MirrorError(
         f"route {route!r} cannot be driven through within {_LONGEST_S:.0f} s",
-        place=f"seed {seed}",
+        place=name_seed(seed),
         remedy="take another seed or less traffic",
     )
 

@@ -13,6 +13,7 @@ from mirror.synth.driving.paths import select_lanes
 from mirror.synth.driving.site import Site
 from mirror.synth.portable import arrays
 from mirror.synth.road_users.body import Body, Placement, StaticMotion
+from mirror.synth.seeds import random_stream
 from mirror.synth.street.network import Lane
 
 _PITCH_M: Final = 6.2
@@ -45,7 +46,7 @@ def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterat
         seed: seed of the scene: the cars that are always there.
         rng: random numbers of the traversal: the other cars.
     """
-    always = np.random.default_rng([seed, 23])
+    always = random_stream("parked cars", seed, 23)
     lanes = select_lanes(site.network, "park")
     for name in sorted(lanes):
         lane = lanes[name]

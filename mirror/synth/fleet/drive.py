@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +19,7 @@ from mirror.synth.light.sun import season_of
 from mirror.synth.model import Model
 from mirror.synth.rigs import Vehicle, VehicleType
 from mirror.synth.rigs.ego_model import make_ego_model
+from mirror.synth.seeds import random_stream, seed_sequence
 
 if TYPE_CHECKING:
     from mirror.synth.driving.drive import Drive
@@ -57,8 +58,8 @@ class SynthDrive:
     recipe: Recipe
     vehicle: Vehicle
     condition: Condition
-    world_seed: int
-    seed: int
+    world_seed: int = field(repr=False)
+    seed: int = field(repr=False)
 
     @property
     def site(self) -> Site:
@@ -94,7 +95,7 @@ class SynthDrive:
         from mirror.synth.driving.trace import Chassis
 
         world, size, condition = self.world, self.vehicle.kind.size, self.condition
-        rng = np.random.default_rng([self.seed, 0])
+        rng = random_stream("journey", self.seed, 0)
         vehicles, people = (self.site.bustle * share for share in _BUSTLE[condition.light])
         wet = condition.weather == "rain"
         season = season_of(condition.start_ns, self.roi.latitude_deg or 0.0)
@@ -144,7 +145,10 @@ class SynthDrive:
         """The response of each camera to light, by camera name."""
         from mirror.synth.render.develop import draw_camera_response
 
-        return {name: draw_camera_response([self.vehicle.seed, place]) for place, name in enumerate(CANONICAL_CAMERAS)}
+        return {
+            name: draw_camera_response(seed_sequence("responses", self.vehicle.seed, place))
+            for place, name in enumerate(CANONICAL_CAMERAS)
+        }
 
     @cached_property
     def drops(self) -> dict[str, Records]:
@@ -154,7 +158,7 @@ class SynthDrive:
         if self.condition.weather != "rain":
             return {}
         return {
-            name: draw_lens_drops([self.seed, place], camera.height_px / camera.width_px)
+            name: draw_lens_drops(seed_sequence("drops", self.seed, place), camera.height_px / camera.width_px)
             for place, (name, camera) in enumerate(self.vehicle.cameras.items())
         }
 
@@ -220,7 +224,7 @@ class SynthDrive:
         poses = self.world_SE3_camera(camera, stamps)
         turn, velocity = ((poses[:1].inverse() @ poses[2:]).log()[0] / (2.0 * _STEP_S)).reshape(2, 3)
         twist = Twist(tuple(velocity.tolist()), tuple(turn.tolist()), self.vehicle.kind.exposure_ns * 1e-9)
-        noise = np.random.SeedSequence([self.seed, place, timestamp_ns]).generate_state(1, np.uint64)[0]
+        noise = seed_sequence("noise", self.seed, place, timestamp_ns).generate_state(1, np.uint64)[0]
         return self.stage.render(
             self.at(timestamp_ns) if instant is None else instant,
             self.lenses[camera],

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-
 from mirror.errors import UsageError
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.presets import Preset, cycle_recipes, resolve_preset
@@ -13,11 +11,11 @@ from mirror.synth.fleet.recipe import Recipe
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.sun import instant_of
 from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
+from mirror.synth.seeds import derive_seed, is_secret_seed, random_stream, require_public_seed
 
 _DAYS_LATER_NS: Final = 9 * 86_400_000_000_000
 _OTHERS: Final = 1000
 _TYPES: Final = tuple(VEHICLE_TYPES)
-_SEEDS: Final = 1 << 31
 
 
 def make_drives(
@@ -27,7 +25,7 @@ def make_drives(
 
     Args:
         preset: one of `mirror.synth.fleet.PRESETS`.
-        seed: seed of all random choices.
+        seed: seed of all random choices, public or secret (`mirror.synth.seeds`).
         scenes: number of scenes; default: all scenes of the preset.
         traversals: number of drives with images through each scene; default: the preset's number.
 
@@ -37,8 +35,8 @@ def make_drives(
     Raises:
         UsageError: the preset does not exist, it has fewer scenes, or the seed is out of range.
     """
-    if not 0 <= seed < _SEEDS:
-        raise UsageError(f"{seed}", place="--seed", expected=f"a whole number from 0 to {_SEEDS - 1}")
+    if not is_secret_seed(seed):
+        require_public_seed(seed)
     definition, count, many = resolve_preset(preset, scenes, traversals)
     drives = []
     for scene in range(count):
@@ -57,8 +55,10 @@ def make_drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
     """Make one drive with images of a preset, whether or not the preset records it by default.
 
     Raises:
-        UsageError: the preset or the drive does not exist.
+        UsageError: the preset or the drive does not exist, or the seed is out of range.
     """
+    if not is_secret_seed(seed):
+        require_public_seed(seed)
     definition, _, _ = resolve_preset(preset)
     scene_id, _, number = drive_id.rpartition("-")
     scenes = [scene for scene, site in enumerate(definition.sites) if site.roi.scene_id == scene_id]
@@ -84,10 +84,11 @@ def _make_other_drive(preset: Preset, scene: int, place: int, recipe: Recipe, se
 def _make_drive(
     preset: Preset, scene: int, drive_id: str, recipe: Recipe, seed: int, position: int, later_ns: int
 ) -> SynthDrive:
-    rng = np.random.default_rng([seed, scene, position])
+    rng = random_stream("drive", seed, scene, position)
     roi = preset.sites[scene].roi
     number = len(_TYPES) * scene + _TYPES.index(recipe.vehicle)
-    vehicle = Vehicle(f"vehicle-{number + 1}", VEHICLE_TYPES[recipe.vehicle], preset.width_px, 100 * seed + number)
+    vehicle_seed = derive_seed("vehicle", seed, number, public=100 * seed + number)
+    vehicle = Vehicle(f"vehicle-{number + 1}", VEHICLE_TYPES[recipe.vehicle], preset.width_px, vehicle_seed)
     start = later_ns + instant_of(
         recipe.date, recipe.light, roi.longitude_deg or 0.0, roi.latitude_deg or 0.0, morning=recipe.morning
     )
@@ -99,6 +100,6 @@ def _make_drive(
         recipe=recipe,
         vehicle=vehicle,
         condition=Condition(start, recipe.light, recipe.weather, visit=position),
-        world_seed=1000 * seed + scene,
-        seed=int(rng.integers(1 << 30)),
+        world_seed=derive_seed("world", seed, scene, public=1000 * seed + scene),
+        seed=derive_seed("traversal", seed, scene, position, public=int(rng.integers(1 << 30))),
     )

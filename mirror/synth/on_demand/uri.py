@@ -48,6 +48,7 @@ def parse_image_name(path: str) -> ImageName:
             expected=f"version {STREET}",
             remedy="install the version of the toolkit that wrote the recordings, or write and ingest them again",
         )
-    if len(parts) != 6 or not (parts[2].isdecimal() and parts[5].removesuffix(".png").isdecimal()):
+    numbers = (parts[2], parts[5].removesuffix(".png")) if len(parts) == 6 else ()
+    if not numbers or not all(number.isdecimal() and number.isascii() and len(number) < 20 for number in numbers):
         raise DatasetError("not the URI of an image", file=f"{SCHEME}://{'/'.join(parts)}", expected=_EXPECTED)
-    return ImageName(parts[1], int(parts[2]), parts[3], parts[4], int(parts[5].removesuffix(".png")))
+    return ImageName(parts[1], int(numbers[0]), parts[3], parts[4], int(numbers[1]))

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final
-
-import numpy as np
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.errors import Clock, Errors, MountingError, Stage, perturb_intrinsics
 from mirror.synth.rigs.types import VehicleType
+from mirror.synth.seeds import random_stream
 
 _INSTALLED: Final = MountingError(0.4, 0.01)
 _FOCAL_TOLERANCE: Final = 0.004
@@ -34,12 +33,12 @@ class Vehicle:
     vehicle_id: str
     kind: VehicleType
     width_px: int
-    seed: int
+    seed: int = field(repr=False)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
         """True intrinsics by camera name, in canonical order."""
-        rng = np.random.default_rng([self.seed, 1])
+        rng = random_stream("lenses", self.seed, 1)
         return {
             mount.camera: perturb_intrinsics(
                 mount.optics.camera(mount.raster, self.width_px), _FOCAL_TOLERANCE, _CENTRE_TOLERANCE, rng
@@ -50,7 +49,7 @@ class Vehicle:
     @cached_property
     def ego_SE3_camera(self) -> dict[str, Poses]:  # noqa: N802
         """True mountings by camera name."""
-        rng = np.random.default_rng([self.seed, 2])
+        rng = random_stream("mountings", self.seed, 2)
         return {mount.camera: mount.ego_SE3_camera() @ _INSTALLED.draw(rng) for mount in self.kind.mounts}
 
     def calibration(
@@ -65,8 +64,8 @@ class Vehicle:
             clocks: clock of each camera.
         """
         number = _STAGES.index(stage)
-        mountings = np.random.default_rng([self.seed, 3, number, drive if stage == "online" else 0])
-        lenses = np.random.default_rng([self.seed, 4])
+        mountings = random_stream("mounting errors", self.seed, 3, number, drive if stage == "online" else 0)
+        lenses = random_stream("lens errors", self.seed, 4)
         error = errors.mounting_error(stage)
         return [
             self._entry(

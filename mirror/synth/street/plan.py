@@ -22,6 +22,7 @@ from mirror.synth.roads.networks import build_network
 from mirror.synth.roads.overbridge import build_overbridge
 from mirror.synth.roads.relief import Relief, draw_land, find_level_stretches
 from mirror.synth.roads.schemes import BEYOND_M, SCHEMES
+from mirror.synth.seeds import derive_hash_seed, random_stream
 from mirror.synth.street.frontages import place_lots
 from mirror.synth.street.lots import Lot, Rail, Spot
 from mirror.synth.street.network import Network
@@ -103,7 +104,7 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
             f"a ROI of {roi.radius_m:g} m", place="radius_m", expected=f"{_LEAST_RADIUS_M:g} to {_MOST_RADIUS_M:g} m"
         )
     kind = roi.scene_type or "urban"
-    layout_rng, land_rng, lot_rng, spot_rng = (np.random.default_rng([seed, 11, part]) for part in range(4))
+    layout_rng, land_rng, lot_rng, spot_rng = (random_stream("plan", seed, 11, part) for part in range(4))
     yaw = math.radians(yaw_deg)
     scheme = SCHEMES[kind](roi.radius_m, yaw, layout_rng)
     feet = scheme.kerb_m > 0.0
@@ -122,8 +123,9 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
         forecourt = roads.roads.buffer(scheme.forecourt_m, join_style="bevel").simplify(_FORECOURT_M)
         covers.append(replace(scheme.pavement, outline=forecourt))
     extent = roi.radius_m + BEYOND_M, roi.radius_m + _FIELDS_M
+    ground_seed = derive_hash_seed("ground", seed, public=seed)
     ground = build_ground(
-        streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, seed
+        streets, layouts.stations, roads, relief, layouts.stretches, covers, scheme.parcels, yaw, extent, ground_seed
     )
     ground_index = build_ground_index(ground.triangles)
     surfaces, squares = [ground.model], [cover.outline for cover in scheme.covers]

@@ -18,6 +18,8 @@ from mirror.schema.files import TEMPORARY, read_json, unwritable_error, write_js
 from mirror.schema.folders import FolderKind, require_output_folder
 
 SYNTH: Final = "synth.json"
+SECRET_SEED: Final = "secret"
+"""Argument ``seed`` of recordings with a secret seed, which stands in another file."""
 
 
 class Counts(Document):
@@ -57,6 +59,11 @@ class Journal:
 
     def __init__(self, out: Path, document: SynthDocument) -> None:
         self._out, self._document = out, document
+
+    @property
+    def is_new(self) -> bool:
+        """Whether no recording was begun: the folder holds the journal alone."""
+        return not self._document.drives and not any(path.name != SYNTH for path in self._out.iterdir())
 
     def find_complete(self, drive_id: str) -> Counts | None:
         """Return the counts of a complete recording; otherwise remove its incomplete files and return None."""
@@ -134,5 +141,5 @@ def _lock(folder: Path) -> Iterator[None]:
 
 def _flag(argument: str) -> str:
     """How `mirror synth` names an argument."""
-    names = {"toolkit": "version of the toolkit", "effects": "--without"}
+    names = {"toolkit": "version of the toolkit", "effects": "--without", "seed": "--seed or --secret"}
     return names.get(argument, f"--{argument}")

@@ -15,6 +15,7 @@ from mirror.schema.files import write_bytes
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.portable import arrays
+from mirror.synth.seeds import random_stream
 
 _LEAP_NS: Final = 18 * 1_000_000_000
 # Coarser than the last bit, in which processors differ (see `mirror.synth.portable`), and finer than 0.02 mm.
@@ -32,7 +33,7 @@ def pose_stamps(drive: SynthDrive) -> Int64:
 def write_poses(folder: Path, drive: SynthDrive, errors: Errors) -> None:
     """Write ``poses.*`` of a recording in the layout that the drive's recipe names."""
     stamps = pose_stamps(drive)
-    rng = np.random.default_rng([drive.seed, 1])
+    rng = random_stream("pose errors", drive.seed, 1)
     measured = errors.perturb_poses(drive.world_SE3_ego(stamps), drive.seconds(stamps), rng)
     longitude, latitude, height = drive.frame.to_geodetic(measured.translation)
     enu_R_world = np.swapaxes(drive.frame.world_R_enu(longitude, latitude), 1, 2)

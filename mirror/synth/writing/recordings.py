@@ -20,12 +20,15 @@ from mirror.schema.road_map import write_road_map
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
+from mirror.synth.fleet.presets import Preset, resolve_preset
 from mirror.synth.light.condition import Effects
 from mirror.synth.maps import street_map
+from mirror.synth.seeds import draw_secret_seed, require_public_seed
 from mirror.synth.writing.images import FrameImages, write_cameras, write_image_references, write_images
-from mirror.synth.writing.journal import Counts, open_journal
+from mirror.synth.writing.journal import SECRET_SEED, Counts, Journal, open_journal
 from mirror.synth.writing.poses import pose_stamps, write_poses
 from mirror.synth.writing.schedule import ImageSchedule, schedule_images
+from mirror.synth.writing.secret import read_secret, write_secret
 from mirror.synth.writing.truth import RENDERED, TruthKind, write_truth
 from mirror.version import __version__
 
@@ -66,6 +69,7 @@ def write_recordings(
     preset: str = "tiny",
     seed: int = 0,
     *,
+    secret: bool = False,
     scenes: int | None = None,
     traversals: int | None = None,
     errors: Errors | None = None,
@@ -79,10 +83,14 @@ def write_recordings(
     The files depend on the arguments only, not on the number of workers. ``recording.json`` is written last. A
     second call with the same arguments keeps the complete recordings and writes the missing ones.
 
+    With ``secret``, a seed of 128 random bits is drawn in place of ``seed`` and written to ``secret.json`` alone. Every
+    other file is free of it.
+
     Args:
         out: a new or an empty folder, or one with an unfinished run of the same arguments.
         preset: one of `mirror.synth.PRESETS`.
-        seed: seed of all random choices.
+        seed: public seed of all random choices.
+        secret: draw a secret seed, or continue with that of the folder.
         scenes: number of scenes; default: all scenes of the preset.
         traversals: number of drives with images through each scene; default: the preset's number.
         errors: measurement errors of the recordings; default: the preset's errors.
@@ -96,22 +104,24 @@ def write_recordings(
 
     Raises:
         UsageError: the preset does not exist, the number of workers is below 1, the folder holds other files, or
-            ``truth`` names image truth of a preset without rendered images.
-        DatasetError: the folder is not writable, the disk is full, or another run is writing to the folder.
+            ``truth`` names image truth of a preset without rendered images, or both ``seed`` and ``secret`` are given.
+        DatasetError: the folder is not writable, the disk is full, another run is writing to the folder, or the secret
+            seed of its recordings is missing.
     """
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers", place="--workers", expected="at least one")
-    settings, drives = make_drives(preset, seed, scenes, traversals)
+    require_public_seed(seed)
+    settings, _, _ = resolve_preset(preset, scenes, traversals)
     errors = settings.errors if errors is None else errors
+    if secret:
+        _require_secret(settings, seed)
     if settings.on_demand:
         _require_on_demand(preset, effects, truth)
-    if effects is not None:
-        drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
     progress = NullProgress() if progress is None else progress
     arguments = {
         "toolkit": __version__,
         "preset": preset,
-        "seed": str(seed),
+        "seed": SECRET_SEED if secret else str(seed),
         "scenes": str(scenes),
         "traversals": str(traversals),
         "errors": str(errors),
@@ -120,6 +130,11 @@ def write_recordings(
     }
     written = SynthReport()
     with open_journal(out, arguments) as done, thread_pool(workers or os.cpu_count() or 1) as pool:
+        if secret:
+            seed = _draw_or_read_secret(out, done)
+        _, drives = make_drives(preset, seed, scenes, traversals)
+        if effects is not None:
+            drives = [replace(drive, condition=replace(drive.condition, effects=effects)) for drive in drives]
         write_json(out / "rois.geojson", _geojson([drive.roi for drive in drives]))
         missing = [drive for drive in drives if done.find_complete(drive.drive_id) is None]
         ahead = [pool.submit(_simulate, drive) for drive in missing[:1]]
@@ -138,6 +153,30 @@ def write_recordings(
                 drive.forget()
             written.count(folder, counts)
     return written
+
+
+def _require_secret(preset: Preset, seed: int) -> None:
+    """Refuse a secret seed beside a public one, and for a preset whose images have URIs with the seed."""
+    if seed:
+        raise UsageError(
+            "a public and a secret seed", place="--secret", expected="one of them", remedy="leave out --seed"
+        )
+    if preset.on_demand:
+        raise UsageError(
+            f"a secret seed with preset {preset.name!r}",
+            place="--secret",
+            expected="a preset that writes its images: the URIs of images on demand name the seed",
+            remedy="take another --preset",
+        )
+
+
+def _draw_or_read_secret(out: Path, done: Journal) -> int:
+    """Return the secret seed of a folder; a new folder gets one."""
+    if done.is_new:
+        seed = draw_secret_seed()
+        write_secret(out, seed)
+        return seed
+    return read_secret(out)
 
 
 def _require_on_demand(preset: str, effects: Effects | None, truth: Sequence[TruthKind]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from mirror.arrays import Bool, Int64
 from mirror.synth.errors import Clock, Errors
 from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth.seeds import random_stream
 
 _SETTLED_S: Final = 0.3
 
@@ -45,8 +46,8 @@ def schedule_images(drive: SynthDrive, errors: Errors) -> ImageSchedule:
     kind, cameras = drive.vehicle.kind, tuple(drive.vehicle.cameras)
     time_s = np.arange(_SETTLED_S, drive.truth.duration_s - _SETTLED_S, 1.0 / drive.preset.image_hz)
     instants = drive.condition.start_ns + np.round(time_s * 1e6).astype(np.int64) * 1000
-    clocks = errors.draw_clocks(cameras, np.random.default_rng([drive.seed, 2]))
-    rng = np.random.default_rng([drive.seed, 3])
+    clocks = errors.draw_clocks(cameras, random_stream("clocks", drive.seed, 2))
+    rng = random_stream("losses", drive.seed, 3)
     true, recorded, kept = {}, {}, {}
     for place, name in enumerate(cameras):
         true[name] = instants + place * kind.stagger_ns

@@ -17,6 +17,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.png import HEADER_BYTES, png_size
 from mirror.protocols.views.view import RenderView
+from mirror.synth.seeds import parse_public_seed
 from mirror.weights.resolve import file_sha256
 
 if TYPE_CHECKING:
@@ -56,10 +57,10 @@ def open_background(
             files = _Files(Path(rest), views)
             return files, f"{text} sha256 {files.sha256}"
         preset, _, seed = rest.partition(":")
-        if not preset or not (seed or "0").isdecimal():
+        if not preset:
             raise UsageError(f"{text!r}", place="--background", expected="exact:PRESET or exact:PRESET:SEED")
         _require_preset(preset)
-        street = _ExactStreet(dataset, preset, int(seed or 0))
+        street = _ExactStreet(dataset, preset, parse_public_seed(seed or "0", "--background"))
         street.require_drives(views)
         return street, text
     return _open_model(Path(text), dataset, appearance, views)

@@ -23,11 +23,12 @@ def open_synthetic_street(name: str) -> Street:
         UsageError: the name is malformed, or there is no such preset or drive.
     """
     from mirror.synth.fleet.drives import make_drive, make_drives
+    from mirror.synth.seeds import parse_public_seed
 
     preset, *rest = name.removeprefix(SCHEME).split(":")
-    if not name.startswith(SCHEME) or len(rest) > 2 or (rest and not rest[0].isdecimal()):
+    if not name.startswith(SCHEME) or len(rest) > 2:
         raise UsageError(f"{name!r}", expected=f"{SCHEME}PRESET, {SCHEME}PRESET:SEED or {SCHEME}PRESET:SEED:DRIVE")
-    seed = int(rest[0]) if rest else 0
+    seed = parse_public_seed(rest[0], f"the seed of {SCHEME}PRESET:SEED") if rest else 0
     drive = make_drive(preset, seed, rest[1]) if len(rest) == 2 else make_drives(preset, seed, traversals=1)[1][0]
     return street_of_drive(drive)
 

@@ -25,7 +25,7 @@ class CameraResponse:
     noise: float = 1.0
 
 
-def draw_camera_response(seed: int | Sequence[int]) -> CameraResponse:
+def draw_camera_response(seed: int | Sequence[int] | np.random.SeedSequence) -> CameraResponse:
     """Draw the response of a camera from a seed."""
     rng = np.random.default_rng(seed)
     warm, green = rng.normal(0.0, 0.022), rng.normal(0.0, 0.010)

@@ -21,7 +21,7 @@ _SOFT: Final = 0.8
 _DARK_RIM: Final = 0.45
 
 
-def draw_lens_drops(seed: int | Sequence[int], aspect: float) -> Records:
+def draw_lens_drops(seed: int | Sequence[int] | np.random.SeedSequence, aspect: float) -> Records:
     """Draw the drops (N,) DROP on a lens; two lenses in five have none.
 
     Args:

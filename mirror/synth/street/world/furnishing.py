@@ -12,6 +12,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.synth.model import Model
 from mirror.synth.portable import arrays, scalars
+from mirror.synth.seeds import random_stream
 from mirror.synth.street import furniture
 from mirror.synth.street.furniture import LampKind, LampPost, SignalHead
 from mirror.synth.street.furniture.small import Maker
@@ -83,7 +84,7 @@ def furnish(plan: Plan, seed: int) -> Furniture:
     others: list[Model] = [_build_rail(plan, number, seed) for number in range(len(plan.rails))]
     shelters = 0
     for number, spot in enumerate(plan.spots):
-        rng = np.random.default_rng([seed, 22, number])
+        rng = random_stream("spots", seed, 22, number)
         if spot.kind == "lamp":
             lamps.append(_build_lamp(plan, spot))
         elif spot.kind == "signal":
@@ -125,7 +126,7 @@ def _build_thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
 
 
 def _build_rail(plan: Plan, number: int, seed: int) -> Model:
-    rail, rng = plan.rails[number], np.random.default_rng([seed, 23, number])
+    rail, rng = plan.rails[number], random_stream("rails", seed, 23, number)
     if rail.kind == "guard":
         return furniture.guard_rail(rail.line)
     if rail.kind == "fence":

@@ -9,6 +9,7 @@ import numpy as np
 
 from mirror.synth.model import Model
 from mirror.synth.portable import arrays, scalars
+from mirror.synth.seeds import random_stream
 from mirror.synth.street.furniture import fence, garden_wall
 from mirror.synth.street.houses import HouseStyle, build_house
 from mirror.synth.street.lots import Lot
@@ -43,7 +44,7 @@ def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
         seed: seed of all random choices.
     """
     for number, lot in enumerate(plan.lots):
-        rng = np.random.default_rng([seed, 21, number])
+        rng = random_stream("houses", seed, 21, number)
         shares = _STYLES[plan.kind][lot.kind]
         style: HouseStyle = rng.choice(list(shares), p=list(shares.values())).item()
         near = float(arrays.hypot(*lot.origin[:2])) < plan.roi.radius_m + _DETAIL_RANGE_M and lot.kind != "yard"

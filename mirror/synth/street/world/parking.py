@@ -13,6 +13,7 @@ from mirror.synth.portable import scalars
 from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
 from mirror.synth.road_users.cars import build_car
 from mirror.synth.road_users.vans import build_van
+from mirror.synth.seeds import random_stream
 from mirror.synth.street.network import Lane
 from mirror.synth.street.plan import Plan
 from mirror.synth.textures.catalogue import PLATES
@@ -34,7 +35,7 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     lanes = [lane for lane in plan.network.lanes.values() if lane.use == "park"]
     if not lanes:
         return ()
-    rng = np.random.default_rng([seed, 27])
+    rng = random_stream("parked vehicles", seed, 27)
     bodies = [build_van(rng) if rng.random() < _VANS else build_car(rng) for _ in range(_BODIES)]
     placements = [place for lane in lanes for place in _bays(plan, lane, rng)]
     return tuple(

@@ -13,6 +13,7 @@ import shapely
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Model
 from mirror.synth.portable import arrays, scalars
+from mirror.synth.seeds import random_stream
 from mirror.synth.street.plan import Plan
 from mirror.synth.street.plants import STREET_TREES, Kind, build_bush, build_hedge, build_tree
 
@@ -36,7 +37,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
         plan: plan of the scene.
         seed: seed of all random choices.
     """
-    rng = np.random.default_rng([seed, 24])
+    rng = random_stream("plants", seed, 24)
     streets = [str(kind) for kind in rng.choice(STREET_TREES, 2, replace=False)]
     kinds = (
         _FIELD_TREES if plan.kind in ("rural", "highway") else tuple(kind for kind in STREET_TREES if kind in streets)
@@ -45,7 +46,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
     thin_row = [_thin_leaves(model) for model in row]
     for number, spot in enumerate(plan.spots):
         if spot.kind == "tree" and plan.carriageways.distance(shapely.Point(spot.place[:2])) > 0.8 * _ROAD_M[plan.kind]:
-            spot_rng = np.random.default_rng([seed, 25, number])
+            spot_rng = random_stream("trees", seed, 25, number)
             models = row if _is_near(plan, spot.place) else thin_row
             yield _place_tree(models[int(spot_rng.integers(len(models)))], spot.place, spot_rng)
     loose = _FIELD_TREES if plan.kind in ("rural", "highway") else _GARDEN_TREES
@@ -59,7 +60,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
         yield _place_tree(bushes[int(rng.integers(len(bushes)))], place, rng)
     for number, rail in enumerate(plan.rails):
         if rail.kind == "hedge":
-            yield from _hedge_row(rail.line, np.random.default_rng([seed, 26, number]))
+            yield from _hedge_row(rail.line, random_stream("hedges", seed, 26, number))
 
 
 def _is_near(plan: Plan, place: Float64) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -13,6 +13,7 @@ from mirror.arrays import Float64, Int64, Records
 from mirror.schema.documents import Roi
 from mirror.synth.model import Model, merge_models
 from mirror.synth.road_users.body import RoadUser
+from mirror.synth.seeds import random_stream
 from mirror.synth.street.houses import build_far_houses, build_far_woods
 from mirror.synth.street.network import Network
 from mirror.synth.street.plan import Plan, plan_scene
@@ -61,7 +62,7 @@ class World:
     lamps: Float64
     lights: Mapping[int, Lights]
     parked: tuple[RoadUser, ...]
-    seed: int
+    seed: int = field(repr=False)
 
     @property
     def roi(self) -> Roi:
@@ -149,7 +150,7 @@ def _collect_lights(things: Furniture) -> dict[int, Lights]:
 
 def _build_skyline(plan: Plan, seed: int) -> list[Model]:
     """The skyline on all sides."""
-    rng = np.random.default_rng([seed, 28])
+    rng = random_stream("skyline", seed, 28)
     radius = plan.roi.radius_m
     if plan.kind == "urban":
         return [

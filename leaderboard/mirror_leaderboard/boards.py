@@ -19,6 +19,8 @@ from mirror_leaderboard.measures import MEASURES
 FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
+_PUBLIC_SEED: Final = re.compile(r"\bseed \d+", re.IGNORECASE)
+
 UNVERIFIED: Final = "unverified:"
 """Option that separates the tables of entries that the organiser did not verify; its value says why."""
 
@@ -65,6 +67,11 @@ class Board:
     def is_older(self) -> bool:
         """Whether the entries were measured by another version of the protocol than today's."""
         return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
+
+    @property
+    def is_practice(self) -> bool:
+        """Whether the title names a public seed, from which anybody can make the images that are scored."""
+        return self.hashes is not None and _PUBLIC_SEED.search(self.title) is not None
 
     @property
     def version(self) -> int | None:

@@ -14,7 +14,6 @@ from mirror.counting import count_of
 from mirror.errors import ExitCode
 
 _EXAMPLES = (
-    "mirror synth --preset quick --out recordings",
     "mirror synth --preset demo --scenes 1 --truth depth,boxes --out recordings",
     "mirror synth --preset benchmark --secret --out recordings",
 )

@@ -117,7 +117,15 @@ def test_interrupted_commands_continue(
     commands = {
         template: ["submission", "new", str(root), *asked, str(tmp_path / "small.toml")],
         writing: ["baseline", str(root), "--method", "nearest_frame", *asked, str(tmp_path / "small.toml")],
-        hidden: ["submission", "hidden", str(root), "--recordings", str(root.parent / "tiny"), *asked, str(tmp_path / "moved.toml")],
+        hidden: [
+            "submission",
+            "hidden",
+            str(root),
+            "--recordings",
+            str(root.parent / "tiny"),
+            *asked,
+            str(tmp_path / "moved.toml"),
+        ],
     }
     for module, words in commands.items():
         assert main([*words, "--out", str(tmp_path / "whole")]) == 0

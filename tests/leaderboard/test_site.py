@@ -14,6 +14,7 @@ import pytest
 
 from mirror.errors import DatasetError
 from mirror.schema.files import write_json
+from mirror_leaderboard.boards import make_boards
 from mirror_leaderboard.command import PAPERS
 from mirror_leaderboard.entry import IMAGE_FOLDER, load_entries
 from mirror_leaderboard.site.page import build, build_site
@@ -119,6 +120,16 @@ def test_older_protocol_is_marked(tmp_path: Path) -> None:
     assert "an older version" not in new
     assert "an older version" in old
     assert '<figure class="plot">' in new and '<figure class="plot">' not in old
+
+
+def test_streets_with_a_public_seed_are_practice_sets(tmp_path: Path) -> None:
+    public, secret = (
+        build_site([measured("a", 20.0, pairs=(), dataset=title)], [], tmp_path).read_text()
+        for title in ("synthetic street (demo, seed 0)", "MIRROR street")
+    )
+    assert "practice set" in public
+    assert "practice set" not in secret
+    assert all(table.is_practice for table in make_boards(load_entries(MEASURED)) if table.hashes is not None)
 
 
 def test_page_without_entries(tmp_path: Path) -> None:

@@ -30,6 +30,9 @@ from mirror_leaderboard.trust import require_trusted
 _TITLE: Final = "MIRROR leaderboard"
 _MARK: Final = ".made-by-mirror-leaderboard"
 _DRAFT: Final = "<p><b>Draft.</b> Nobody signed these rows: they may be wrong.</p>"
+_PRACTICE: Final = (
+    " <small><b>practice set</b>: anybody can make the images that are scored from the public seed in its name</small>"
+)
 _KINDS: Final = (
     '<p><span class="tag measured">measured</span>: scored here; the hashes identify the result, the protocol and the '
     'data. <span class="tag reported">reported</span>: printed in a paper, from its authors’ evaluation; never ranked '
@@ -109,8 +112,8 @@ def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[En
 def _format_panel(board: Board, notes: dict[str, int]) -> str:
     """Format a board. The script shows one panel of a section at a time; without it all are shown."""
     kind = "reported" if board.hashes is None else "measured"
-    older = [_version_word(board)] if board.is_older else []
-    label = ", ".join([board.title, *older, *map(_tab_word, board.options)])
+    words = [*(["practice set"] if board.is_practice else []), *([_version_word(board)] if board.is_older else [])]
+    label = ", ".join([board.title, *words, *map(_tab_word, board.options)])
     return (
         f'<div class="panel" id="{board.id}" data-tab="{escape(label)}" data-kind="{kind}">'
         f"{_format_heading(board)}{board_table(board, notes)}{board_slider(board)}</div>"
@@ -128,13 +131,13 @@ def _tab_word(option: tuple[str, str]) -> str:
 
 
 def _format_heading(board: Board) -> str:
-    evidence = ""
+    evidence = _PRACTICE if board.is_practice else ""
     if board.split is not None and board.hashes is not None:
         hashes = zip(("protocol", "data", "plan"), board.hashes)
         codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
         older = f" · {_version_word(board)}, an older version of the protocol" if board.is_older else ""
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
-        evidence = f" <small>split {escape(board.split)}{codes}{older}</small>"
+        evidence += f" <small>split {escape(board.split)}{codes}{older}</small>"
     ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"
     download = f' <small>ranked by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
     return f"<h3>{escape(board.title)}{evidence}{download}</h3>"

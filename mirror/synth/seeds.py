@@ -48,10 +48,10 @@ def require_public_seed(seed: int, place: str = "--seed") -> None:
     """Refuse a number that is no public seed.
 
     Raises:
-        UsageError: the seed is out of range; the message does not repeat it.
+        UsageError: the seed is out of range; the message does not repeat a secret one.
     """
     if not 0 <= seed < PUBLIC_SEEDS:
-        raise UsageError("not a public seed", place=place, expected=_EXPECTED)
+        raise UsageError("a secret seed" if is_secret_seed(seed) else f"{seed}", place=place, expected=_EXPECTED)
 
 
 def parse_public_seed(text: str, place: str) -> int:

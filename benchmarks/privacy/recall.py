@@ -23,7 +23,7 @@ COVERED: Final = 0.9
 LEAST_SEEN: Final[dict[Kind, float]] = {"face": 0.6, "plate": 0.85}
 MISSED_BARS: Final = {("face", False, 16.0): 5.0, ("plate", False, 48.0): 10.0, ("plate", True, 32.0): 2.0}
 """Largest share of missed regions from a size on, in percent, by kind and whether the fallback is on."""
-_OUTSIDE_BAR: Final = 3.0
+_OUTSIDE_BAR: Final = 5.0
 
 
 @dataclass

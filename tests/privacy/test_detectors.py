@@ -18,7 +18,7 @@ from mirror.errors import UsageError
 from mirror.privacy.detectors.boxes import detect_in_tiles, overlaps, suppress, tiles, to_regions
 from mirror.privacy.detectors.egoblur import EgoBlur, register_operators, roi_align
 from mirror.privacy.detectors.faces import YuNet
-from mirror.privacy.detectors.plates import find_agreed, find_shaped, make_anchors
+from mirror.privacy.detectors.plates import find_agreed, find_shaped, make_anchors, widen_confident
 from mirror.privacy.detectors.protocol import DetectorOptions
 from mirror.privacy.detectors.registry import installed_detectors, parse_choice, require_coverage
 from mirror.privacy.detectors.sessions import DetectorError
@@ -185,7 +185,7 @@ def test_boxes_without_the_shape_of_a_plate_are_left_out() -> None:
     # Width and height of a Chinese plate, one with two rows, an upright box, a shop sign and a house front.
     sizes = np.array([[140.0, 45.0], [140.0, 70.0], [60.0, 55.0], [200.0, 50.0], [140.0, 90.0]])
     boxes = np.concatenate([np.full((5, 2), 7.0), 7.0 + sizes], axis=1)
-    sure = np.full(5, 0.9)
+    sure = np.full(5, 0.4)
     assert find_shaped(boxes, sure, 960).tolist() == [True, True, False, False, False]
     assert find_shaped(2.0 * boxes, sure, 1920).tolist() == find_shaped(boxes, sure, 960).tolist()
     assert find_shaped(np.zeros((0, 4)), sure[:0], 960).tolist() == []
@@ -193,3 +193,13 @@ def test_boxes_without_the_shape_of_a_plate_are_left_out() -> None:
     likely = np.full(2, 0.2)
     low = boxes[:2] * np.array([1.0, 0.5, 1.0, 0.5])
     assert find_shaped(np.concatenate([boxes[:1], low[:1]]), likely, 960).tolist() == [False, True]
+
+
+@given(width=st.floats(10.0, 900.0), aspect=st.floats(1.2, 6.0), score=st.floats(0.5, 1.0))
+def test_a_confident_box_is_never_left_out_for_its_size(width: float, aspect: float, score: float) -> None:
+    box = np.array([[5.0, 5.0, 5.0 + width, 5.0 + width / (1.001 * aspect)]])
+    assert find_shaped(box, np.array([score]), 960).tolist() == [True]
+    left, top, right, bottom = widen_confident(box, np.array([score]))[0]
+    assert left == pytest.approx(5.0 - 0.08 * width) and right - left == pytest.approx(1.16 * width)
+    assert [top, bottom] == box[0, [1, 3]].tolist()
+    assert (widen_confident(box, np.array([0.4])) == box).all()

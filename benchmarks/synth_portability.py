@@ -10,37 +10,15 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
 
+from benchmarks._processors import INSTRUCTION_SETS, restricted
 from benchmarks.report import Row, report
-
-_WITHOUT_AVX512: Final = {
-    "NUMBA_CPU_NAME": "haswell",
-    "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2",
-    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL",
-    "OPENBLAS_CORETYPE": "Haswell",
-    "OPENCV_CPU_DISABLE": "AVX512_ICL,AVX512_SKX,AVX512_COMMON",
-}
-_WITHOUT_FMA: Final = {
-    "NUMBA_CPU_NAME": "x86-64-v2",
-    "NUMBA_CPU_FEATURES": "",
-    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL X86_V3",
-    "OPENBLAS_CORETYPE": "Nehalem",
-    "OPENCV_CPU_DISABLE": "AVX512_ICL,AVX512_SKX,AVX512_COMMON,AVX2,FMA3,AVX,FP16",
-    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA,-FMA4",
-}
-_FEATURES: Final[Mapping[str, Mapping[str, str]]] = {
-    "all instructions": {},
-    "without AVX-512": _WITHOUT_AVX512,
-    "without AVX-512, AVX2 and FMA": _WITHOUT_FMA,
-}
 
 
 def main(argv: Sequence[str]) -> int:
@@ -56,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _compare(folder: Path, preset: str, scenes: int | None) -> Iterator[Row]:
     expected: dict[str, str] = {}
-    for name, features in _FEATURES.items():
+    for name, features in INSTRUCTION_SETS.items():
         begin = time.perf_counter()
         files = _write_street(folder / name.replace(" ", "_"), preset, scenes, features)
         seconds = time.perf_counter() - begin
@@ -72,7 +50,7 @@ def _write_street(out: Path, preset: str, scenes: int | None, features: Mapping[
     """Write a street in a process with these instructions; returns the SHA-256 of each file, by its path."""
     command = [sys.executable, "-m", "mirror.cli.main", "synth", "--preset", preset, "--out", str(out)]
     command += [] if scenes is None else ["--scenes", str(scenes)]
-    environment = {**os.environ, **features, "NUMBA_CACHE_DIR": str(out.with_suffix(".cache"))}
+    environment = restricted(features, out.with_suffix(".cache"))
     subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return {
         str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()

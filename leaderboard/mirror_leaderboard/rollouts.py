@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _STATED: Final = ("scenario_version", "rate_hz", "steps", "ending", "map_source")
 """Keys of a rollout's document that follow from the drive."""
-_EVENTS: Final = (
+EVENTS: Final = (
     "collisions",
     "at_fault_collisions",
     "red_lights",
@@ -222,7 +222,7 @@ def _require_same_drive(folder: Path, one: ScoredRollout, log: StateLog, task: _
             file=folder / STATES_FILE, expected="the states of the drive, to 1e-6 m", remedy=_DRIVE,
         )  # fmt: skip
     again = score_drive(driven.log, task.street.road_map, scenario, one.path, own, done.protocol)
-    for name in _EVENTS:
+    for name in EVENTS:
         if one.values.get(name) != again.values.get(name) or one.causes.get(name) != again.causes.get(name):
             raise _another(folder / STATES_FILE, name, one.values.get(name), again.values.get(name), "drive")
     return again

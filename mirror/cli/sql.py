@@ -92,17 +92,18 @@ def _encode(table: pa.Table, suffix: str) -> bytes:
 
 
 def _encode_csv(table: pa.Table) -> bytes:
-    """Encode as CSV: bytes are hexadecimal, lists and structs are JSON, and null is empty."""
-    import csv
-    import io
+    """Encode as CSV: bytes are hexadecimal, lists and structs are JSON, null is empty, formulas are quoted."""
+    from decimal import Decimal
 
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow(table.column_names)
-    for row in zip(*(column.to_pylist() for column in table.columns)):
-        cells = [_plain(value) for value in row]
-        writer.writerow([json.dumps(cell) if isinstance(cell, list | dict) else cell for cell in cells])
-    return sink.getvalue().encode()
+    from mirror.schema.csv_files import Cell, encode_csv
+
+    def encode(value: Any) -> Cell:
+        # A decimal is a number here, which JSON does not have.
+        plain = value if isinstance(value, Decimal) else _plain(value)
+        return json.dumps(plain) if isinstance(plain, list | dict) else plain
+
+    rows = ([encode(cell) for cell in row] for row in zip(*(column.to_pylist() for column in table.columns)))
+    return encode_csv(table.column_names, rows)
 
 
 def _plain(value: Any) -> Any:

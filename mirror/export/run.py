@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -23,6 +21,7 @@ from mirror.export.lenses import require_lenses
 from mirror.export.scene import ExportImage, ExportScene, select_scene
 from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.csv_files import Cell, encode_csv
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import read_json, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
@@ -195,20 +194,19 @@ def _on_threads(images: Sequence[ExportImage], work: Callable[[ExportImage], Non
 
 def _write_lists(scene: ExportScene, form: ExportLayout, out: Path) -> list[Path]:
     """Write ``images.csv``, which states the origin of each image, and lists of the images of each role."""
-    sink = io.StringIO()
-    rows = csv.writer(sink, lineterminator="\n")
-    rows.writerow(
-        ["file", "scene_id", "traversal_id", "drive_id", "frame_index", "camera", "timestamp_ns", "role",
-         "light", "weather", "privacy"]
+    header = (
+        "file", "scene_id", "traversal_id", "drive_id", "frame_index", "camera", "timestamp_ns", "role", "light",
+        "weather", "privacy",
     )  # fmt: skip
+    rows: list[Sequence[Cell]] = []
     for item in scene.images:
         traversal = scene.traversals[item.frame.traversal_id]
-        rows.writerow(
+        rows.append(
             [form.image_path(item), item.frame.scene_id, item.frame.traversal_id, item.drive_id,
-             item.frame.frame_index, item.image.camera, item.image.timestamp_ns, item.role or "",
+             item.frame.frame_index, item.image.camera, item.image.timestamp_ns, item.role,
              traversal["light"], traversal["weather"], item.image.privacy]
         )  # fmt: skip
-    write_bytes(out / _IMAGES, sink.getvalue().encode())
+    write_bytes(out / _IMAGES, encode_csv(header, rows))
     files = [out / _IMAGES]
     if form.holds_images:
         return files

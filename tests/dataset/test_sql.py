@@ -189,3 +189,13 @@ def test_other_libraries_open_the_index_by_its_documented_paths(street: Dataset,
     done = subprocess.run([sys.executable, "-c", code, street.root], capture_output=True, text=True, check=True)
     total = sum(street.table("images", ["byte_length"]).column(0).to_pylist())
     assert done.stdout.strip() == f"2 20 {total} ['front_narrow', 'front_wide']"
+
+
+def test_csv_quotes_what_a_spreadsheet_would_run(street: Dataset, tmp_path: Path) -> None:
+    """Before: only the board's downloads did. A dataset has texts of strangers: categories, names of cameras, notes."""
+    query = """SELECT '=HYPERLINK("x")' AS "=head", '@x' AS a, -1.5 AS n, '\t=1' AS t, '＝1' AS w, 'plain' AS p"""
+    assert main(["sql", street.root, query, "--out", str(tmp_path / "out.csv")]) == 0
+    with (tmp_path / "out.csv").open(newline="") as file:
+        head, row = csv.reader(file)
+    assert head == ["'=head", "a", "n", "t", "w", "p"]
+    assert row == ["""'=HYPERLINK("x")""", "'@x", "-1.5", "'\t=1", "'＝1", "plain"]

@@ -328,28 +328,91 @@ def test_reported_row_without_review_is_not_built(tmp_path: Path) -> None:
         require_trusted(tmp_path, [changed])
 
 
+LOOKALIKES = (
+    # Case, spaces, punctuation, digits and pairs of letters.
+    "HYBRIDWORLDSIM", "Hybrid World Sim", "hybrid-world-sim", "Hybrid_WorldSim", "HybridWorldSim.", "HybridWorldSim...",
+    "(HybridWorldSim)", "HybridWorldSim'", "HybridWorldSim*", "HybridWor1dSim", "HybridW0rldSim", "HybridWorIdSim",
+    "HybrldWorldSim", "HybridWorldSirn", "HybridVVorldSim", "HybriclWorldSim",
+    # Latin letters with other marks, and punctuation of other scripts.
+    "HybridWorldS\u0131m", "Hybr\u00eddWorldSim", "HybridWorldSim\u00b7", "HybridWorldSim\u2019",
+    "HybridWorldSim\u30fb", "HybridWorldSim\u4e36", "HybridWorldSim\u30fc", "Hybrid\u4e00WorldSim",
+    # Other scripts: Greek, Cyrillic, Armenian, Hebrew, Ethiopic, Coptic, Lisu, Cherokee.
+    "\u0397ybridWorldSim", "HybridW\u03bfrldSim", "\u041dybridWorldSim", "HybridW\u043erldSim", "Hybr\u0456dWorldSim",
+    "HybridW\u0585rldSim", "HybridW\u05e1rldSim", "\u12d8ybridWorldSim", "\u2c8eybridWorldSim", "HybridW\u2c9frldSim",
+    "\ua4e7ybridWorldSim", "\u13bbybridWorldSim",
+    # Small capitals, mathematical and full-width letters, a Roman numeral.
+    "\u029c\u028f\u0299\u0280\u026a\u1d05\u1d21\u1d0f\u0280\u029f\u1d05\ua731\u026a\u1d0d", "\U0001d5a7ybridWorldSim",
+    "\uff28ybridWorldSim", "Hybr\u2170dWorldSim", "H\u0263bridWorldSim",
+    # Invisible characters.
+    "HybridWorldSim\u2800", "HybridWorldSim\u200b", "Hybrid\u00adWorldSim", "HybridWorldSim\u3164",
+    "HybridWorldSim\u034f", "HybridWorldSim\ufe0f", "HybridWorldSim\u2060",
+    "HybridWorldSim\U000e0020", "Hybrid\u00a0WorldSim",
+)  # fmt: skip
+
+
+def test_fifty_lookalikes_of_a_name_are_refused(result: Path, board: Path) -> None:
+    """Before: 35 of them were accepted. `board` has HybridWorldSim."""
+    assert len(set(LOOKALIKES)) == 50
+    for name in LOOKALIKES:
+        assert find_name_problem(name) is not None or skeleton(name) == skeleton("HybridWorldSim"), ascii(name)
+    for name in ("HybridWorldSim*", "HybridW\u05e1rldSim"):
+        edit(result, lambda plain, name=name: plain["submission"]["method"].update(name=name))
+        with pytest.raises(RefusedError, match=r"easily taken for 'HybridWorldSim'|letters of several scripts"):
+            add_result(result, board, "street")
+
+
+def test_a_name_of_another_script_that_reads_like_a_latin_one_has_its_skeleton() -> None:
+    """Names of one script are allowed, and compared with those of others."""
+    for name, latin in (("\u0441\u043e\u0440\u0443", "copy"), ("\u0391\u0392\u0395", "ABE"), ("\u05d5\u05e1", "lo")):
+        assert find_name_problem(name) is None and skeleton(name) == skeleton(latin)
+
+
 @pytest.mark.parametrize(
     "name",
-    ["HybridWοrldSim", "ΗybridWorldSim", "HybridWor1dSim", "hybrid-world-sim", "Hуbrid WorldSіm", "HybrldWorldSim"],
+    [
+        " mine",
+        "mine ",
+        "mi\u200bne",
+        "mi\u00adne",
+        "ｍｉｎｅ",
+        "mine\u3164",
+        "mi\ufe0fne",
+        "m  e",
+        "...",
+        "1\u0661",
+        "m\u0307i",
+    ],
 )
-def test_lookalike_of_an_existing_name_is_refused(result: Path, board: Path, root: Path, name: str) -> None:
-    """Before: accepted. `board` has HybridWorldSim."""
-    edit(result, lambda plain: plain["submission"]["method"].update(name=name))
-    with pytest.raises(RefusedError, match="easily taken for 'HybridWorldSim'"):
-        add_result(result, board, "street")
-
-
-@pytest.mark.parametrize(
-    "name", [" mine", "mine ", "mi\u200bne", "mi\u00adne", "ｍｉｎｅ", "mine\u3164", "mi\ufe0fne", "m  e"]
-)
-def test_invisible_and_surrounding_characters_are_refused(name: str) -> None:
+def test_characters_that_no_plain_name_has_are_refused(name: str) -> None:
     assert find_name_problem(name) is not None
 
 
 def test_plain_names_stay() -> None:
-    for name in ("HybridWorldSim", "mtgs_style", "3DGS (ours, 30k)", "世界モデル", "Ünïcode-GS"):
+    names = (
+        "HybridWorldSim",
+        "mtgs_style",
+        "3DGS (ours, 30k)",
+        "世界モデル",
+        "Ünïcode-GS",
+        "世界GS",
+        "ガウスGS",
+        "GS한국어",
+        "हिन्दी",
+        "Мир",
+    )
+    for name in names:
         assert find_name_problem(name) is None
-    methods = ["vanilla_3dgs", "mtgs_style", "omnire_style", "nearest_frame", "mean_color", "grey_frame", "DriveEditor"]
+    methods = [
+        "vanilla_3dgs",
+        "mtgs_style",
+        "omnire_style",
+        "nearest_frame",
+        "mean_color",
+        "grey_frame",
+        "DriveEditor",
+        "4DGS",
+        "4DGS+",
+    ]
     assert len({skeleton(name) for name in methods}) == len(methods)
 
 

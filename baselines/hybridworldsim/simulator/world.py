@@ -136,12 +136,12 @@ def state_log(snapshots: list[Snapshot], rows: Int64 | None = None) -> StateLog:
     columns: dict[str, Float64] = {name: np.empty(shape) for name in ("x_m", "y_m", "yaw_rad", "vx_mps", "vy_mps")}
     present = np.ones(shape, np.bool_)
     for row, shot in enumerate(snapshots):
-        ego = (*center_position(vehicle, shot.ego), _wrap(shot.ego.yaw_rad), *center_velocity(vehicle, shot.ego))
+        ego = (*center_position(vehicle, shot.ego), shot.ego.yaw_rad, *center_velocity(vehicle, shot.ego))
         for (name, values), value in zip(columns.items(), ego, strict=True):
             values[row, 0] = value
             values[row, 1:] = getattr(shot.states, name)[chosen]
-        columns["yaw_rad"][row, 1:] = np.remainder(columns["yaw_rad"][row, 1:] + math.pi, 2.0 * math.pi) - math.pi
         present[row, 1:] = shot.states.present[chosen]
+    columns["yaw_rad"] = wrap_angles(columns["yaw_rad"])
     return StateLog(
         stamps_ns=np.array([shot.stamp_ns for shot in snapshots], np.int64),
         **columns,
@@ -158,5 +158,7 @@ def state_log(snapshots: list[Snapshot], rows: Int64 | None = None) -> StateLog:
     )
 
 
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2.0 * math.pi)
+def wrap_angles(angles_rad: Float64) -> Float64:
+    """Return angles between -pi and pi."""
+    wrapped: Float64 = np.remainder(angles_rad + math.pi, 2.0 * math.pi) - math.pi
+    return wrapped

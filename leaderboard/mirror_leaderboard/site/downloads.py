@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from mirror.schema.csv_files import encode_csv
 from mirror_leaderboard.boards import Board, find_figure
 from mirror_leaderboard.entry import Entry, Measured
 from mirror_leaderboard.measures import MEASURES
@@ -15,9 +14,6 @@ from mirror_leaderboard.measures import MEASURES
 CSV_FOLDER: Final = "csv"
 ENTRY_FOLDER: Final = "rows"
 """Not `entries`, which marks a folder as a board."""
-
-_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
-"""First characters with which spreadsheets take a cell for a formula."""
 
 
 def csv_file(board: Board) -> str:
@@ -39,17 +35,13 @@ def encode_entry(entry: Entry) -> bytes:
     return (json.dumps(entry.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def encode_csv(board: Board) -> bytes:
+def encode_board(board: Board) -> bytes:
     """Encode the table of a board, a row for each entry, in the order and the units of the page.
 
     Each metric has four columns: value, both ends of its interval, and number of images.
     """
-    sink = io.StringIO()
-    writer = csv.writer(sink, lineterminator="\n")
-    writer.writerow([*_KEYS, *(name for column in board.columns for name in _list_heads(*column))])
-    for entry in board.entries:
-        writer.writerow([*map(_plain_text, _list_keys(entry)), *_list_numbers(entry, board)])
-    return sink.getvalue().encode()
+    header = [*_KEYS, *(name for column in board.columns for name in _list_heads(*column))]
+    return encode_csv(header, ([*_list_keys(entry), *_list_numbers(entry, board)] for entry in board.entries))
 
 
 _KEYS: Final = ("kind", "method", "version", "setting", "date", "protocol", "dataset", "source")
@@ -78,15 +70,10 @@ def _list_heads(group: str, metric: str) -> Iterator[str]:
     yield from (f"{name} {unit}".strip(), f"{name} low", f"{name} high", f"{name} n")
 
 
-def _list_numbers(entry: Entry, board: Board) -> Iterator[str]:
+def _list_numbers(entry: Entry, board: Board) -> Iterator[float | None]:
     for column in board.columns:
         figure = find_figure(entry, column)
         scale = MEASURES[column[1]].scale
         for value in (None, None, None) if figure is None else (figure.value, figure.low, figure.high):
-            yield "" if value is None else repr(value * scale)
-        yield "" if figure is None or figure.n is None else str(figure.n)
-
-
-def _plain_text(text: str) -> str:
-    """Keep a spreadsheet from running a participant's text as a formula."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
+            yield None if value is None else value * scale
+        yield None if figure is None else figure.n

@@ -20,7 +20,7 @@ from mirror.version import __version__
 from mirror_leaderboard.boards import UNVERIFIED, Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
 from mirror_leaderboard.measures import MEASURES
-from mirror_leaderboard.site.downloads import csv_file, encode_csv, encode_entry, entry_file
+from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, entry_file
 from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
@@ -63,7 +63,7 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
     boards = make_boards(entries)
     _copy_images(image_files(boards), image_folders, out / IMAGE_FOLDER)
     for board in boards:
-        write_bytes(out / csv_file(board), encode_csv(board))
+        write_bytes(out / csv_file(board), encode_board(board))
     for entry in entries:
         write_bytes(out / entry_file(entry), encode_entry(entry))
     page = out / "index.html"

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from hybridworldsim.simulator.ego.vehicle import Controls
 from hybridworldsim.simulator.simulation import start_simulation
 from hybridworldsim.simulator.street.street import Street
+from hybridworldsim.simulator.world import state_log
 from mirror.metrics.safety import StateLog
 from mirror.schema.rollout import Ending
 from mirror.schema.scenario import Scenario
@@ -18,7 +21,7 @@ class DrivenAgain:
     """What recorded controls lead to.
 
     Attributes:
-        log: the states.
+        log: the states of the ego and of the agents that are present at some instant.
         steps: number of controls that were driven.
         ending: why the rollout ended; None: the controls ended before it did.
         route_m: points (x, y) of the ego's route.
@@ -50,4 +53,6 @@ def drive_again(street: Street, scenario: Scenario, controls: Sequence[Controls]
         if ending is not None:
             break
     route = tuple((float(x), float(y)) for x, y in simulation.route.way.points)
-    return DrivenAgain(simulation.recorder.log(), simulation.now.step, ending, route)
+    snapshots = simulation.recorder.snapshots
+    seen = np.flatnonzero(np.any([shot.states.present for shot in snapshots], axis=0))
+    return DrivenAgain(state_log(snapshots, seen), simulation.now.step, ending, route)

@@ -22,7 +22,7 @@ from hybridworldsim.simulator.rollout.mosaic import bird_eye, mosaic
 from hybridworldsim.simulator.rollout.page import PAGE_FILE, write_page
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from hybridworldsim.simulator.street.street import Street
-from hybridworldsim.simulator.world import EGO, Snapshot
+from hybridworldsim.simulator.world import EGO, Snapshot, wrap_angles
 from mirror.arrays import UInt8
 from mirror.errors import MirrorError, UsageError
 from mirror.metrics.safety import StateLogWriter
@@ -242,7 +242,7 @@ def append_states(log: StateLogWriter, street: Street, snapshot: Snapshot) -> No
         "x_m": boxes[rows, 0],
         "y_m": boxes[rows, 1],
         "z_m": np.asarray(street.ground.height_m(boxes[rows, 0], boxes[rows, 1])),
-        "yaw_rad": np.remainder(boxes[rows, 2] + math.pi, 2.0 * math.pi) - math.pi,
+        "yaw_rad": wrap_angles(boxes[rows, 2]),
         "vx_mps": np.concatenate([[vx], states.vx_mps[rows[1:] - 1]]),
         "vy_mps": np.concatenate([[vy], states.vy_mps[rows[1:] - 1]]),
         "length_m": 2.0 * boxes[rows, 4],

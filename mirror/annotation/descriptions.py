@@ -17,6 +17,7 @@ from typing import Final, Protocol, get_args
 from mirror.annotation.detections import AnnotationError
 from mirror.annotation.frame_program import FrameProgram, program_settings
 from mirror.annotation.protocol import require_settings
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, MirrorError, UsageError
@@ -24,6 +25,7 @@ from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.light import Light
 from mirror.recordings.weather import WEATHER
+from mirror.schema.finished_work import hash_values
 from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 GROUP: Final = "mirror.describers"
@@ -95,6 +97,7 @@ class RecordedDescriber:
     """
 
     fingerprint = "recorded"
+    reads_images = False
 
     def __init__(self, dataset: Dataset) -> None:
         scenes = {row["scene_id"]: row for row in dataset.table("scenes").to_pylist()}
@@ -221,7 +224,8 @@ def describe_frames(
     Args:
         dataset: a dataset or a view.
         describer: describes the frames.
-        out: the file; the first line names its format and the describer.
+        out: the file; the first line names its format and the describer. A frame whose images, boxes or light have
+            changed since it was described gets a further line, which counts.
         progress: receives the number of frames.
 
     Raises:
@@ -230,7 +234,7 @@ def describe_frames(
     """
     progress = progress or NullProgress()
     header = {"format": FORMAT, "describer": describer.fingerprint}
-    known: set[tuple[str, int]] = set()
+    known: dict[tuple[str, int], str | None] = {}
     if out.exists():
         found = read_lines(out, decode_object)
         if not found or found[0] != header:
@@ -238,22 +242,34 @@ def describe_frames(
                 "not a file of descriptions by this describer", file=out, expected=f"{FORMAT}, {describer.fingerprint}",
                 remedy="name another file with --out",
             )  # fmt: skip
-        known = {(row["traversal_id"], row["timestamp_ns"]) for row in found[1:]}
+        known = {(row["traversal_id"], row["timestamp_ns"]): row.get("inputs") for row in found[1:]}
     else:
         append_line(out, json.dumps(header))
     report = DescriptionReport(str(out))
-    frames = dataset.frames()
-    progress.start("frames", len(frames))
-    for frame in frames:
-        if (frame.traversal_id, frame.timestamp_ns) in known:
-            report.kept += 1
-        elif (description := _describe(frame, describer, report, progress)) is not None:
-            row = {"traversal_id": frame.traversal_id, "frame_index": frame.frame_index}
-            row |= {"timestamp_ns": frame.timestamp_ns, **asdict(description)}
-            append_line(out, json.dumps(row))
-            report.frames += 1
-        progress.advance(1)
+    hashes = ContentHashes(dataset.store)
+    progress.start("frames", len(dataset.frames()))
+    for traversal_id in dataset.traversals():
+        view = dataset.where(traversal=traversal_id)
+        conditions = _hash_conditions(view, hashes)
+        for frame in view.frames():
+            inputs = hashes.frame(frame, conditions, images=getattr(describer, "reads_images", True))
+            if known.get((traversal_id, frame.timestamp_ns)) == inputs:
+                report.kept += 1
+            elif (description := _describe(frame, describer, report, progress)) is not None:
+                row = {"traversal_id": traversal_id, "frame_index": frame.frame_index}
+                row |= {"timestamp_ns": frame.timestamp_ns, **asdict(description), "inputs": inputs}
+                append_line(out, json.dumps(row))
+                report.frames += 1
+            progress.advance(1)
     return report
+
+
+def _hash_conditions(view: Dataset, hashes: ContentHashes) -> str:
+    """Hash what a description of the frames of one traversal depends on beside the images."""
+    row, scene = view.table("traversals").to_pylist()[0], view.table("scenes").to_pylist()[0]
+    boxes = {name: hashes.traversal(row["traversal_id"], [name]) for name in row["layers"] if name.startswith("boxes/")}
+    words = [row["light"], row["weather"], scene.get("scene_type"), scene.get("city")]
+    return hash_values(hashes.view(view), boxes, words)
 
 
 def _describe(

@@ -18,6 +18,8 @@ from mirror.schema.files import sha256_bytes
 class FileAnnotator:
     """Boxes by sample token."""
 
+    reads_images = False
+
     def __init__(self, path: Path, results: Mapping[str, list[dict[str, Any]]]) -> None:
         self.name, self.version = "file", "1"
         self.fingerprint = f"file {sha256_bytes(path.read_bytes())}"

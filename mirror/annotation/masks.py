@@ -13,14 +13,14 @@ import numpy as np
 from mirror.annotation.box_layer import choose_box_layer
 from mirror.annotation.tracking.options import group_of
 from mirror.arrays import Bool, Float64, UInt8
+from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image, Mask
-from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
-from mirror.dataset.lock import writer_lock
 from mirror.dataset.traversal import FrameBoxes
+from mirror.dataset.writing import writing_layers
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
@@ -30,6 +30,7 @@ from mirror.schema.tables import BOXES, MASKS
 
 _SHIFT = 4
 _FARTHEST_PX = 30_000.0
+_PROBLEM = "the masks were made with other options, of other boxes or of other images"
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def mask_layer(
 
     Raises:
         UsageError: there is no such layer of boxes, or there are several and none is named.
-        DatasetError: masks of this name were made with other options.
+        DatasetError: masks of this name were made with other options, of other boxes or of other recorded images.
     """
     options, progress = options or MaskOptions(), progress or NullProgress()
     layer = choose_box_layer(dataset, layer)
@@ -133,32 +134,32 @@ def mask_layer(
     layout = dataset.layout
     written, kept = [], []
     images, share = 0, 0.0
-    with writer_lock(layout, wait=False):
+    with writing_layers(layout):
         view = dataset.with_layers(boxes=layer)
         having = [name for name in view.traversals() if _boxes_manifest(layout, name, layer)]
-        pending = [name for name in having if not _has_masks(layout, name, new_source, version, digest)]
+        made_from = {
+            name: {"hulls": digest, layer: manifest_sha256(layout.layer(name, BOXES.name, source, own_version))}
+            for name in having
+        }
+        target = (MASKS.name, new_source, version)
+        pending = [name for name in having if not has_layer(layout, name, target, made_from[name], _PROBLEM)]
         kept = [name for name in having if name not in pending]
         progress.start("masks, frames", sum(len(view.where(traversal=name).frames()) for name in pending))
-        try:
-            for name in pending:
-                writer = LayerWriter(layout, name, MASKS.name, new_source, version)
-                rows = []
-                for frame in view.where(traversal=name).frames():
-                    for camera, mask in frame_masks(frame, options).items():
-                        stamp = frame.images[camera].timestamp_ns
-                        encoded = cv2.imencode(".png", mask)[1].tobytes()
-                        file = writer.file(f"{camera}/{stamp}.png", encoded)
-                        rows.append({"camera": camera, "timestamp_ns": stamp, "kind": "dynamic", **file})
-                        images += 1
-                        share += float((mask > 0).mean())
-                    progress.advance(1)
-                rows.sort(key=lambda row: tuple(row[key] for key in MASKS.sorted_by))
-                boxes = layout.layer(name, BOXES.name, source, own_version)
-                writer.finish(MASKS, rows, {"hulls": digest, layer: manifest_sha256(boxes)})
-                written.append(name)
-        finally:
-            if written:
-                build_index(layout.root)
+        for name in pending:
+            writer = LayerWriter(layout, name, MASKS.name, new_source, version)
+            rows = []
+            for frame in view.where(traversal=name).frames():
+                for camera, mask in frame_masks(frame, options).items():
+                    stamp = frame.images[camera].timestamp_ns
+                    encoded = cv2.imencode(".png", mask)[1].tobytes()
+                    file = writer.file(f"{camera}/{stamp}.png", encoded)
+                    rows.append({"camera": camera, "timestamp_ns": stamp, "kind": "dynamic", **file})
+                    images += 1
+                    share += float((mask > 0).mean())
+                progress.advance(1)
+            rows.sort(key=lambda row: tuple(row[key] for key in MASKS.sorted_by))
+            writer.finish(MASKS, rows, made_from[name])
+            written.append(name)
     return MaskReport(f"{new_source}@{version}", tuple(written), tuple(kept), images, share / images if images else 0.0)
 
 
@@ -206,18 +207,3 @@ def _road_users(boxes: FrameBoxes, options: MaskOptions) -> Bool:
 def _boxes_manifest(layout: Layout, traversal_id: str, layer: str) -> bool:
     source, _, version = layer.partition("@")
     return read_manifest(layout.layer(traversal_id, BOXES.name, source, version)) is not None
-
-
-def _has_masks(layout: Layout, traversal_id: str, source: str, version: str, digest: str) -> bool:
-    folder = layout.layer(traversal_id, MASKS.name, source, version)
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return False
-    if manifest.derived_from.get("hulls") != digest:
-        raise DatasetError(
-            "the masks were made with other options",
-            file=folder,
-            expected="the same margin, score and layers of poses and calibrations",
-            remedy="give the new layer another version: --version NAME",
-        )
-    return True

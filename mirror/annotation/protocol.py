@@ -21,6 +21,9 @@ class Annotator(Protocol):
         version: default version of the source.
         fingerprint: identifies all that its results depend on apart from the frames: weights, settings, files. A run
             that is resumed with another fingerprint begins again.
+
+    A resumed run takes the finished frames whose images have the same bytes. An annotator that opens no image may have
+    an attribute ``reads_images = False``; then no image is read for that comparison.
     """
 
     name: str

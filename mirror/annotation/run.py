@@ -5,25 +5,28 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
 
-from mirror.annotation.journal import Journal
+from mirror.annotation.detections import Detections
 from mirror.annotation.protocol import Annotator
+from mirror.dataset.content_hashes import ContentHashes, has_layer
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
-from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
-from mirror.dataset.layout import Layout, read_manifest
-from mirror.dataset.lock import writer_lock
-from mirror.errors import DatasetError, MirrorError
+from mirror.dataset.unfinished_work import ANNOTATION, work_folder
+from mirror.dataset.writing import writing_layers
+from mirror.errors import MirrorError
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.finished_work import FinishedWork
 from mirror.schema.tables import BOXES
 
-_WORK: Final = ".annotate"
+_PROBLEM: Final = "the layer was made by another annotator, by other settings, of other images, or by a person"
 
 
 @dataclass(frozen=True)
@@ -98,68 +101,77 @@ def annotate(
     report = AnnotationReport(f"{source}@{version}")
     layout = dataset.layout
     fingerprint = hashlib.sha256(annotator.fingerprint.encode()).hexdigest()
-    work = layout.root / _WORK / f"{report.layer}.{fingerprint[:16]}"
-    with writer_lock(layout, wait=False):
-        pending = []
-        for traversal_id in dataset.traversals():
-            if _has_layer(layout, traversal_id, source, version, fingerprint):
-                report.kept.append(traversal_id)
-            else:
-                pending.append(traversal_id)
+    target = (BOXES.name, source, version)
+    work = work_folder(layout, ANNOTATION, report.layer, fingerprint)
+    hashes = ContentHashes(dataset.store)
+    with writing_layers(layout):
+        names = dataset.traversals()
+        done = {name: has_layer(layout, name, target, {"annotator": fingerprint}, _PROBLEM) for name in names}
+        report.kept += [name for name in names if done[name]]
+        pending = [name for name in names if not done[name]]
         progress.start("frames", sum(len(dataset.where(traversal=name).frames()) for name in pending))
-        try:
-            for traversal_id in pending:
-                view = dataset.where(traversal=traversal_id)
-                writer = LayerWriter(layout, traversal_id, BOXES.name, source, version)
-                rows = _annotate_traversal(view, annotator, work / f"{traversal_id}.jsonl", report, progress)
-                if rows is None and not skip_failed:
-                    report.incomplete.append(traversal_id)
-                    continue
-                table = box_table(rows if rows is not None else _finished(work / f"{traversal_id}.jsonl"))
-                writer.finish(BOXES, table, {"annotator": fingerprint})
-                report.written.append(traversal_id)
-                report.boxes += table.num_rows
-                (work / f"{traversal_id}.jsonl").unlink(missing_ok=True)
-        finally:
-            if report.written:
-                build_index(layout.root)
-            if not report.failed and work.exists() and not any(work.iterdir()):
-                shutil.rmtree(work, ignore_errors=True)
+        for traversal_id in pending:
+            view = dataset.where(traversal=traversal_id)
+            writer = LayerWriter(layout, traversal_id, *target)
+            file = work / f"{traversal_id}.jsonl"
+            rows = _annotate_traversal(view, annotator, file, hashes, report, progress)
+            if len(rows) < len(view.frames()) and not skip_failed:
+                report.incomplete.append(traversal_id)
+                continue
+            table = box_table(rows)
+            writer.finish(BOXES, table, {"annotator": fingerprint})
+            report.written.append(traversal_id)
+            report.boxes += table.num_rows
+            file.unlink(missing_ok=True)
+        if not report.failed:
+            shutil.rmtree(work, ignore_errors=True)
+            with suppress(OSError):
+                work.parent.rmdir()
     return report
 
 
 def _annotate_traversal(
-    view: Dataset, annotator: Annotator, path: Path, report: AnnotationReport, progress: ProgressReporter
-) -> dict[int, list[dict[str, Any]]] | None:
-    """The rows of all frames by time; None: a frame failed."""
-    journal = Journal(path)
-    complete = True
+    view: Dataset,
+    annotator: Annotator,
+    file: Path,
+    hashes: ContentHashes,
+    report: AnnotationReport,
+    progress: ProgressReporter,
+) -> dict[int, list[dict[str, Any]]]:
+    """Find the boxes of all frames of one traversal.
+
+    Returns:
+        Rows of boxes by time of the frame, without the frames that failed.
+    """
+    finished: FinishedWork[list[dict[str, Any]]] = FinishedWork(file, list)
+    conditions = hashes.view(view)
+    reads_images = getattr(annotator, "reads_images", True)
+    rows = {}
     for frame in view.frames():
-        if frame.timestamp_ns in journal.rows:
+        hash_frame = partial(hashes.frame, frame, conditions, images=reads_images)
+        boxes = finished.find(str(frame.timestamp_ns), hash_frame)
+        if boxes is not None:
             report.resumed += 1
-        else:
-            complete = _annotate_frame(frame, annotator, journal, report, progress) and complete
+        elif (detections := _annotate_frame(frame, annotator, report, progress)) is not None:
+            boxes = detections.to_rows()
+            # A full disk is no failure of the frame: it ends the run.
+            finished.add(str(frame.timestamp_ns), hash_frame(), boxes, boxes)
+            report.frames += 1
+        if boxes is not None:
+            rows[frame.timestamp_ns] = boxes
         progress.advance(1)
-    return journal.rows if complete else None
+    return rows
 
 
 def _annotate_frame(
-    frame: Frame, annotator: Annotator, journal: Journal, report: AnnotationReport, progress: ProgressReporter
-) -> bool:
+    frame: Frame, annotator: Annotator, report: AnnotationReport, progress: ProgressReporter
+) -> Detections | None:
     try:
-        detections = annotator.annotate(frame)
+        return annotator.annotate(frame)
     except MirrorError as error:
         report.failed.append(FailedFrame(frame.traversal_id, frame.frame_index, str(error)))
         progress.message(f"frame {frame.frame_index} of {frame.traversal_id}: {error}")
-        return False
-    # A full disk is no failure of the frame: it ends the run.
-    journal.add(detections)
-    report.frames += 1
-    return True
-
-
-def _finished(path: Path) -> dict[int, list[dict[str, Any]]]:
-    return Journal(path).rows
+        return None
 
 
 def box_table(frames: dict[int, list[dict[str, Any]]]) -> pa.Table:
@@ -180,18 +192,3 @@ def box_table(frames: dict[int, list[dict[str, Any]]]) -> pa.Table:
 def _to_table(rows: Sequence[dict[str, Any]]) -> pa.Table:
     schema = pa.schema([item for item in BOXES.schema if item.name not in ("source", "source_version")])
     return pa.Table.from_pylist(list(rows), schema=schema)
-
-
-def _has_layer(layout: Layout, traversal_id: str, source: str, version: str, fingerprint: str) -> bool:
-    folder = layout.layer(traversal_id, BOXES.name, source, version)
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return False
-    if manifest.derived_from.get("annotator") != fingerprint:
-        raise DatasetError(
-            "the layer was made by another annotator, by other settings, or by a person; no layer is replaced",
-            file=folder,
-            expected="the same annotator, weights and settings",
-            remedy="give the new layer another version: --version NAME",
-        )
-    return True

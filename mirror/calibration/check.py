@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -20,11 +19,13 @@ from mirror.calibration.sampling import choose_frames, track_traversal
 from mirror.calibration.stages import StageHistory, compare_stages
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics, require_scipy
 from mirror.calibration.tracking import TrackingOptions
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, ExitCode, MirrorError, UsageError
 from mirror.geometry import interpolate
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
+from mirror.schema.finished_work import hash_values
 from mirror.schema.strict_json import decode_json
 
 METHOD: Final = "joint epipolar estimate, 1"
@@ -170,22 +171,36 @@ def check_calibration(
     reference = None if reference_poses is None else dataset.with_layers(poses=reference_poses)
     settings = json.dumps([METHOD, dataset.index_sha256, asdict(dataset.layers), reference_poses,
                            *(asdict(one) for one in (chosen, weights, tracker))])  # fmt: skip
-    key = hashlib.sha256(settings.encode()).hexdigest()[:16]
+    hashes = ContentHashes(dataset.store)
     reporter = progress or NullProgress()
     reporter.start("traversals", len(rows))
     checks = []
     for row in rows:
-        file = None if work is None else work / f"{key}.{row['traversal_id']}.json"
+        one = dataset.where(traversal=row["traversal_id"])
+        file = None
+        if work is not None:
+            images = _hash_images(one, chosen, hashes)
+            inputs = hash_values(settings, row["traversal_id"], hashes.rig(row["rig_id"]), images)
+            file = work / f"{inputs[:32]}.json"
         if file is not None and file.is_file():
             checks.append(_from_plain(decode_json(file.read_text())))
         else:
-            one = dataset.where(traversal=row["traversal_id"])
             other = None if reference is None else reference.where(traversal=row["traversal_id"])
             checks.append(_check_traversal(one, row, chosen, weights, tracker, other))
-            if file is not None:
+            # What could not be read is tried again by the next run.
+            if file is not None and checks[-1].status != "failed" and not checks[-1].unread:
                 write_bytes(file, json.dumps(asdict(checks[-1])).encode())
         reporter.advance(1)
     return CalibrationCheck(dataset.root, checks, _statistics(checks), compare_stages(dataset))
+
+
+def _hash_images(view: Dataset, choice: FrameChoice, hashes: ContentHashes) -> str:
+    """Hash the images that the check of a traversal reads; one that cannot be read has no hash."""
+    try:
+        return hash_values([hashes.frame(frame, "") for frame in choose_frames(view, choice)])
+    except MirrorError:
+        # The check states why no frames can be chosen; it reads no image then.
+        return ""
 
 
 def _check_traversal(

@@ -52,13 +52,9 @@ class InputOptions:
     pose_sigma_deg: float = 0.03
     """Noise of the recorded rotations, 1-sigma about each axis, degrees."""
 
-    def open(self, dataset: str | Path) -> Dataset:
-        """Open the part of a dataset that is read."""
-        import mirror
-
-        view = mirror.open(dataset).with_layers(
-            poses=self.poses, calibrations=self.calibrations, stage=self.stage, boxes=self.boxes
-        )
+    def choose(self, dataset: Dataset) -> Dataset:
+        """Choose the part of a dataset that is read."""
+        view = dataset.with_layers(poses=self.poses, calibrations=self.calibrations, stage=self.stage, boxes=self.boxes)
         return view if self.scene is None else view.where(scene=self.scene)
 
     def pose_prior(self) -> PosePrior:
@@ -128,13 +124,14 @@ def main(argv: Sequence[str]) -> int:
 def _check(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Check, argv, "mirror calibrate check", examples=_CHECK_EXAMPLES)
 
+    import mirror
     from mirror.calibration.check import check_calibration
     from mirror.calibration.frame_choice import FrameChoice
     from mirror.progress import progress_bar
     from mirror.schema.files import write_bytes
     from mirror.view.calibration_page import write_calibration_page
 
-    dataset = arguments.input.open(arguments.dataset)
+    dataset = arguments.input.choose(mirror.open(arguments.dataset))
     arguments.out.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=arguments.json) as bar:
         check = check_calibration(
@@ -186,9 +183,10 @@ def _refine(argv: Sequence[str]) -> int:
     from mirror.calibration.frame_choice import FrameChoice
     from mirror.calibration.refinement.rigs import RefinementPrior
     from mirror.calibration.refinement.run import DEFAULT_CHOICE, refine_calibrations
+    from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
-    dataset = arguments.input.open(arguments.dataset)
+    dataset = arguments.input.choose(open_to_write(arguments.dataset))
     choice = FrameChoice(frames=arguments.frames, step_m=arguments.step_m, step_deg=DEFAULT_CHOICE.step_deg)
     with progress_bar(quiet=arguments.json) as bar:
         report = refine_calibrations(

@@ -96,12 +96,12 @@ def main(argv: Sequence[str]) -> int:
 
     method = installed_method(arguments.method)
 
-    import mirror
+    from mirror.dataset.writing import open_to_write
     from mirror.methods.training_images import list_scored_training_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
-    dataset = mirror.open(arguments.dataset).with_layers(calibrations=arguments.calibrations)
+    dataset = open_to_write(arguments.dataset).with_layers(calibrations=arguments.calibrations)
     protocol = load_protocol(arguments.protocol)
     scaled = protocol.model_copy(
         update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}

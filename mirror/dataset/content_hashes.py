@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
-from mirror.dataset.layout import Layout, read_manifest
+from mirror.dataset.layout import MANIFEST, Layout, read_manifest
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
-from mirror.schema.documents import Rig
-from mirror.schema.finished_work import hash_inputs
+from mirror.schema.documents import Manifest, Rig
+from mirror.schema.finished_work import hash_values
 
 
 class ContentHashes:
-    """Hashes of files of one dataset, computed from their bytes; videos and masks of rigs are read once.
+    """Hashes of files of one dataset, computed from their bytes; videos, rigs and manifests are read once.
 
     Args:
         store: the dataset.
@@ -24,7 +25,7 @@ class ContentHashes:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._kept: dict[tuple[str, int, int], str] = {}
+        self._kept: dict[object, str] = {}
 
     def image(self, image: Image) -> str:
         """Hash an image: its bytes and, for a frame of a video, its presentation time stamp.
@@ -32,7 +33,7 @@ class ContentHashes:
         Raises:
             DatasetError: it cannot be read.
         """
-        return hash_inputs(self.image_bytes(vars(image)), image.video_pts)
+        return hash_values(self.image_bytes(vars(image)), image.video_pts)
 
     def image_bytes(self, row: Mapping[str, Any]) -> str:
         """Hash the bytes of an image; those of a frame of a video are the whole video.
@@ -62,6 +63,22 @@ class ContentHashes:
             self._kept[place] = digest
         return digest
 
+    def frame(self, frame: Frame, conditions: str, *, images: bool = True) -> str:
+        """Hash a frame: what it is read with, and its images; an image that cannot be read has no hash.
+
+        Args:
+            frame: the frame.
+            conditions: hash of everything else that is read, such as that of `view`.
+            images: False: nothing reads the images, and only their cameras and times are hashed.
+        """
+        found: list[object] = []
+        for camera, image in frame.images.items():
+            try:
+                found.append([camera, image.timestamp_ns, self.image(image) if images else None])
+            except DatasetError:
+                found.append([camera, image.timestamp_ns, None])
+        return hash_values(conditions, found)
+
     def file(self, path: str) -> str:
         """Hash a file of the dataset.
 
@@ -81,42 +98,81 @@ class ContentHashes:
         """
         if rig_id is None:
             return ""
-        place = (rig_id, 0, 0)
-        if place not in self._kept:
+        if rig_id not in self._kept:
             rig = self._store.json(f"rigs/{rig_id}.json", Rig)
             masks = [self.file(f"rigs/{one.static_mask}") for one in rig.cameras if one.static_mask is not None]
-            self._kept[place] = hash_inputs(rig.model_dump(mode="json"), masks)
-        return self._kept[place]
+            self._kept[rig_id] = hash_values(rig.model_dump(mode="json"), masks)
+        return self._kept[rig_id]
+
+    def folder(self, path: str) -> str:
+        """Read the hash of the contents of a complete folder.
+
+        Raises:
+            DatasetError: the folder has no manifest.
+        """
+        if path not in self._kept:
+            self._kept[path] = self._store.json(f"{path}/{MANIFEST}", Manifest).content
+        return self._kept[path]
+
+    def traversal(self, traversal_id: str, layers: Iterable[str]) -> dict[str, str]:
+        """Read the hashes of the recorded folder of a traversal and of some of its layers, by name.
+
+        Args:
+            traversal_id: the traversal.
+            layers: names ``kind/source@version``.
+
+        Raises:
+            DatasetError: a folder is not complete.
+        """
+        folder = f"traversals/{traversal_id}"
+        hashes = {f"traversal:{traversal_id}": self.folder(f"{folder}/recorded")}
+        return hashes | {f"{name}:{traversal_id}": self.folder(f"{folder}/layers/{name}") for name in layers}
+
+    def view(self, view: Dataset) -> str:
+        """Hash what a view of one traversal reads beside its images: recorded tables, chosen layers, and the rig.
+
+        Raises:
+            DatasetError: a file cannot be read.
+        """
+        (row,) = view.table("traversals", ["traversal_id", "rig_id", "layers"]).to_pylist()
+        chosen = {f"{kind}/{name}" for kind, name in vars(view.layers).items()}
+        layers = [name for name in row["layers"] if name in chosen]
+        return hash_values(self.traversal(row["traversal_id"], layers), self.rig(row["rig_id"]), view.layers.stage)
 
 
-def read_content(folder: Path) -> str:
-    """Read the hash of the contents of a complete folder.
-
-    Raises:
-        DatasetError: the folder has no manifest.
-    """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise DatasetError("the folder is not complete", file=folder, remedy="mirror check lists what is missing")
-    return manifest.content
-
-
-def traversal_contents(layout: Layout, traversal_id: str, layers: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Read the hashes of the recorded folder of a traversal and of some of its layers, by name.
+def has_layer(
+    layout: Layout, traversal_id: str, layer: tuple[str, str, str], made_from: Mapping[str, str], problem: str
+) -> bool:
+    """Whether a traversal has a layer already.
 
     Args:
         layout: the dataset.
         traversal_id: the traversal.
-        layers: kind and ``source@version`` of the layers.
+        layer: kind, source and version.
+        made_from: hashes of inputs that the layer must have been made from, by name; the recorded images are compared
+            too.
+        problem: words for the error.
 
     Raises:
-        DatasetError: a folder is not complete.
+        DatasetError: it has, and it was made from other inputs.
     """
-    hashes = {f"traversal:{traversal_id}": read_content(layout.recorded(traversal_id))}
-    for kind, name in layers:
-        source, _, version = name.partition("@")
-        hashes[f"{kind}/{name}:{traversal_id}"] = read_content(layout.layer(traversal_id, kind, source, version))
-    return hashes
+    folder = layout.layer(traversal_id, *layer)
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return False
+    recorded = ContentHashes(Store(layout.root)).folder(f"traversals/{traversal_id}/recorded")
+    differing = sorted(
+        name for name, value in {**made_from, "recorded": recorded}.items() if manifest.derived_from.get(name) != value
+    )
+    if differing:
+        raise DatasetError(
+            f"{problem}; no layer is replaced",
+            file=folder,
+            place=f"derived_from: {', '.join(differing)}",
+            expected="a layer of the same inputs",
+            remedy="give the new layer another version: --version NAME",
+        )
+    return True
 
 
 def _unreadable_error(store: Store, path: str, error: OSError) -> DatasetError:

@@ -10,15 +10,16 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.errors import DatasetError, MirrorError
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.evaluation.versions import list_versions
 from mirror.pools import process_pool
-from mirror.schema.json_lines import append_line, decode_object, read_lines
+from mirror.schema.finished_work import FinishedWork, hash_values
 
 _CHUNK: Final = 8
 _COMMON: Final = "key of all jobs"
@@ -49,32 +50,18 @@ class _JobOutcome:
     error: str | None
 
 
-class ScoreLog:
-    """Log of scored jobs, one JSON line each, in an append-only file, so that an interrupted run can be resumed.
+class ScoreLog(FinishedWork[Values]):
+    """The values of the jobs of this run and of earlier ones.
 
     Args:
-        path: file of the log.
+        path: the file; it need not exist.
 
     Raises:
         DatasetError: a line is broken.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.known: dict[str, tuple[str, dict[str, Any]]] = dict(read_lines(path, _decode_values))
-
-    def add(self, name: str, key: str, values: Values) -> None:
-        """Append a line.
-
-        Raises:
-            DatasetError: the file cannot be written.
-        """
-        append_line(self._path, json.dumps({"name": name, "key": key, "values": dict(values)}))
-
-
-def _decode_values(line: bytes) -> tuple[str, tuple[str, dict[str, Any]]]:
-    row = decode_object(line)
-    return row["name"], (row["key"], row["values"])
+        super().__init__(path, dict)
 
 
 def score_jobs(
@@ -100,9 +87,15 @@ def score_jobs(
     found: dict[str, _JobOutcome] = {}
     rest = []
     for job in jobs:
-        logged = log.known.get(job.name)
-        if logged is not None and logged[0] == job_key(job, inputs):
-            found[job.name] = _JobOutcome(job.name, *logged, None)
+        computed: list[str] = []
+
+        def hash_job(job: Job = job, computed: list[str] = computed) -> str:
+            computed.append(job_key(job, inputs))
+            return computed[0]
+
+        values = log.find(job.name, hash_job)
+        if values is not None:
+            found[job.name] = _JobOutcome(job.name, computed[0], values, None)
         else:
             rest.append(job)
     reused = len(found)
@@ -112,7 +105,7 @@ def score_jobs(
             for one in done:
                 found[one.name] = one
                 if one.values is not None:
-                    log.add(one.name, one.key, one.values)
+                    log.add(one.name, one.key, dict(one.values), one.values)
             advance(len(done))
     scored = tuple(ScoredJob(job, values) for job in jobs if (values := found[job.name].values) is not None)
     failed = {name: one.error for name, one in found.items() if one.error is not None}
@@ -126,11 +119,23 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         _common_key(inputs),
         [view.model_dump_json() for view in job.views],
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
+        [_traversal_key(view.traversal_id, inputs) for view in job.views],
         [inputs.hashes.get(path) for path in job.reads],
         [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
         job.fingerprint,
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _traversal_key(traversal_id: str, inputs: ScoringInputs) -> object:
+    """Hash what affects the scored masks and true images of a traversal beside its images, once in this process."""
+    name = f"key of {traversal_id}"
+    if name not in inputs.made:
+        hashes = ContentHashes(inputs.dataset.store)
+        view = inputs.dataset.where(traversal=traversal_id)
+        layers = sorted({layer.rpartition(":")[2] for layer in inputs.layers.get(traversal_id, ())})
+        inputs.made[name] = hash_values(hashes.view(view), hashes.traversal(traversal_id, layers))
+    return inputs.made[name]
 
 
 def _common_key(inputs: ScoringInputs) -> object:

@@ -120,8 +120,9 @@ def ingest_recordings(
             raise unwritable_error(Path(error.filename or out), error) from error
         finally:
             recover(layout)
-        if layout.document.exists():
-            build_index(layout.root)
+            # Ctrl-C and errors, too, leave an index of the drives that are complete.
+            if layout.document.exists():
+                build_index(layout.root)
     return run.report
 
 

@@ -27,7 +27,7 @@ from mirror.privacy.operators import Redaction
 from mirror.privacy.options import SkipRules
 from mirror.privacy.regions import Region
 from mirror.schema.documents import Document
-from mirror.schema.finished_work import FinishedWork, hash_inputs
+from mirror.schema.finished_work import FinishedWork, hash_values
 
 ImageKey = tuple[str, int]
 """Camera and timestamp_ns."""
@@ -79,12 +79,8 @@ class Detected(Document):
         return self.camera, self.timestamp_ns
 
 
-DetectionLog: TypeAlias = FinishedWork[Detected]
-"""The detections of a traversal so far; each is reused for the bytes, masks and regions that it was made from."""
-
-
-def open_log(path: Path) -> DetectionLog:
-    """Read the detections of an interrupted run; an added one is on disk before the next.
+class DetectionLog(FinishedWork[Detected]):
+    """The detections of a traversal so far; each is reused for the bytes, masks and regions that it was made from.
 
     Args:
         path: the file; it need not exist.
@@ -92,7 +88,9 @@ def open_log(path: Path) -> DetectionLog:
     Raises:
         DatasetError: a line is broken.
     """
-    return FinishedWork(path, Detected.model_validate, sync=True)
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, Detected.model_validate, sync=True)
 
 
 DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
@@ -148,7 +146,7 @@ def detect_images(
         if isinstance(answer, Failure):
             failures[task.key] = answer
         else:
-            inputs = hash_inputs(answer.sha256, _hash_conditions(task, hashes))
+            inputs = hash_values(answer.sha256, _hash_conditions(task, hashes))
             log.add(_item(task.key), inputs, answer.model_dump(mode="json"), answer)
             found[task.key] = answer
         advance(1)
@@ -160,7 +158,7 @@ def _item(key: ImageKey) -> str:
 
 
 def _hash_task(task: DetectionTask, hashes: ContentHashes) -> str:
-    return hash_inputs(hashes.image_bytes(task.row), _hash_conditions(task, hashes))
+    return hash_values(hashes.image_bytes(task.row), _hash_conditions(task, hashes))
 
 
 def _hash_conditions(task: DetectionTask, hashes: ContentHashes) -> str:
@@ -168,7 +166,7 @@ def _hash_conditions(task: DetectionTask, hashes: ContentHashes) -> str:
     masks = [None if path is None else hashes.file(path) for path in (task.ego_mask, task.sky_mask)]
     regions = [region.model_dump(mode="json") for region in task.regions]
     redaction = None if task.redaction is None else asdict(task.redaction)
-    return hash_inputs(masks, task.is_skipped, regions, redaction, task.row["codec"], task.row["video_pts"])
+    return hash_values(masks, task.is_skipped, regions, redaction, task.row["codec"], task.row["video_pts"])
 
 
 def make_search(root: str, choices: Sequence[DetectorChoice]) -> Callable[[DetectionTask], Detected]:

@@ -17,22 +17,23 @@ from typing import Any, Final
 import pyarrow.compute as pc
 
 import mirror
-from mirror.dataset.content_hashes import ContentHashes, read_content
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, read_manifest, require_dataset
-from mirror.dataset.lock import writer_lock
 from mirror.dataset.redaction import REDACTION
+from mirror.dataset.store import Store
 from mirror.dataset.unfinished_work import DEIDENTIFICATION, work_folder
+from mirror.dataset.writing import writing_layers
 from mirror.errors import DatasetError, ExitCode
 from mirror.guarded import Failure
 from mirror.privacy.detection import (
+    DetectionLog,
     DetectionPool,
     DetectionTask,
     ImageKey,
     detect_images,
     detection_pool,
-    open_log,
     used_masks,
 )
 from mirror.privacy.detectors.registry import describe, require_coverage
@@ -138,7 +139,7 @@ def deidentify(
     )  # fmt: skip
     bar = NullProgress() if progress is None else progress
     report = DeidentifyReport(options.version)
-    with writer_lock(layout, wait=wait):
+    with writing_layers(layout, wait=wait):
         build_index(layout.root)
         dataset = mirror.open(str(layout.root))
         chosen = dataset.traversals() if traversals is None else dataset.where(traversal=traversals).traversals()
@@ -155,7 +156,6 @@ def deidentify(
             shutil.rmtree(folder, ignore_errors=True)
             with suppress(OSError):
                 (layout.root / DEIDENTIFICATION).rmdir()
-        build_index(layout.root)
     return report
 
 
@@ -172,7 +172,9 @@ def _is_done(layout: Layout, traversal_id: str, configuration: Configuration, re
             expected="the same detectors, weights, thresholds, region of number plates and other options",
             remedy=remedy,
         )
-    if manifest.derived_from.get("recorded") != read_content(layout.recorded(traversal_id)):
+    if manifest.derived_from.get("recorded") != ContentHashes(Store(layout.root)).folder(
+        f"traversals/{traversal_id}/recorded"
+    ):
         raise DatasetError(
             "the layer was made from other recorded images", file=folder,
             expected="a layer of the images that the traversal has now", remedy=remedy,
@@ -192,7 +194,7 @@ def _traversal(
     report: DeidentifyReport,
     bar: ProgressReporter,
 ) -> None:
-    log = open_log(folder / f"{traversal_id}.jsonl")
+    log = DetectionLog(folder / f"{traversal_id}.jsonl")
     hashes = ContentHashes(dataset.store)
     tasks = _tasks(layout, dataset, traversal_id, options)
     searched, failures = detect_images(tasks, pool, log, hashes, bar.advance)
@@ -251,7 +253,7 @@ def _repeat(
             for task in tasks
             if task.key in changed
         ]
-        log = open_log(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
+        log = DetectionLog(folder / f"{traversal_id}.{configuration.sha256[:16]}.{number + 1}.jsonl")
         searched, failed = detect_images(again, pool, log, hashes, lambda steps: None)
         failures |= failed
         if failed and not options.withhold_failed:

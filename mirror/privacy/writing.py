@@ -24,7 +24,7 @@ from mirror.privacy.encoding import RedactedImage
 from mirror.privacy.log import LOG, DetectorRecord, ImageRecord, encode_log
 from mirror.privacy.operators import Redaction
 from mirror.privacy.regions import Region
-from mirror.schema.finished_work import hash_inputs
+from mirror.schema.finished_work import hash_values
 from mirror.schema.tables import IMAGES, MASKS
 
 SOURCE: Final = "deidentify"
@@ -127,7 +127,7 @@ def _hash_searched(rows: Mapping[ImageKey, Mapping[str, Any]], regions: Mapping[
         [*key, rows[key]["sha256"].hex(), [region.model_dump(mode="json") for region in regions[key]]]
         for key in sorted(rows)
     ]
-    return hash_inputs(found)
+    return hash_values(found)
 
 
 def _mask_writer(

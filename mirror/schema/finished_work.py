@@ -27,19 +27,22 @@ class FinishedWork(Generic[Result]):
         decode: makes a result of its plain values; raises `ValueError` or `KeyError` for broken ones.
         sync: whether an added item is on disk, and not in the system's memory alone, when `add` returns.
 
+    Attributes:
+        known: the hash of the inputs and the result of each finished item.
+
     Raises:
         DatasetError: a line is broken.
     """
 
     def __init__(self, path: Path, decode: Callable[[Any], Result], *, sync: bool = False) -> None:
         self._path, self._sync = path, sync
-        self._found: dict[str, tuple[str, Result]] = {}
+        self.known: dict[str, tuple[str, Result]] = {}
 
         def decode_line(line: bytes) -> None:
             row = decode_object(line)
             # A line of an earlier version states no inputs: its item is made again.
             if "inputs" in row:
-                self._found[row["item"]] = row["inputs"], decode(row["result"])
+                self.known[row["item"]] = row["inputs"], decode(row["result"])
 
         read_lines(path, decode_line)
 
@@ -51,9 +54,9 @@ class FinishedWork(Generic[Result]):
             hash_inputs: computes the hash of the inputs; it is called only if the item has a result. Where it raises
                 `DatasetError`, such as for an image that cannot be read, there is no result.
         """
-        if item not in self._found:
+        if item not in self.known:
             return None
-        inputs, result = self._found[item]
+        inputs, result = self.known[item]
         try:
             return result if inputs == hash_inputs() else None
         except DatasetError:
@@ -73,9 +76,9 @@ class FinishedWork(Generic[Result]):
             DatasetError: the file cannot be written.
         """
         append_line(self._path, json.dumps({"item": item, "inputs": inputs, "result": plain}), sync=self._sync)
-        self._found[item] = inputs, result
+        self.known[item] = inputs, result
 
 
-def hash_inputs(*parts: object) -> str:
+def hash_values(*values: object) -> str:
     """SHA-256 of values of JSON, in hexadecimal."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +102,6 @@ def test_an_interrupted_check_continues(dataset: Dataset, tmp_path: Path, monkey
 
 
 def test_unreadable_images_are_reported(dataset: Dataset, tmp_path: Path) -> None:
-    import shutil
-
     root = tmp_path / "copy"
     shutil.copytree(dataset.root, root)
     copy = mirror.open(root)
@@ -134,3 +133,21 @@ def test_the_page_and_the_verb(
     assert (tmp_path / "out" / "report.html").is_file()
     assert main(["calibrate", "check", dataset.root, "--out", str(tmp_path / "out"), "--step-m", "2"]) == 1
     assert "roll unobservable: straight driving" in capsys.readouterr().out
+
+
+def test_a_traversal_with_other_bytes_is_checked_again(dataset: Dataset, tmp_path: Path) -> None:
+    root = tmp_path / "copy"
+    shutil.copytree(dataset.root, root)
+    copy = mirror.open(root)
+    copy = copy.where(traversal=copy.traversals()[0])
+    image = copy.frames()[5].images["front_wide"]
+    whole = (root / image.uri).read_bytes()
+    first = check_calibration(copy, choice=CHOICE, work=tmp_path / "work")
+    # What could not be read is no result: the next check reads it again.
+    (root / image.uri).unlink()
+    (root / image.uri).write_bytes(b"\0" * image.byte_length)
+    broken = check_calibration(copy, choice=CHOICE, work=tmp_path / "work")
+    assert len(broken.traversals[0].unread) == 1 and not first.traversals[0].unread
+    assert len(list((tmp_path / "work").iterdir())) == 1
+    (root / image.uri).write_bytes(whole)
+    assert check_calibration(copy, choice=CHOICE, work=tmp_path / "work").traversals == first.traversals

@@ -21,6 +21,7 @@ from mirror.errors import DatasetError, ExitCode
 from mirror.geometry import Poses, matrix_from_quaternion
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
 from tests.dataset.builders import Builder, Pass
+from tests.other_bytes import give_other_bytes
 
 CAMERAS = ("front_wide", "front_narrow", "rear")
 ERRORS_DEG = {"front_wide": np.array([0.1, 0.3, -0.4]), "front_narrow": np.array([-0.3, -0.2, 0.5])}
@@ -212,3 +213,20 @@ def test_a_scene_without_matches_is_not_refined(made: Path, tmp_path: Path) -> N
     assert report.traversals[0].status == "not refined"
     assert "seen from two places" in (report.traversals[0].message or "")
     assert not list(root.glob("traversals/*/layers/calibrations/refined*"))
+
+
+def test_features_of_other_bytes_are_found_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = tmp_path / "ds"
+    shutil.copytree(made, root)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mirror.calibration.refinement.run.choose_pairs", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        refine_calibrations(mirror.open(root), choice=CHOICE)
+    before = set(root.glob(".refine/*/*.npz"))
+    give_other_bytes(root, mirror.open(root).frames()[3].images["front_wide"])
+    with pytest.raises(KeyboardInterrupt):
+        refine_calibrations(mirror.open(root), choice=CHOICE)
+    assert len(set(root.glob(".refine/*/*.npz")) - before) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import shutil
 import zlib
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import RenderView
 from tests.evaluation.png_chunks import chunk, png
 from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.other_bytes import give_other_bytes
 
 ALONE = EvaluationOptions(workers=1)
 
@@ -275,3 +277,31 @@ def test_st_lpips_replaces_lpips_under_its_own_name(root: Path, dataset: Dataset
     value = next(figure.value for figure in done.result.figures if figure.level == "group")
     assert value is not None
     assert 0.0 < value < 1.0
+
+
+def test_a_changed_truth_is_scored_again_though_no_table_says_so(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+    protocol = small(every=5)
+    plan = write_renders(dataset, protocol, tmp_path / "s", noisy(4))
+    copy = Path(shutil.copytree(root, tmp_path / "dataset"))
+    first = evaluate(tmp_path / "s", copy, protocol, SPLIT, tmp_path / "out", ALONE)
+    _, image = GroundTruth(dataset, protocol, plan.layers).recorded_frame_and_image(plan.views[0])
+    give_other_bytes(copy, image)
+    again = evaluate(tmp_path / "s", copy, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert again.reused == first.reused + len(plan.views) - 1
+    fresh = evaluate(tmp_path / "s", copy, protocol, SPLIT, tmp_path / "fresh", ALONE)
+    assert fresh.result == again.result != first.result
+
+
+def test_a_changed_static_mask_is_scored_again(root: Path, dataset: Dataset, tmp_path: Path) -> None:
+    protocol = small(every=5)
+    write_renders(dataset, protocol, tmp_path / "s", noisy(4))
+    copy = Path(shutil.copytree(root, tmp_path / "dataset"))
+    evaluate(tmp_path / "s", copy, protocol, SPLIT, tmp_path / "out", ALONE)
+    for mask in copy.glob("rigs/*.png"):
+        height, width = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE).shape
+        half = np.zeros((height, width), np.uint8)
+        half[height // 2 :] = 255
+        mask.unlink()
+        cv2.imwrite(str(mask), half)
+    again = evaluate(tmp_path / "s", copy, protocol, SPLIT, tmp_path / "out", ALONE)
+    assert again.reused == 0

@@ -27,9 +27,12 @@ from mirror.integrity.run import check
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
 from mirror.schema.documents import NovelTraversal
-from mirror.schema.tables import MASKS
+from mirror.schema.files import read_table
+from mirror.schema.tables import IMAGES, MASKS
 from mirror.weights.resolve import WeightsUnavailableError
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.killed_after_a_layer import require_resumable
+from tests.other_bytes import give_other_bytes
 
 CAMERAS = ("front_wide", "front_left")
 
@@ -239,3 +242,35 @@ def test_learned_estimator_loads_its_weights(
     made = sorted(dataset.glob("traversals/*/layers/depth/patchmatchnet@s/manifest.json"))
     own = hashlib.sha256(repr(make_estimator("patchmatchnet")).encode()).hexdigest()
     assert [json.loads(path.read_text())["derived_from"]["estimator"] for path in made] == [own, own]
+
+
+def test_depth_of_other_bytes_is_estimated_again(dataset: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+    image = mirror.open(dataset).where(split="s", role="train").frames()[0].images["front_wide"]
+    give_other_bytes(dataset, image)
+    estimator = LevelRoad()
+    initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
+    # Its own depth map, and those that it was a source of.
+    assert 20 - 7 < estimator.calls <= 20
+    assert not (dataset / ".mvs").exists() or not any((dataset / ".mvs").iterdir())
+
+
+def test_depth_of_images_before_their_redaction_is_not_used(dataset: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+    layout = Layout(dataset)
+    for name in mirror.open(dataset).where(split="s", role="train").traversals():
+        rows = read_table(layout.recorded(name) / "images.parquet", IMAGES).to_pylist()
+        writer = LayerWriter(layout, name, "redaction", "deidentify", "1")
+        grey = bytes(cv2.imencode(".jpg", np.full((64, 96, 3), 99, np.uint8))[1])
+        redacted = [{**row, **writer.file(f"{row['camera']}/{row['timestamp_ns']}.jpg", grey)} for row in rows]
+        writer.finish(IMAGES, [{**row, "privacy": "redacted"} for row in redacted], {})
+    build_index(dataset)
+    estimator = LevelRoad()
+    initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
+    assert estimator.calls == 20
+
+
+def test_depth_continues_after_a_kill(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    require_resumable(dataset, ["depth", str(dataset), "--split", "s", "--method", "sparse"], monkeypatch)

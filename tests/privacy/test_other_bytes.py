@@ -27,7 +27,8 @@ from mirror.schema.documents import ImageTotals
 from mirror.schema.files import encode_table, read_table, write_bytes
 from mirror.schema.tables import IMAGES
 from tests.dataset.builders import SECOND, Builder, Pass
-from tests.privacy.conftest import RED, marked, options
+from tests.killed_after_a_layer import require_resumable
+from tests.privacy.conftest import RED, make_dataset, marked, options
 from tests.privacy.images import jpeg
 
 BEFORE, AFTER = (20, 10, 36, 30), (80, 40, 96, 60)
@@ -195,3 +196,11 @@ def test_a_release_has_no_hash_of_originals(dataset: Path, tmp_path: Path) -> No
     lines[0]["source_sha256"] = sorted(sources)[0]
     (release / "redaction_log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     assert "REL005" in {one.rule_id for one in check_release(release).findings}
+
+
+def test_deidentify_continues_after_a_kill_and_leaves_a_valid_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_dataset(tmp_path / "dataset", frames=1)
+    words = ["deidentify", str(tmp_path / "dataset"), "--detector", "faces", "--detector", "plates"]
+    require_resumable(tmp_path / "dataset", [*words, "--plate-region", "XX", "--workers", "1"], monkeypatch)

@@ -41,13 +41,13 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror depth", examples=_EXAMPLES)
 
-    import mirror
     from hybridworldsim.mvs.run import initialise
+    from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
     with progress_bar(quiet=False) as bar:
         report = initialise(
-            mirror.open(arguments.dataset),
+            open_to_write(arguments.dataset),
             arguments.split,
             method=arguments.method,
             weights=arguments.weights,

@@ -14,11 +14,9 @@ from hybridworldsim.mvs.methods import SPARSE, make_estimator
 from hybridworldsim.mvs.options import InitialisationOptions
 from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from hybridworldsim.mvs.writing.scene import SceneInitialisation
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.index import build_index
-from mirror.dataset.layout import read_manifest
-from mirror.dataset.lock import writer_lock
-from mirror.errors import DatasetError
+from mirror.dataset.writing import writing_layers
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
 
@@ -97,15 +95,8 @@ def initialise(
     if all(layers.is_complete(traversal_id) for traversal_id in view.traversals()):
         # Nothing is written, so no lock is needed: parallel runs may share complete layers.
         return _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
-    with writer_lock(view.layout, wait=False):
-        try:
-            report = _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
-        finally:
-            # An interrupted run indexes its complete layers too, so that the dataset opens and the next run continues.
-            reporter.start("index", 1)
-            build_index(view.layout.root)
-            reporter.advance(1)
-    return report
+    with writing_layers(view.layout):
+        return _initialise_scenes(view, layers, chosen, estimator, withheld, reporter)
 
 
 def _hash_inputs(
@@ -122,15 +113,14 @@ def _hash_inputs(
     names = {(traversal_id, name) for traversal_id, layers in rows for name in layers}
     chosen = {f"poses/{view.layers.poses}", f"calibrations/{view.layers.calibrations}"}
     mask_layers = {f"masks/{name}" for name in _find_mask_layers(view)}
+    contents = ContentHashes(view.store)
     for traversal_id in view.traversals():
-        hashes[f"traversal:{traversal_id}"] = _read_content_hash(view.layout.recorded(traversal_id))
-    for traversal_id, name in sorted(names):
-        kind, _, layer = name.partition("/")
-        if kind == "boxes" or name in chosen | mask_layers:
-            source, _, version = layer.partition("@")
-            hashes[f"{name}:{traversal_id}"] = _read_content_hash(
-                view.layout.layer(traversal_id, kind, source, version)
-            )
+        read = [
+            name
+            for owner, name in sorted(names)
+            if owner == traversal_id and (name.startswith("boxes/") or name in chosen | mask_layers)
+        ]
+        hashes |= contents.traversal(traversal_id, read)
     return hashes
 
 
@@ -139,18 +129,6 @@ def _find_mask_layers(view: Dataset) -> set[str]:
     columns = view.table("masks", ["kind", "source", "source_version"]).columns
     rows = set(zip(*(column.to_pylist() for column in columns)))
     return {f"{source}@{version}" for kind, source, version in rows if kind in ("ego", "dynamic", "redaction")}
-
-
-def _read_content_hash(folder: Path) -> str:
-    """Read the content hash of a complete folder.
-
-    Raises:
-        DatasetError: the folder has no manifest.
-    """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise DatasetError("the folder is not complete", file=folder, remedy="mirror check lists the missing files")
-    return manifest.content
 
 
 def _digest(text: str) -> str:

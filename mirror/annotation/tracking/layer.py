@@ -13,15 +13,16 @@ from mirror.annotation.run import box_table
 from mirror.annotation.tracking.options import TrackingOptions
 from mirror.annotation.tracking.static import merge_stationary
 from mirror.annotation.tracking.tracker import Track, find_tracks, to_frames
+from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
-from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
-from mirror.dataset.lock import writer_lock
-from mirror.errors import DatasetError
+from mirror.dataset.layout import manifest_sha256
+from mirror.dataset.writing import writing_layers
 from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.tables import BOXES
+
+_PROBLEM = "the layer was made with other options or of other boxes"
 
 
 @dataclass(frozen=True)
@@ -78,32 +79,33 @@ def track_layer(
     digest = hashlib.sha256(settings.encode()).hexdigest()
     layout = dataset.layout
     counts: dict[str, int] = dict.fromkeys(("detections", "boxes", "tracks", "stationary"), 0)
-    with writer_lock(layout, wait=False):
+    with writing_layers(layout):
         frames = read_box_layer(dataset, layer)
-        names = {name: _has_layer(layout, name, new_source, version, digest) for name in frames}
+        made_from = {
+            name: {"tracking": digest, layer: manifest_sha256(layout.layer(name, BOXES.name, source, own_version))}
+            for name in frames
+        }
+        target = (BOXES.name, new_source, version)
+        names = {name: has_layer(layout, name, target, made_from[name], _PROBLEM) for name in frames}
         written = [name for name, exists in names.items() if not exists]
         if written:
             progress.start("tracking, traversals", len(frames))
-            try:
-                for scene in dataset.scenes():
-                    own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
-                    if not set(own) & set(written):
-                        continue
-                    poses = {name: ego_poses_at(dataset, name, frames[name]) for name in own}
-                    tracked = _track_scene({name: frames[name] for name in own}, poses, options, progress)
-                    for name in own:
-                        if name in written:
-                            writer = LayerWriter(layout, name, BOXES.name, new_source, version)
-                            boxes = to_frames(tracked[name], frames[name], poses[name])
-                            table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
-                            folder = layout.layer(name, BOXES.name, source, own_version)
-                            writer.finish(BOXES, table, {"tracking": digest, layer: manifest_sha256(folder)})
-                            counts["detections"] += sum(map(len, frames[name]))
-                            counts["boxes"] += table.num_rows
-                            counts["tracks"] += len(tracked[name])
-                            counts["stationary"] += sum(item.stationary for item in tracked[name])
-            finally:
-                build_index(layout.root)
+            for scene in dataset.scenes():
+                own = [name for name in dataset.where(scene=scene).traversals() if name in frames]
+                if not set(own) & set(written):
+                    continue
+                poses = {name: ego_poses_at(dataset, name, frames[name]) for name in own}
+                tracked = _track_scene({name: frames[name] for name in own}, poses, options, progress)
+                for name in own:
+                    if name in written:
+                        writer = LayerWriter(layout, name, BOXES.name, new_source, version)
+                        boxes = to_frames(tracked[name], frames[name], poses[name])
+                        table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
+                        writer.finish(BOXES, table, made_from[name])
+                        counts["detections"] += sum(map(len, frames[name]))
+                        counts["boxes"] += table.num_rows
+                        counts["tracks"] += len(tracked[name])
+                        counts["stationary"] += sum(item.stationary for item in tracked[name])
     kept = tuple(name for name, exists in names.items() if exists)
     return TrackingReport(f"{new_source}@{version}", tuple(written), kept, **counts)
 
@@ -120,18 +122,3 @@ def _track_scene(
         tracks[name] = find_tracks(detections, poses[name], options)
         progress.advance(1)
     return merge_stationary(tracks)
-
-
-def _has_layer(layout: Layout, traversal_id: str, source: str, version: str, digest: str) -> bool:
-    folder = layout.layer(traversal_id, BOXES.name, source, version)
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return False
-    if manifest.derived_from.get("tracking") != digest:
-        raise DatasetError(
-            "the layer was made with other options",
-            file=folder,
-            expected="the same options and layer of poses",
-            remedy="give the new layer another version: --version NAME",
-        )
-    return True

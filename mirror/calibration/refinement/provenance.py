@@ -6,9 +6,9 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Final
 
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.redaction import REDACTION, newest_redaction
@@ -31,15 +31,13 @@ def hash_inputs(view: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
     """
     text = json.dumps({**settings, "layers": asdict(view.layers)}, sort_keys=True)
     hashes = {"settings": hashlib.sha256(text.encode()).hexdigest()}
+    contents = ContentHashes(view.store)
     for traversal_id in view.traversals():
-        hashes[f"traversal:{traversal_id}"] = _content(view.layout.recorded(traversal_id))
-        for kind, name in _input_layers(view, traversal_id):
-            source, _, version = name.partition("@")
-            hashes[f"{kind}/{name}:{traversal_id}"] = _content(view.layout.layer(traversal_id, kind, source, version))
+        layers = [f"{kind}/{name}" for kind, name in _input_layers(view, traversal_id)]
         redaction = newest_redaction(view.layout.layers(traversal_id))
         if redaction is not None:
-            name = f"{REDACTION}/{redaction[0]}@{redaction[1]}:{traversal_id}"
-            hashes[name] = _content(view.layout.layer(traversal_id, REDACTION, *redaction))
+            layers.append(f"{REDACTION}/{redaction[0]}@{redaction[1]}")
+        hashes |= contents.traversal(traversal_id, layers)
     return hashes
 
 
@@ -73,10 +71,3 @@ def _input_layers(view: Dataset, traversal_id: str) -> list[tuple[str, str]]:
         for kind, name in there
         if kind in _KINDS and (chosen.get(kind, name) or name) == name
     ]  # fmt: skip
-
-
-def _content(folder: Path) -> str:
-    manifest = read_manifest(folder)
-    if manifest is None:
-        raise DatasetError("the folder is not complete", file=folder, remedy="mirror check lists what is missing")
-    return manifest.content

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
@@ -23,13 +21,13 @@ from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gath
 from mirror.calibration.refinement.summary import CameraRefinement, summarise
 from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.index.build import build_index
-from mirror.dataset.lock import writer_lock
+from mirror.dataset.unfinished_work import REFINEMENT, work_folder
+from mirror.dataset.writing import writing_layers
 from mirror.errors import MirrorError, UsageError
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.finished_work import hash_values
 
 DEFAULT_CHOICE: Final = FrameChoice(frames=12, step_m=2.0, step_deg=8.0)
-_WORK: Final = ".refine"
 
 
 @dataclass(frozen=True)
@@ -73,17 +71,15 @@ def refine_calibrations(
     if not rows:
         raise UsageError("no traversal has images", expected="images to refine the calibrations with")
     layout = dataset.layout
-    with writer_lock(layout, wait=False):
+    with writing_layers(layout):
         try:
             for scene in sorted({row["scene_id"] for row in rows}):
                 own = [row["traversal_id"] for row in rows if row["scene_id"] == scene]
                 refinement = _SceneRefinement(dataset.where(traversal=own), scene, version, settings, report)
                 refinement.run(reporter or NullProgress())
         finally:
-            if any(item.status == "refined" for item in report.traversals):
-                build_index(layout.root)
             with suppress(OSError):
-                (layout.root / _WORK).rmdir()
+                (layout.root / REFINEMENT).rmdir()
     return report
 
 
@@ -100,8 +96,7 @@ class _SceneRefinement:
     @property
     def work(self) -> Path:
         """Folder of unfinished work; other inputs get another one."""
-        digest = hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()[:16]
-        return self.view.layout.root / _WORK / f"{SOURCE}@{self.version}.{digest}"
+        return work_folder(self.view.layout, REFINEMENT, f"{SOURCE}@{self.version}", hash_values(self.inputs))
 
     def run(self, reporter: ProgressReporter) -> None:
         """Refine the traversals that have no layer yet, together with those that have one."""
@@ -118,7 +113,7 @@ class _SceneRefinement:
         if any(item.problem is None and item.traversal_id in self.missing for item in items):
             reporter.start(f"{self.scene}: features", sum(len(one.images) for item in items for one in item.frames))
             for item in items:
-                read_features(item, self.settings.matching.features, self.work, reporter.advance)
+                read_features(item, self.settings.matching.features, self.view.store, self.work, reporter.advance)
             usable = [item for item in items if item.problem is None]
             try:
                 joined, cameras = self._adjust(usable, reporter)

@@ -15,9 +15,11 @@ from mirror.calibration.refinement.features import Features, find_features
 from mirror.calibration.refinement.rigs import MovingRigs
 from mirror.calibration.sampling import choose_frames, stack_poses, static_pixels
 from mirror.calibration.tracking import TrackedImage
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
+from mirror.dataset.store import Store
 from mirror.dataset.traversal import Calibration
 from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.schema.documents import Rig
@@ -71,19 +73,21 @@ def open_traversal(view: Dataset, choice: FrameChoice) -> TraversalImages:
     return item
 
 
-def read_features(item: TraversalImages, most: int, work: Path, advance: Callable[[int], None]) -> None:
-    """Find the features of a traversal's images, or read them from an earlier run that was interrupted.
+def read_features(item: TraversalImages, most: int, store: Store, work: Path, advance: Callable[[int], None]) -> None:
+    """Find the features of a traversal's images, or read those that an interrupted run found in the same bytes.
 
     Args:
         item: the traversal; gets images, features and the messages of unreadable images.
         most: largest number of features of an image.
-        work: folder of unfinished work.
+        store: the dataset.
+        work: folder of unfinished work, for the same masks, boxes and settings.
         advance: is called with 1 after each image.
     """
+    hashes = ContentHashes(store)
     for number, frame in enumerate(item.frames):
         for name, image in sorted(frame.images.items()):
-            file = work / f"{item.traversal_id}.{name}.{image.timestamp_ns}.npz"
             try:
+                file = work / f"{item.traversal_id}.{name}.{image.timestamp_ns}.{hashes.image(image)[:32]}.npz"
                 features = _read_features(file) if file.is_file() else _find_features(frame, image, most, file)
                 item.images.append((number, image))
                 item.features.append(features)

@@ -62,11 +62,11 @@ def run(argv: Sequence[str]) -> int:
 
     installed = installed_annotator(arguments.annotator)
 
-    import mirror
     from mirror.annotation.run import annotate
+    from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_to_write(arguments.dataset)
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
     annotator = installed.open(dataset, parse_settings(arguments.set), arguments.device)

@@ -42,14 +42,14 @@ def run(argv: Sequence[str]) -> int:
     """Write masks of road users."""
     arguments = parse_arguments(MaskArguments, argv, "mirror annotate masks", examples=_EXAMPLES)
 
-    import mirror
     from mirror.annotation.masks import MaskOptions, mask_layer
+    from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
     options = MaskOptions(arguments.margin, arguments.min_score)
     with progress_bar(quiet=arguments.json) as bar:
         report = mask_layer(
-            mirror.open(arguments.dataset), arguments.boxes, options, version=arguments.version, progress=bar
+            open_to_write(arguments.dataset), arguments.boxes, options, version=arguments.version, progress=bar
         )
     if arguments.json:
         print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))

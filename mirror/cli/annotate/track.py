@@ -40,13 +40,17 @@ def run(argv: Sequence[str]) -> int:
     """Make tracks of a layer of boxes."""
     arguments = parse_arguments(TrackArguments, argv, "mirror annotate track", examples=_EXAMPLES)
 
-    import mirror
     from mirror.annotation.tracking.layer import track_layer
+    from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
     with progress_bar(quiet=arguments.json) as bar:
         report = track_layer(
-            mirror.open(arguments.dataset), arguments.boxes, arguments.options, version=arguments.version, progress=bar
+            open_to_write(arguments.dataset),
+            arguments.boxes,
+            arguments.options,
+            version=arguments.version,
+            progress=bar,
         )
     if arguments.json:
         print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.arrays import Bool, UInt8
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame, FrameSequence
 from mirror.dataset.image import Image
@@ -38,6 +39,7 @@ class GroundTruth:
         self._dataset, self._protocol, self._layers, self._hidden = dataset, protocol, layers, hidden
         self._traversals: OrderedDict[str, tuple[FrameSequence, dict[int, int]]] = OrderedDict()
         self._frame: tuple[str, Frame] | None = None
+        self._hashes = ContentHashes(dataset.store)
 
     def image(self, view: RenderView) -> UInt8:
         """Read the true image (H, W, 3), RGB, in the view's raster.
@@ -78,9 +80,7 @@ class GroundTruth:
         if self._hidden is not None:
             return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
         _, image = self.recorded_frame_and_image(view)
-        if image.sha256 is not None:
-            return image.sha256.hex()
-        return hashlib.sha256(f"{image.uri} {image.video_pts} {image.byte_length}".encode()).hexdigest()
+        return self._hashes.image(image)
 
     def recorded_frame_and_image(self, view: RenderView) -> tuple[Frame, Image]:
         """The recorded frame and image that a view was planned from.

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.redaction import REDACTION, current_redaction
+from mirror.dataset.unfinished_work import DEPTH, work_folder
 from mirror.errors import DatasetError
-
-_WORK: Final = ".mvs"
+from mirror.schema.finished_work import hash_values
 
 
 @dataclass(frozen=True)
@@ -43,8 +40,7 @@ class InitialisationLayers:
     @property
     def work_folder(self) -> Path:
         """The folder of unfinished work, which is kept until all layers are complete; other inputs get another one."""
-        digest = hashlib.sha256(json.dumps(dict(self.input_hashes), sort_keys=True).encode()).hexdigest()
-        return self.layout.root / _WORK / f"{self.name}.{digest[:16]}"
+        return work_folder(self.layout, DEPTH, self.name, hash_values(dict(self.input_hashes)))
 
     def folder(self, traversal_id: str, kind: str) -> Path:
         """The folder of one layer."""

@@ -22,12 +22,14 @@ from hybridworldsim.mvs.sky import find_sky
 from hybridworldsim.mvs.sparse import triangulate
 from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from mirror.arrays import AnyArray, Bool, Float32, Float64
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.images.depth_codec import decode_depth, encode_depth
 from mirror.errors import DatasetError
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 from mirror.schema.files import read_table, write_bytes
+from mirror.schema.finished_work import hash_values
 from mirror.schema.tables import DEPTH, MASKS, POINTS
 
 _MAX_CACHED_MAPS: Final = 512
@@ -78,6 +80,11 @@ class SceneInitialisation:
         self._stereo_images = StereoImageCache(self._images, options.pixels)
         self._sources = choose_sources(self._images, max(options.sources, options.held_against))
         self._depth_cache: OrderedDict[int, Float32] = OrderedDict()
+        self._hashes = ContentHashes(view.store)
+        rigs = view.table("traversals", ["rig_id"]).column(0).to_pylist()
+        self._rigs = [self._hashes.rig(rig_id) for rig_id in rigs]
+        self._raw_files: dict[int, Path] = {}
+        self._image_hashes: dict[int, str | None] = {}
         self._driven = compute_wheel_contacts(read_driven_poses(view))
         self._driven_ground = fit_ground(self._driven)
         self.counts: dict[str, int] = {}
@@ -88,15 +95,13 @@ class SceneInitialisation:
         Each depth map is a file in the work folder. The next run reuses the files of an interrupted one.
         """
         options = self._options
-        todo = [number for number, posed in enumerate(self._images) if not self._raw_file(posed).is_file()]
+        todo = [number for number in range(len(self._images)) if not self._raw_file(number).is_file()]
         self._progress.start("depth", len(todo))
         for number in todo:
             sources = [self._stereo_images[other] for other in self._sources[number][: options.sources].tolist()]
             depth_map = estimator(self._stereo_images[number], sources, options.near_m, options.far_m)
             confident = depth_map.confidence >= self._min_confidence
-            write_bytes(
-                self._raw_file(self._images[number]), encode_depth(np.where(confident, depth_map.depth_m, np.nan))
-            )
+            write_bytes(self._raw_file(number), encode_depth(np.where(confident, depth_map.depth_m, np.nan)))
             self._progress.advance(1)
         return len(todo)
 
@@ -218,7 +223,7 @@ class SceneInitialisation:
             DatasetError: the file cannot be decoded.
         """
         if number not in self._depth_cache:
-            file = self._raw_file(self._images[number])
+            file = self._raw_file(number)
             depth = decode_depth(file.read_bytes())
             if depth is None:
                 raise DatasetError("the depth map cannot be decoded", file=file, remedy="delete it and run again")
@@ -228,8 +233,24 @@ class SceneInitialisation:
         self._depth_cache.move_to_end(number)
         return self._depth_cache[number]
 
-    def _raw_file(self, posed: PosedImage) -> Path:
-        return self._layers.work_folder / posed.traversal_id / _file_name(posed)
+    def _raw_file(self, number: int) -> Path:
+        """The file of an image's depth before fusion; it is named by the content of the images that it comes from."""
+        if number not in self._raw_files:
+            posed = self._images[number]
+            others = self._sources[number][: self._options.sources].tolist()
+            digest = hash_values(self._rigs, [self._hash(other) for other in (number, *others)])[:32]
+            name = f"{posed.image.camera}/{posed.image.timestamp_ns}.{digest}.png"
+            self._raw_files[number] = self._layers.work_folder / posed.traversal_id / name
+        return self._raw_files[number]
+
+    def _hash(self, number: int) -> str | None:
+        """The hash of an image; None: it cannot be read."""
+        if number not in self._image_hashes:
+            try:
+                self._image_hashes[number] = self._hashes.image(self._images[number].image)
+            except DatasetError:
+                self._image_hashes[number] = None
+        return self._image_hashes[number]
 
     def _classify(self, position: Float64, ground: Ground) -> AnyArray:
         """Classify points (N, 3) as ground, far or background."""

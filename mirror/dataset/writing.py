@@ -1,0 +1,62 @@
+"""Adding layers to a dataset: its index is current before and after, also where a run was interrupted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mirror.dataset.dataset import Dataset
+from mirror.dataset.dataset import open as open_dataset
+from mirror.dataset.index.build import build_index
+from mirror.dataset.layout import Layout, complete_manifest, require_dataset
+from mirror.dataset.lock import writer_lock
+from mirror.dataset.opening import find_staleness
+from mirror.dataset.store import Store
+
+
+def open_to_write(path: str | os.PathLike[str]) -> Dataset:
+    """Open a dataset to which layers are added.
+
+    A run that was killed after it had written a layer leaves an index without it. So that the same command can
+    continue, the index is derived again here; a dataset that is only read is opened with `mirror.open`, which names
+    the command that does so.
+
+    Args:
+        path: the dataset's folder; a URL is opened as `mirror.open` does.
+
+    Raises:
+        DatasetError: the folder has no dataset, its files are missing or differ, or another run is writing it.
+        SchemaError: a document is broken, or its schema version is one that this toolkit does not read.
+    """
+    store = Store(path)
+    if store.folder is None:
+        return open_dataset(path)
+    layout = Layout(Path(path))
+    require_dataset(layout)
+    manifest = complete_manifest(layout.index)
+    if manifest is None or find_staleness(store, manifest) is not None:
+        with writer_lock(layout, wait=False):
+            build_index(layout.root)
+    return open_dataset(path)
+
+
+@contextmanager
+def writing_layers(layout: Layout, *, wait: bool = False) -> Iterator[None]:
+    """Hold the dataset's writer lock while layers are written; then the index has those that are complete.
+
+    That holds also where the block ends with an error or Ctrl-C: the next command finds a valid index.
+
+    Args:
+        layout: the dataset.
+        wait: True: wait for another writer to end; False: raise an error at once.
+
+    Raises:
+        DatasetError: another process holds the lock and ``wait`` is false, or the dataset cannot be written.
+    """
+    with writer_lock(layout, wait=wait):
+        try:
+            yield
+        finally:
+            build_index(layout.root)

@@ -40,7 +40,7 @@ def root(tmp_path: Path) -> Path:
     return root
 
 
-class Asked(Known):
+class FrameList(Known):
     """Notes the frames that it is asked for."""
 
     def __init__(self, interrupt_at: int | None = None) -> None:
@@ -73,10 +73,10 @@ class Seeing:
 
 def test_a_frame_with_other_images_is_annotated_again(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), Asked(interrupt_at=3))
+        annotate(mirror.open(root), FrameList(interrupt_at=3))
     frames = list(mirror.open(root).frames())
     give_other_bytes(root, frames[1].images["rear"])
-    second = Asked()
+    second = FrameList()
     report = annotate(mirror.open(root), second)
     assert report.resumed == 2 and frames[1].timestamp_ns in second.asked and len(second.asked) == 5
     assert report.frames == 5 and not report.failed
@@ -84,7 +84,7 @@ def test_a_frame_with_other_images_is_annotated_again(root: Path) -> None:
 
 def test_a_frame_with_another_calibration_is_annotated_again(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), Asked(interrupt_at=3))
+        annotate(mirror.open(root), FrameList(interrupt_at=3))
     layout = Layout(root)
     name = mirror.open(root).traversals()[0]
     writer = LayerWriter(layout, name, "calibrations", "other", "1")
@@ -94,7 +94,7 @@ def test_a_frame_with_another_calibration_is_annotated_again(root: Path) -> None
 
 
 def test_an_annotator_that_opens_no_image_reads_none(root: Path) -> None:
-    class Blind(Asked):
+    class Blind(FrameList):
         reads_images = False
 
     with pytest.raises(KeyboardInterrupt):

@@ -21,6 +21,7 @@ from typing import Final
 
 from mirror.dataset.layout import MANIFEST, MAPS, Layout, complete_manifest
 from mirror.schema.files import TEMPORARY, sha256_bytes, unmovable_error
+from mirror.schema.links import require_inside
 
 FOLDER: Final = ".superseded"
 UNLOCKABLE_AGE_S: Final = 24 * 3600
@@ -82,7 +83,7 @@ class Generation:
     def _open_locked(cls, root: Path, path: Path) -> Generation | None:
         """Open and lock the generation of a manifest; None: the file is missing or has been replaced."""
         try:
-            handle = os.open(path, os.O_RDONLY)
+            handle = os.open(require_inside(root, path.relative_to(root)), os.O_RDONLY)
         except (FileNotFoundError, NotADirectoryError):
             return None
         try:

@@ -16,6 +16,7 @@ from typing import IO, Final
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.schema.files import unwritable_error
+from mirror.schema.links import refuse_links_out
 
 _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
@@ -42,8 +43,10 @@ def writer_lock(layout: Layout, *, wait: bool) -> Iterator[None]:
         wait: True: wait for another writer to end; False: raise an error at once.
 
     Raises:
-        DatasetError: another process holds the lock and ``wait`` is false, or the folder is not writable.
+        DatasetError: another process holds the lock and ``wait`` is false, the folder is not writable, or a link in it
+            leads out of it.
     """
+    refuse_links_out(layout.root)
     created = [folder for folder in (layout.root, *layout.root.parents) if not folder.exists()]
     with _acquired(layout, wait=wait):
         try:

@@ -15,6 +15,7 @@ import pyarrow as pa
 from mirror.dataset.generation import Generation
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import Model, parse_json
+from mirror.schema.links import require_inside
 
 Result = TypeVar("Result")
 
@@ -28,7 +29,8 @@ _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore
 class Store:
     """Files below a root, by relative path.
 
-    A local folder is read with calls of the operating system; fsspec is imported only for a URL.
+    A local folder is read with calls of the operating system; fsspec is imported only for a URL. A link that leads out
+    of a local folder is refused.
 
     Args:
         root: a path, or a URL that fsspec understands (``s3://bucket/dataset``, ``zip::file.zip``, ``memory://x``).
@@ -85,16 +87,17 @@ class Store:
 
         Raises:
             FileNotFoundError: the file does not exist.
+            DatasetError: a link leads out of the dataset.
         """
         if self.folder is None:
             raise UsageError("a remote store has no local files", file=self.root)
         if self.generation is None:
-            return read(self.folder / path)
+            return read(require_inside(self.folder, path))
         while True:
             place = self.generation.locate(path)
             missing: FileNotFoundError | None = None
             try:
-                result = read(place or self.folder / path)
+                result = read(require_inside(self.folder, path if place is None else place.relative_to(self.folder)))
             except FileNotFoundError as error:
                 missing = error
             if self.generation.locate(path) == place:
@@ -149,7 +152,7 @@ class Store:
     def _names(self, path: str, *, folders: bool) -> list[str]:
         try:
             if self.folder is not None:
-                with os.scandir(self.folder / path) as entries:
+                with os.scandir(require_inside(self.folder, path)) as entries:
                     return sorted(entry.name for entry in entries if entry.is_dir() == folders)
             listed = self._remote[0].ls(self._remote_path(path), detail=True)
         except (FileNotFoundError, NotADirectoryError):
@@ -247,7 +250,7 @@ class Store:
             return Path(uri)
         self._require_inside(uri)
         if self.folder is not None:
-            return self.folder / uri
+            return require_inside(self.folder, uri)
         return self._remote[0], self._remote_path(uri)
 
     def _require_inside(self, uri: str) -> None:

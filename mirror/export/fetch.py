@@ -15,6 +15,7 @@ from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import parse_json, sha256_bytes, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.links import require_inside
 
 _THREADS: Final = 8
 _ATTEMPTS: Final = 3
@@ -49,7 +50,8 @@ def fetch(url: str, out: Path, *, progress: ProgressReporter | None = None) -> F
 
     Raises:
         UsageError: `out` is a folder of another kind, or a package for the URL is missing.
-        DatasetError: there is no bundle at the URL, or `out` has files of another bundle or cannot be written.
+        DatasetError: there is no bundle at the URL, or `out` has files of another bundle, has a link that leads out of
+            it, or cannot be written.
         SchemaError: ``bundle.json`` is invalid.
     """
     reporter = progress or NullProgress()
@@ -70,7 +72,7 @@ def fetch(url: str, out: Path, *, progress: ProgressReporter | None = None) -> F
 
     def get(name: str) -> bool | str:
         try:
-            return _get(store, name, bundle.files[name], out / name)
+            return _get(store, name, bundle.files[name], require_inside(out, name))
         except MirrorError as error:
             return str(error)
         finally:

@@ -17,6 +17,7 @@ from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.registry import select_rules
 from mirror.integrity.rule import Findings, Rule
 from mirror.integrity.scene_view import SceneView
+from mirror.schema.links import refuse_links_out
 
 _ORDER = tuple(Severity)
 
@@ -75,7 +76,7 @@ def check(
         advance: called with the number of scenes done since the last call.
 
     Raises:
-        DatasetError: the folder holds no dataset.
+        DatasetError: the folder holds no dataset, or a link in it leads out of it.
         UsageError: a rule or group does not exist.
 
     Example:
@@ -85,6 +86,7 @@ def check(
     """
     layout = Layout(Path(root))
     require_dataset(layout)
+    refuse_links_out(layout.root)
     rules = select_rules(only, skip, cost)
     view = DatasetView(layout)
     findings: list[tuple[Rule, Finding]] = []

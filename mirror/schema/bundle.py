@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
 from typing import Final, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from mirror.schema.documents import Document, FileEntry
+from mirror.schema.documents import Document, FileEntry, InnerPath
 
 BUNDLE: Final = "bundle.json"
 PUBLISHING: Final = ".publishing"
@@ -34,14 +33,5 @@ class Bundle(Document):
     protocols: tuple[str, ...]
     dataset_hash: str
     licence: str
-    files: dict[str, FileEntry]
+    files: dict[InnerPath, FileEntry]
     withheld: tuple[str, ...] = Field(default=())
-
-    @field_validator("files")
-    @classmethod
-    def _require_paths_inside(cls, files: dict[str, FileEntry]) -> dict[str, FileEntry]:
-        for name in files:
-            path = PurePosixPath(name)
-            if not name or path.is_absolute() or ".." in path.parts or "\\" in name or str(path) != name:
-                raise ValueError(f"the path {name!r} leads out of the bundle")
-        return files

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from pathlib import PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from mirror.schema.version import SCHEMA_VERSION
 
@@ -20,6 +21,22 @@ CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", 
 def is_identifier(text: str) -> bool:
     """Whether a text is a valid id: letters, digits, ``_`` and ``-``, so that it can name a folder."""
     return re.fullmatch(_IDENTIFIER, text) is not None
+
+
+def require_inner_path(name: str) -> str:
+    """Require that a path leads to a file below its folder; a validator of documents.
+
+    Raises:
+        ValueError: it is absolute, goes up, or is not in its shortest form.
+    """
+    path = PurePosixPath(name)
+    if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or str(path) != name:
+        raise ValueError(f"the path {name!r} leads out of its folder")
+    return name
+
+
+InnerPath = Annotated[str, AfterValidator(require_inner_path)]
+"""A path relative to a folder, of a file below it."""
 
 
 class Document(BaseModel):
@@ -151,7 +168,7 @@ class RigCamera(Document):
 
     name: str
     source_name: str
-    static_mask: str | None = None
+    static_mask: InnerPath | None = None
 
 
 class Rig(Document):
@@ -300,7 +317,7 @@ class Manifest(Document):
 
     schema_version: str = SCHEMA_VERSION
     derived_from: dict[str, str] = Field(default_factory=dict)
-    files: dict[str, FileEntry] = Field(default_factory=dict)
+    files: dict[InnerPath, FileEntry] = Field(default_factory=dict)
     pictures: ImageTotals | None = None
 
     @property

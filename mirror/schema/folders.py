@@ -22,6 +22,7 @@ from typing import Final
 
 from mirror.errors import UsageError
 from mirror.schema.files import TEMPORARY
+from mirror.schema.links import refuse_links_out
 from mirror.schema.strict_json import JsonError, decode_json
 
 _MAX_BYTES: Final = 64 * 1024 * 1024
@@ -129,10 +130,13 @@ def require_output_folder(out: Path, *kinds: FolderKind, place: str = "--out") -
 
     Raises:
         UsageError: it is a file, has another kind, or lies inside a sealed folder.
+        DatasetError: it has a link that leads out of it.
     """
     _refuse_inside(out, place)
     existing = find_kind(out)
     if existing is None or existing in kinds:
+        if existing is not FolderKind.OTHER:
+            refuse_links_out(out)
         return existing
     raise UsageError(
         f"it is {existing.value}: nothing was written",

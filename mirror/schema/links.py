@@ -64,9 +64,10 @@ def refuse_links_out(root: Path) -> None:
 def _has_link(root: Path, path: str | Path) -> bool:
     """Whether a part of a path below a folder is a link, or goes up."""
     place = os.fspath(root)
-    for part in Path(path).parts:
-        if part == "..":
-            return True
+    parts = Path(path).parts
+    if ".." in parts:
+        return True
+    for part in parts:
         place = f"{place}/{part}"
         try:
             if stat.S_ISLNK(os.lstat(place).st_mode):

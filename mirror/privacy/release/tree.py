@@ -22,6 +22,7 @@ from mirror.privacy.log import LOG, ImageRecord, read_log, read_plate_region
 from mirror.privacy.release.renaming import Renaming
 from mirror.schema.documents import DriveDocument, ImageTotals, Rig, Source
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_json
+from mirror.schema.links import require_inside
 from mirror.schema.tables import (
     BOXES,
     CALIBRATIONS,
@@ -265,7 +266,7 @@ def _content(layout: Layout, traversal_id: str) -> str:
 
 
 def _read(layout: Layout, row: Mapping[str, Any], sha256: bytes) -> bytes:
-    path = layout.root / row["uri"]
+    path = require_inside(layout.root, row["uri"])
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -14,6 +14,7 @@ from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE, LOG, R
 from mirror.privacy.release.tree import LAYER_TABLES, read_drives
 from mirror.schema.documents import DriveDocument, Manifest, Rig
 from mirror.schema.files import read_json, read_table
+from mirror.schema.links import refuse_links_out
 from mirror.schema.tables import IMAGES
 
 ImageName = tuple[str, str, int]
@@ -28,11 +29,12 @@ class ReleaseView:
         models: folders of models that are to be released with it.
 
     Raises:
-        DatasetError: the folder holds no release, or its log is missing.
+        DatasetError: the folder holds no release, its log is missing, or a link leads out of it.
         SchemaError: a document is broken.
     """
 
     def __init__(self, root: Path, models: Sequence[Path] = ()) -> None:
+        refuse_links_out(root)
         self.root = root
         self.layout = Layout(root)
         self.models = models

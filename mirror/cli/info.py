@@ -154,6 +154,7 @@ def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
         *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in summary.extent.items()),
         ("rig", f"{summary.rig_id}, reference {summary.reference_camera}" if summary.rig_id else "none: poses only"),
     ]
+    lines += [("note", note) for note in info.notes]
     if summary.bad_rows:
         lines.append(("bad rows", f"{_counts(summary.bad_rows)}; the first: {summary.first_bad_row}"))
     for name, camera in summary.cameras.items():

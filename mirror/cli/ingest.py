@@ -210,6 +210,7 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         "drives": {
             drive_id: {
                 "cleaning": drive.cleaning.model_dump(),
+                "notes": list(drive.info.notes),
                 "accepted": sum(row.accepted for row in drive.passes),
                 "refused": dict(Counter(row.rule for row in drive.passes if row.rule)),
                 "passes": [vars(row) for row in drive.passes],
@@ -267,6 +268,8 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
             console.print(
                 f"{drive_id}: rows without a valid pose were dropped: {counts}", highlight=False, markup=False
             )
+        for note in drive.info.notes:
+            console.print(f"{drive_id}: {note}", highlight=False, markup=False)
         if drive.uncalibrated:
             console.print(
                 f"{drive_id}: the recording declares cameras uncalibrated: {', '.join(drive.uncalibrated)}",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from mirror.arrays import Float64
+from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
@@ -96,12 +96,39 @@ def utm_to_geodetic(
         zone: 1 to 60.
         north: hemisphere.
 
+    Returns:
+        (N,) degrees; NaN outside the domain (`is_in_utm_domain`), where the series of the projection no longer hold
+        and a wrong number would become a place near the pole.
+
     Raises:
         UsageError: the zone does not exist.
     """
+    easting_m, northing_m = np.asarray(easting_m, np.float64), np.asarray(northing_m, np.float64)
     transformer = _transformer(_utm_crs(zone, north), "EPSG:4326")
-    lon, lat = transformer.transform(np.asarray(easting_m, np.float64), np.asarray(northing_m, np.float64))
+    inside = is_in_utm_domain(easting_m, northing_m, north)
+    lon, lat = transformer.transform(np.where(inside, easting_m, np.nan), np.where(inside, northing_m, np.nan))
     return _finite(lon), _finite(lat)
+
+
+UTM_EASTING_M: Final = (100_000.0, 900_000.0)
+"""The eastings of UTM: a zone with an overlap of at least 66 km into its neighbours."""
+UTM_NORTHING_M: Final = {True: (-9_400_000.0, 9_400_000.0), False: (600_000.0, 19_400_000.0)}
+"""The northings of UTM with the false northing of the south, up to 84 degrees: a drive may cross the equator."""
+
+
+def is_in_utm_domain(easting_m: npt.ArrayLike, northing_m: npt.ArrayLike, north: bool) -> Bool:
+    """(N,) True where coordinates, with false easting and northing, can be those of a place in a UTM zone.
+
+    Args:
+        easting_m: (N,); NaN is in no domain.
+        northing_m: (N,).
+        north: hemisphere.
+    """
+    easting_m, northing_m = np.asarray(easting_m, np.float64), np.asarray(northing_m, np.float64)
+    low, high = UTM_NORTHING_M[north]
+    across = (easting_m >= UTM_EASTING_M[0]) & (easting_m <= UTM_EASTING_M[1])
+    inside: Bool = across & (northing_m >= low) & (northing_m <= high)
+    return inside
 
 
 def geodetic_to_utm(

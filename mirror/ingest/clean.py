@@ -24,6 +24,7 @@ from mirror.ingest.fix_status import (
     count_backward,
     count_status,
     set_status,
+    set_status_without_motion,
 )
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, CleaningReport
@@ -64,13 +65,16 @@ class CleanTrack:
         return Fixes(self.timestamp_ns, self.lon_or_x, self.lat_or_y, self.status, self.geodetic)
 
 
-def clean(track: Track, options: CleaningOptions, *, min_step_m: float = 0.5) -> tuple[CleanTrack, CleaningReport]:
+def clean(
+    track: Track, options: CleaningOptions, *, min_step_m: float = 0.5, has_motion: bool = True
+) -> tuple[CleanTrack, CleaningReport]:
     """Clean a track.
 
     Args:
         track: as recorded, N fixes.
         options: the thresholds.
         min_step_m: the largest apparent motion of a standing vehicle.
+        has_motion: False: the stamps only number the poses, and no pose is judged by a speed or by its repetition.
 
     Returns:
         The clean track with N fixes, and how many were dropped for each reason.
@@ -96,7 +100,10 @@ def clean(track: Track, options: CleaningOptions, *, min_step_m: float = 0.5) ->
     limits = CleaningLimits(
         float(options.max_speed_mps), float(options.max_acceleration_mps2), float(options.noise_m), float(min_step_m)
     )
-    set_status(fixes, limits)
+    if has_motion:
+        set_status(fixes, limits)
+    else:
+        set_status_without_motion(fixes)
     counts = [int(count) for count in count_status(fixes.status)]
     report = CleaningReport(
         poses=len(stamps) + (len(track.bad) if track.bad else 0),

@@ -126,6 +126,7 @@ def seal_drive(
             images_without_pose=sum(images_without_pose(drive, number) for number in drive.slices),
             images_repeated=sum(sum(repeated_images(drive, number).values()) for number in drive.slices),
             has_date=info.has_date,
+            has_motion=info.has_motion,
             uncalibrated_cameras=uncalibrated_cameras(rig),
         )
     weather = weather_from_traversals(staging, drive, names, weather_plugin) if weather_plugin else {}

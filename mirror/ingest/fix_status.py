@@ -210,6 +210,20 @@ def set_status(fixes: Fixes, limits: CleaningLimits) -> None:
         _keep_repetitions(last, run_end, status)
 
 
+@njit(cache=True, nogil=True)
+def set_status_without_motion(fixes: Fixes) -> None:
+    """Fill ``fixes.status`` where stamps only number the fixes: usable ones are kept, the first of each stamp."""
+    stamps, lon_or_x, lat_or_y, status, geodetic = fixes
+    last = -1
+    for index in range(len(stamps)):
+        if not _is_usable(lon_or_x[index], lat_or_y[index], geodetic):
+            status[index] = INVALID
+        elif last >= 0 and stamps[index] == stamps[last]:
+            status[index] = DUPLICATE
+        else:
+            status[index], last = KEPT, index
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _simple_status(index: int, last: int, run_end: int, fixes: Fixes) -> int:
     """The status of a fix if it needs no test of motion, else -1.

@@ -166,7 +166,9 @@ def find_drive_passes(
     with reader_errors(path):
         info = recording.info
         recorded = recording.track()
-        track, cleaned, report = clean_usable(recorded, cleaning, trigger.options, is_clip=info.is_clip)
+        track, cleaned, report = clean_usable(
+            recorded, cleaning, trigger.options, is_clip=info.is_clip, has_motion=info.has_motion
+        )
         kept = cleaned.kept()
     if cleaned.geodetic:
         middle = kept[len(kept) // 2]

@@ -135,7 +135,13 @@ def propose_rois(
             with reader_errors(path):
                 recording = open_recording(path, reader=options.reader, options=options.reader_options)
                 info = recording.info
-                _, track, _ = clean_usable(recording.track(), cleaning, trigger_options, is_clip=info.is_clip)
+                _, track, _ = clean_usable(
+                    recording.track(),
+                    cleaning,
+                    trigger_options,
+                    is_clip=info.is_clip,
+                    has_motion=info.has_motion,
+                )
         except RecordingError as error:
             return path, error
         finally:

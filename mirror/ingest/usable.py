@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Final
 
 import numpy as np
@@ -20,7 +21,12 @@ _LEAST_COVERED: Final = 0.9
 
 
 def clean_usable(
-    recorded: Track, cleaning: CleaningOptions, trigger: TriggerOptions, *, is_clip: bool
+    recorded: Track,
+    cleaning: CleaningOptions,
+    trigger: TriggerOptions,
+    *,
+    is_clip: bool,
+    has_motion: bool = True,
 ) -> tuple[Track, CleanTrack, CleaningReport]:
     """Clean a track, and refuse it if too many of its rows make no pose.
 
@@ -34,6 +40,7 @@ def clean_usable(
         cleaning: the thresholds.
         trigger: for ``max_gap_s`` and ``min_step_m``.
         is_clip: whether the source arrives as clips.
+        has_motion: False: the stamps only number the poses.
 
     Returns:
         The track without bad rows, the same cleaned, and what was done to it.
@@ -42,10 +49,8 @@ def clean_usable(
         RecordingError: no fix at all, none left, too many bad rows, or backward time where that is refused.
     """
     track = _without_bad_values(recorded)
-    cleaned, report = clean(track, cleaning, min_step_m=trigger.min_step_m)
-    counts = report.bad_rows | (
-        {"position": report.invalid - report.missing} if report.invalid > report.missing else {}
-    )
+    cleaned, report = clean(track, cleaning, min_step_m=trigger.min_step_m, has_motion=has_motion)
+    counts = Counter(report.bad_rows) + Counter(position=report.invalid - report.missing)
     bad = sum(counts.values())
     if not bad:
         return track, cleaned, report

@@ -109,6 +109,11 @@ class SceneView:
         return Motion(self.all_poses)
 
     @cached_property
+    def has_motion(self) -> Bool:
+        """(T,) False for traversals whose recording declares that its stamps only number the poses."""
+        return np.array([item.drive.has_motion for item in self.traversals], np.bool_)
+
+    @cached_property
     def frames(self) -> FrameAssignment:
         """Which of `images` make up frames."""
         return assign_frames(

@@ -12,9 +12,9 @@ from typing import Final, Literal, get_args
 from mirror.arrays import Int64, UInt8
 from mirror.errors import RecordingError
 
-Reason = Literal["cells", "number", "time", "rotation", "sigma", "file"]
+Reason = Literal["cells", "number", "time", "rotation", "sigma", "file", "position"]
 """A line with too few or too many cells; a cell that is no number; no stamp; no rotation; no standard deviation; a row
-of a damaged part of the drive.
+of a damaged part of the drive; a position outside the range of its coordinates.
 """
 REASONS: Final[tuple[Reason, ...]] = get_args(Reason)
 

@@ -122,7 +122,16 @@ class BoreasRecording:
         easting, northing, height = (rows.floats(name) for name in ("easting", "northing", "altitude"))
         if self._is_utm:
             track = track_from_utm(
-                stamps, easting, northing, height, rotation, zone=_UTM_ZONE, north=True, file=self.poses
+                stamps,
+                easting,
+                northing,
+                height,
+                rotation,
+                zone=_UTM_ZONE,
+                north=True,
+                faults=rows.faults,
+                locate=rows.locate,
+                file=self.poses,
             )
         else:
             track = Track(stamps, x_m=easting, y_m=northing, height_m=height, rotation=rotation, file=self.poses)

@@ -206,7 +206,8 @@ class Comma2k19Recording:
         rotation = quaternion_multiply(unit, quaternion_inverse(FLU_FROM_FRD))
         first = next(folder for folder, segment in zip(self.segments, self._loaded) if segment.error is None)
         file = first / "global_pose" / "frame_positions"
-        return faults.drop_from(track_from_ecef(np.concatenate(self._stamps), position, rotation, file=file))
+        track = track_from_ecef(np.concatenate(self._stamps), position, rotation, file=file, faults=faults)
+        return faults.drop_from(track)
 
     def _error(self, values: Float64, array: str, expected: str) -> Callable[[int], RecordingError]:
         """Return a function from a row of all segments to its error."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,13 @@ import numpy as np
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.geodesy import (
+    UTM_EASTING_M,
+    UTM_NORTHING_M,
     TangentFrame,
     ecef_R_enu,
     ecef_to_geodetic,
     geodetic_to_ecef,
+    is_in_utm_domain,
     utm_convergence_rad,
     utm_to_geodetic,
 )
@@ -27,12 +31,19 @@ from mirror.geometry.quaternions import (
     rotate,
 )
 from mirror.recordings.protocol import Track
+from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.tabular import RecordingRows
 
 # Rotations of flu_SE3_frd and flu_SE3_camera. flu: x forward, y left, z up; frd: x forward, y right, z down; camera: x
 # right, y down, z forward.
 FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])
 FLU_FROM_CAMERA = np.array([0.5, -0.5, 0.5, -0.5])
+
+Locate = Callable[[int], tuple[Path | None, str]]
+"""The file and the place in it of a row."""
+
+# The ellipsoid's radii are 6,357 and 6,378 km; no road is 20 km above or below it.
+_ECEF_RADIUS_M = (6_337_000.0, 6_398_000.0)
 
 # Files round their quaternions; a larger deviation from unit length has another cause.
 UNIT_TOLERANCE = 1e-2
@@ -82,8 +93,12 @@ def track_from_utm(
     north: bool,
     sigma_m: Float64 | None = None,
     file: Path | None = None,
+    faults: RowFaults | None = None,
+    locate: Locate | None = None,
 ) -> Track:
     """Make a WGS 84 track from UTM coordinates; rotations are converted from grid north to true north.
+
+    Rows outside the domain of UTM are marked in ``faults``; they have no false easting or northing, or wrong digits.
 
     Args:
         timestamp_ns: (N,) Unix time, UTC.
@@ -95,7 +110,16 @@ def track_from_utm(
         north: True on the northern hemisphere.
         sigma_m: (N,) or None.
         file: the file that the poses come from.
+        faults: of the N rows; None: every row is needed.
+        locate: gives the file and the place of a row, for messages; None: the file and the row's number.
+
+    Raises:
+        RecordingError: a row is outside the domain of UTM, and there are no ``faults``.
     """
+    place = locate or (lambda row: (file, f"row {row}"))
+    missing = np.isnan(easting_m) | np.isnan(northing_m)
+    outside = ~missing & ~is_in_utm_domain(easting_m, northing_m, north)
+    _mark_positions(outside, faults, lambda row: _outside_utm(easting_m[row], northing_m[row], north, *place(row)))
     lon, lat = utm_to_geodetic(easting_m, northing_m, zone, north)
     rotation = None
     if grid_rotation is not None:
@@ -113,6 +137,26 @@ def track_from_utm(
     )
 
 
+def _mark_positions(bad: Bool, faults: RowFaults | None, error: Callable[[int], RecordingError]) -> None:
+    if faults is not None:
+        faults.add(bad, "position", error)
+    elif bad.any():
+        raise error(int(np.argmax(bad)))
+
+
+def _outside_utm(easting_m: float, northing_m: float, north: bool, file: Path | None, place: str) -> RecordingError:
+    low, high = UTM_NORTHING_M[north]
+    return RecordingError(
+        f"easting {easting_m:.10g} m, northing {northing_m:.10g} m is no place of a UTM zone in the"
+        f" {'north' if north else 'south'}",
+        file=file,
+        place=place,
+        expected=f"easting {UTM_EASTING_M[0]:.0f} to {UTM_EASTING_M[1]:.0f} m with the false easting of 500000 m,"
+        f" northing {low:.0f} to {high:.0f} m" + ("" if north else " with the false northing of 10000000 m"),
+        remedy="correct or remove the row",
+    )
+
+
 def track_from_ecef(
     timestamp_ns: Int64,
     position_m: Float64,
@@ -120,8 +164,12 @@ def track_from_ecef(
     *,
     sigma_m: Float64 | None = None,
     file: Path | None = None,
+    faults: RowFaults | None = None,
+    locate: Locate | None = None,
 ) -> Track:
     """Make a WGS 84 track from earth-centred, earth-fixed poses.
+
+    Rows far from the ellipsoid are marked in ``faults``: an origin in place of a position, or another unit.
 
     Args:
         timestamp_ns: (N,) Unix time, UTC.
@@ -129,7 +177,27 @@ def track_from_ecef(
         rotation: (N, 4) ``ecef_SE3_ego``, or None.
         sigma_m: (N,) or None.
         file: the file that the poses come from.
+        faults: of the N rows; None: every row is needed.
+        locate: gives the file and the place of a row, for messages; None: the file and the row's number.
+
+    Raises:
+        RecordingError: a row is far from the ellipsoid, and there are no ``faults``.
     """
+    radius_m = np.linalg.norm(position_m, axis=1)
+    outside = ~np.isnan(radius_m) & ~((radius_m > _ECEF_RADIUS_M[0]) & (radius_m < _ECEF_RADIUS_M[1]))
+
+    def error(row: int) -> RecordingError:
+        where, place = locate(row) if locate is not None else (file, f"row {row}")
+        return RecordingError(
+            f"{position_m[row].tolist()} m is {radius_m[row] / 1e3:,.0f} km from the earth's centre",
+            file=where,
+            place=place,
+            expected=f"{_ECEF_RADIUS_M[0] / 1e3:,.0f} to {_ECEF_RADIUS_M[1] / 1e3:,.0f} km, as on the ground",
+            remedy="correct or remove the row",
+        )
+
+    _mark_positions(outside, faults, error)
+    position_m = np.where(outside[:, None], np.nan, position_m)
     lon, lat, height = ecef_to_geodetic(position_m)
     enu = None if rotation is None else quaternion_multiply(quaternion_inverse(_ecef_from_enu(lon, lat)), rotation)
     return Track(

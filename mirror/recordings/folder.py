@@ -174,12 +174,22 @@ class FolderRecording:
                 rotation,
                 zone=document.frame.zone or 0,
                 north=document.frame.hemisphere == "north",
+                faults=rows.faults,
+                locate=rows.locate,
                 sigma_m=sigma,
                 file=file,
             )
         elif kind == "ecef":
             position = np.stack([across, along, np.asarray(up)], axis=1)
-            track = track_from_ecef(stamps, position, None if level else rotation, sigma_m=sigma, file=file)
+            track = track_from_ecef(
+                stamps,
+                position,
+                None if level else rotation,
+                faults=rows.faults,
+                locate=rows.locate,
+                sigma_m=sigma,
+                file=file,
+            )
             track = replace(track, rotation=rotation) if level else track
         elif kind == "local":
             track = Track(stamps, None, None, across, along, up, rotation, sigma, file)

@@ -43,6 +43,9 @@ class DriveInfo:
         light: ``day``, ``dusk`` or ``night``; None: it is computed from the sun.
         licence: licence of the recording; None: the source does not state it.
         has_date: False: the stamps count from an arbitrary date, so the sun at that date says nothing about the light.
+        has_motion: False: the stamps only number the poses, as those of unordered photos: no speed follows from them.
+        notes: choices that the reader made where the source left one open, in words; `mirror info` and `mirror ingest`
+            print them.
     """
 
     drive_id: str
@@ -57,6 +60,8 @@ class DriveInfo:
     light: str | None = None
     licence: str | None = None
     has_date: bool = True
+    has_motion: bool = True
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -261,6 +261,7 @@ class DriveDocument(Document):
         images_repeated: number of images within accepted passes that were left out because another image of their
             camera has the same stamp.
         has_date: False: the recording declares that its stamps count from an arbitrary date.
+        has_motion: False: the recording declares that its stamps only number the poses, as those of unordered photos.
         uncalibrated_cameras: cameras that the recording declares to be without a calibration.
     """
 
@@ -283,6 +284,7 @@ class DriveDocument(Document):
     images_without_pose: int = 0
     images_repeated: int = 0
     has_date: bool = True
+    has_motion: bool = True
     uncalibrated_cameras: tuple[str, ...] = ()
 
 

@@ -783,3 +783,15 @@ def test_a_scheduler_ends_it_as_ctrl_c_does(
     assert main([str(word) for word in reconstruct(dataset, tmp_path / "model")]) == 130
     assert "run the same command again" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_few_points_are_warned_of(dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    traversal = dataset.where(split="novel", role="train").traversals()[0]
+    for count, version in ((49, "1"), (50, "2")):
+        rows = [point(number) for number in range(count)]
+        LayerWriter(Layout(Path(dataset.root)), traversal, "points", "sparse", version).finish(POINTS, rows, {})
+        build_index(Path(dataset.root))
+        words = reconstruct(dataset, tmp_path / version, "--initialise", f"sparse@{version}", "--steps", 1)
+        assert main([str(word) for word in words]) == ExitCode.DONE
+        printed = capsys.readouterr()
+        assert ("warning: the scene has 49 points" in printed.out + printed.err) == (count == 49)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from mirror.dataset.layout import Layout
 from mirror.errors import RecordingError
-from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef
+from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef, geodetic_to_utm
 from mirror.geometry.quaternions import quaternion_from_matrix
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
@@ -31,6 +31,7 @@ from mirror.recordings.registry import open_recording
 from mirror.recordings.summary import summarise
 from mirror.schema.documents import CleaningOptions, CleaningReport, DriveDocument, Roi, TriggerOptions
 from mirror.schema.files import read_json
+from tests.ingest.recordings import SCENE, write_recording
 
 COUNT = 400
 START_NS = 1_622_000_000_000_000_000
@@ -335,3 +336,26 @@ def test_a_remedy_does_not_suggest_what_was_given(tmp_path: Path) -> None:
     with pytest.raises(RecordingError) as caught:
         cleaned(open_recording(file), max_bad_rows=0.02)
     assert "--max-bad-rows 0.025" in str(caught.value)
+
+
+def test_rows_outside_the_utm_zone_are_counted_and_refused_past_the_limit(tmp_path: Path) -> None:
+    for wrong, accepted in ((1, True), (40, False)):
+        drive = write_recording(tmp_path / str(wrong), "there")
+        document = json.loads((drive / "recording.json").read_text())
+        document["frame"] = {"kind": "utm", "zone": 32, "hemisphere": "north"}
+        (drive / "recording.json").write_text(json.dumps(document))
+        rows = [line.split(",") for line in (drive / "poses.csv").read_text().splitlines()[1:]]
+        lon, lat = (np.array([float(row[column]) for row in rows]) for column in (1, 2))
+        east, north = geodetic_to_utm(lon, lat, 32, True)
+        # Without the false easting.
+        east[100 : 100 + wrong] -= 650_000.0
+        text = "".join(f"{row[0]},{e:.4f},{n:.4f},520.0,90.0\n" for row, e, n in zip(rows, east, north))
+        (drive / "poses.csv").write_text("timestamp_ns,easting_m,northing_m,height_m,heading_deg\n" + text)
+        report = ingest_recordings([drive], [SCENE], tmp_path / str(wrong) / "d")
+        if accepted:
+            assert report.drives["there"].cleaning.bad_rows == {"position": 1}
+            assert len(report.traversals) == 1
+        else:
+            ((_, error),) = report.failures
+            assert error.place == "line 102" and "position 40" in error.problem
+            assert "--max-bad-rows" in str(error.remedy)

@@ -10,13 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mirror.errors import RecordingError
+import mirror
+from mirror.cli.main import main
+from mirror.errors import ExitCode, RecordingError
 from mirror.geometry.cameras import camera_from_row
 from mirror.geometry.geodesy import TangentFrame
 from mirror.geometry.poses import COLUMNS, Poses
 from mirror.geometry.quaternions import quaternion_inverse, rotate
 from mirror.ingest.request import IngestOptions
+from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
+from mirror.integrity import Severity, check
 from mirror.recordings.coordinates import FLU_FROM_CAMERA
 from mirror.recordings.discovery import find_recordings
 from mirror.recordings.protocol import Recording
@@ -279,3 +283,93 @@ def test_options_are_checked(pristine: Path, options: dict[str, str]) -> None:
     with pytest.raises(RecordingError) as caught:
         open_recording(pristine / "guangzhou-urban-01", options=options)
     assert caught.value.place == f"option {next(iter(options))}"
+
+
+def _without_points(root: Path) -> Path:
+    """Rewrite ``images.txt`` with lines of poses alone, as some programs write it."""
+    file = root / "sparse/0/images.txt"
+    lines = [line for line in file.read_text().splitlines() if line.startswith("#") or ".jpg" in line]
+    file.write_text("\n".join(lines) + "\n")
+    return root
+
+
+def test_images_without_lines_of_points_are_all_read(tmp_path: Path) -> None:
+    drive = straight_drive()
+    root = write_colmap(tmp_path / "photos", [drive], text=True)
+    expected = open_recording(root)
+    track, count = expected.track(), sum(len(stamps) for stamps in drive.image_ns.values())
+    recording = open_recording(_without_points(root))
+    assert sum(len(stream.exposure_start_ns) for stream in recording.images().values()) == count
+    np.testing.assert_array_equal(recording.track().x_m, track.x_m)
+
+
+def test_lines_of_points_are_told_from_images(tmp_path: Path) -> None:
+    """With points, without, and a name that is made of words."""
+    root = write_colmap(tmp_path / "photos", [straight_drive()], text=True)
+    _without_points(root)
+    file = root / "sparse/0/images.txt"
+    poses = [line for line in file.read_text().splitlines() if ".jpg" in line]
+    points = ["10.5 20.5 7 11.5 21.5 -1", "", "1e2 3.5 -1"]
+    every = [line for pose, seen in zip(poses, [*points, *[""] * len(poses)]) for line in (pose, seen)]
+    file.write_text("\n".join(every) + "\n")
+    found = open_recording(root).model.images.name  # type: ignore[attr-defined]
+    assert sorted(found) == sorted(pose.split()[9] for pose in poses)
+    file.write_text("\n".join([*every[:3], "10.5 20.5", *every[4:]]) + "\n")
+    with pytest.raises(RecordingError, match="neither points nor an image") as caught:
+        open_recording(root)
+    assert (caught.value.file, caught.value.place) == (str(file), "line 4")
+
+
+def test_of_several_models_the_largest_is_read_and_all_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = straight_drive().with_cameras(("front_wide",))
+    small = StreetDrive(**{**vars(drive), "image_ns": {"front_wide": drive.image_ns["front_wide"][:2]}})
+    root = write_colmap(tmp_path / "photos", [small])
+    write_colmap(root, [drive], folder="sparse/1")
+    write_colmap(root, [small], folder="sparse/10", text=True)
+    recording = open_recording(root)
+    assert len(recording.track()) == len(drive.image_ns["front_wide"])
+    (note,) = recording.info.notes
+    for folder, count in (("sparse/0", 2), ("sparse/1", len(drive.image_ns["front_wide"])), ("sparse/10", 2)):
+        assert f"{folder} ({count} images)" in note
+    assert "sparse/1 is read" in note and "--option model=" in note
+    assert main(["info", str(root)]) == ExitCode.DONE
+    assert note in capsys.readouterr().out.replace("\n", " ")
+    assert len(open_recording(root, options={"model": "sparse/0"}).track()) == 2
+    out = str(tmp_path / "d")
+    roi = ["--rois", str(tmp_path / "rois.geojson"), "--out", out]
+    write_rois(tmp_path / "rois.geojson", [Roi(scene_id="a", frame="colmap_photos", x_m=0, y_m=0, radius_m=90)])
+    assert main(["ingest", str(root), *roi]) == ExitCode.DONE
+    assert "sparse/1 is read" in capsys.readouterr().out
+
+
+def test_unordered_photos_are_no_motion(tmp_path: Path) -> None:
+    """Photos taken here and there, 50 m a second apart at the stated scale and rate, all keep their own poses."""
+    rng = np.random.default_rng(1)
+    drive = straight_drive().with_cameras(("front_wide",))
+    place = np.stack([*rng.uniform(-9.0, 9.0, (2, 14)), np.full(14, 0.2)], axis=1)
+    place[7] = place[6]
+    turn = np.tile((1.0, 0.0, 0.0, 0.0), (14, 1))
+    stamps = drive.pose_ns[0] + np.arange(14) * 1_000_000_000
+
+    def poses_at(asked: np.ndarray) -> Poses:
+        rows = (np.asarray(asked) - stamps[0]) // 1_000_000_000
+        return Poses(turn[rows], place[rows])
+
+    photos = StreetDrive(**{**vars(drive), "image_ns": {"front_wide": stamps}, "poses_at": poses_at})
+    root = write_colmap(tmp_path / "photos", [photos], names="numbers")
+    options = IngestOptions(workers=1, reader_options={"scale": "8", "rate_hz": "1"})
+    scene = Roi(scene_id="place", frame="colmap_photos", x_m=0.0, y_m=0.0, radius_m=200.0)
+    report = ingest_recordings([root], [scene], tmp_path / "d", options)
+    assert not report.failures
+    (one,) = report.drives.values()
+    assert (one.cleaning.kept, one.cleaning.outliers, one.cleaning.repeated) == (14, 0, 0)
+    assert [(written.images, written.without_pose) for written in report.traversals] == [(14, 0)]
+    ego = open_recording(root, options=dict(options.reader_options)).track()
+    frames = mirror.open(tmp_path / "d").frames()
+    assert len(frames) == 14
+    stored = np.array([frame.world_SE3_ego.translation[0] for frame in frames])
+    np.testing.assert_allclose(stored[:, :2], np.stack([ego.x_m, ego.y_m], axis=1), atol=1e-6)  # type: ignore[list-item]
+    found = [rule.rule_id for rule, _ in check(tmp_path / "d").findings if rule.severity is not Severity.INFO]
+    assert found == ["CAM014"]

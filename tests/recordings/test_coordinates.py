@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mirror.errors import RecordingError
-from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef, geodetic_to_utm
+from mirror.geometry.geodesy import ecef_R_enu, geodetic_to_ecef, geodetic_to_utm, is_in_utm_domain, utm_to_geodetic
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import heading_deg, quaternion_from_heading_pitch_roll, quaternion_from_matrix, rotate
 from mirror.recordings.coordinates import (
@@ -23,6 +23,7 @@ from mirror.recordings.coordinates import (
     track_from_utm,
 )
 from mirror.recordings.protocol import Track
+from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.tabular import RecordingRows, read_rows
 
 STAMP = np.array([0], np.int64)
@@ -128,3 +129,41 @@ def test_invalid_rotation_is_named_by_its_line(tmp_path: Path, bad: str) -> None
     with pytest.raises(RecordingError, match="no rotation") as caught:
         normalise_rotations(wrong, rows, "qw")
     assert caught.value.place == "line 3, column qw"
+
+
+@pytest.mark.parametrize(
+    ("easting", "northing", "north"),
+    [
+        (-109_000.0, 5_332_000.0, True),  # without the false easting
+        (691_000.0, -4_170_000.0, False),  # without the false northing
+        (5_000_000.0, 5_332_000.0, True),
+        (691_000.0, 53_320_000.0, True),  # a digit too many
+        (np.inf, 5_332_000.0, True),
+    ],
+)
+def test_coordinates_outside_the_domain_of_utm_have_no_place(easting: float, northing: float, north: bool) -> None:
+    lon, lat = utm_to_geodetic([easting, 5e5], [northing, 4e6], 32, north)
+    assert np.isnan([lon[0], lat[0]]).all() and np.isfinite([lon[1], lat[1]]).all()
+    faults = RowFaults(2)
+    easting_m, northing_m = np.array([5e5, easting]), np.array([4e6, northing])
+    track = track_from_utm(np.arange(2), easting_m, northing_m, None, None, zone=32, north=north, faults=faults)
+    kept = faults.drop_from(track)
+    assert len(kept) == 1 and kept.bad is not None and kept.bad.counts() == {"position": 1}
+    with pytest.raises(RecordingError, match="no place of a UTM zone") as caught:
+        track_from_utm(np.arange(2), easting_m, northing_m, None, None, zone=32, north=north, file=Path("poses.csv"))
+    assert (caught.value.file, caught.value.place) == ("poses.csv", "row 1")
+
+
+def test_the_domain_of_utm_has_every_place_of_a_zone_and_its_neighbourhood() -> None:
+    lon, lat = (axis.ravel() for axis in np.meshgrid(np.linspace(5.5, 12.5, 15), np.linspace(-80.0, 84.0, 165)))
+    for north in (True, False):
+        assert is_in_utm_domain(*geodetic_to_utm(lon, lat, 32, north), north).all()
+    assert not is_in_utm_domain([np.nan], [0.0], True).any()
+
+
+@pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (4_177.0, 855.0, 4_728.0), (np.inf, 0.0, 0.0)])
+def test_ecef_positions_off_the_ground_are_bad_rows(position: tuple[float, float, float]) -> None:
+    faults = RowFaults(2)
+    places = np.stack([geodetic_to_ecef([11.6], [48.1], [500.0])[0], position])
+    track = faults.drop_from(track_from_ecef(np.arange(2), places, None, faults=faults))
+    assert len(track) == 1 and track.bad is not None and track.bad.counts() == {"position": 1}

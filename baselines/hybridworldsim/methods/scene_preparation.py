@@ -113,6 +113,8 @@ def prepare_scene(dataset: Dataset, task: ReconstructionTask, block_m: float, re
     training = training_views(layers.dataset, task.protocol, task.split, task.scene, withheld=task.withheld)
     traversals = layers.dataset.where(split=task.split, role="train", scene=task.scene)
     geometry = read_scene_geometry(traversals)
+    if geometry.few_points is not None:
+        reporter.message(geometry.few_points)
     for kind in KINDS:
         if missing := layers.traversals_without(kind, traversals.traversals()):
             reporter.message(f"without {kind}: {', '.join(missing)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -21,6 +22,10 @@ def driven_m(dataset: Dataset) -> Float64:
     return read_driven_poses(dataset).translation
 
 
+FEW_POINTS: Final = 50
+"""Fewer points of a scene than this are matches by chance: photos that hardly overlap, or wrong poses."""
+
+
 @dataclass(frozen=True, eq=False)
 class SceneGeometry:
     """The geometry of a scene before training, in the world.
@@ -30,12 +35,26 @@ class SceneGeometry:
         points_rgb: (P, 3) their colours.
         driven_m: (N, 3) places of vehicles on the ground.
         ground: surface through the driven places and the ground points.
+        ground_count: number of the ground points.
     """
 
     points_m: Float64
     points_rgb: UInt8
     driven_m: Float64
     ground: Ground
+    ground_count: int = 0
+
+    @property
+    def few_points(self) -> str | None:
+        """A warning, if there are too few points to tell where the scene is; None: there are enough."""
+        count = len(self.points_m) + self.ground_count
+        if count >= FEW_POINTS:
+            return None
+        return (
+            f"warning: the scene has {count} points, fewer than {FEW_POINTS}: the model starts from nearly nothing, and"
+            " its views will be poor; check the images and their poses (`mirror check`), or initialise with more points"
+            " (--initialise)"
+        )
 
 
 def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
@@ -65,7 +84,9 @@ def read_scene_geometry(dataset: Dataset) -> SceneGeometry:
         )  # fmt: skip
     on_ground = np.array(points.kind) == "ground"
     ground = fit_ground(compute_wheel_contacts(read_driven_poses(dataset)), points.position_m[on_ground])
-    return SceneGeometry(points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground)
+    return SceneGeometry(
+        points.position_m[~on_ground], points.rgb[~on_ground], driven_m(dataset), ground, int(on_ground.sum())
+    )
 
 
 def block_geometry(scene: SceneGeometry, block: Block, sources: Sequence[Source]) -> InitialGeometry:

@@ -80,7 +80,7 @@ def _heading(view: SceneView) -> Iterator[Finding]:
     # A heading that was taken from the course says nothing about the source's.
     codes, words = poses.text_codes("orientation")
     recorded = codes != (words.index("course") if "course" in words else len(words))
-    moving = recorded & (motion.speed_mps > _MOVING_MPS) & np.isfinite(angle)
+    moving = recorded & view.has_motion[poses.traversal] & (motion.speed_mps > _MOVING_MPS) & np.isfinite(angle)
     way = np.where(moving, motion.distance_m, 0.0)
     wrong = np.where(moving & (np.abs(angle) > _LIMIT_DEG), motion.distance_m, 0.0)
     total = np.bincount(poses.owner, way, minlength=len(poses.files))

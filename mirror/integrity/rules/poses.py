@@ -112,7 +112,8 @@ def _speed(view: SceneView) -> Iterator[Finding]:
     cleaning = view.dataset.document.cleaning
     motion = view.motion
     # What noise may do between two poses that are close in time is no speed.
-    bad = motion.distance_m > cleaning.max_speed_mps * motion.step_s + cleaning.noise_m
+    bad = view.has_motion[view.all_poses.traversal]
+    bad &= motion.distance_m > cleaning.max_speed_mps * motion.step_s + cleaning.noise_m
     yield from view.all_poses.findings(
         bad,
         lambda row: (
@@ -136,9 +137,11 @@ def _acceleration(view: SceneView) -> Iterator[Finding]:
     if view.dataset.document is None:
         return
     limit = view.dataset.document.cleaning.max_acceleration_mps2
-    found = accelerations(view.motion)
+    found = np.where(view.has_motion[view.all_poses.traversal], accelerations(view.motion), np.nan)
     yield from view.all_poses.findings(
-        found > limit, lambda row: f"{found[row]:.1f} m/s2; expected at most {limit:g} m/s2", worst=found
+        found > limit,
+        lambda row: f"{found[row]:.1f} m/s2; expected at most {limit:g} m/s2",
+        worst=found,
     )
 
 
@@ -185,7 +188,7 @@ def _turn_rate(view: SceneView) -> Iterator[Finding]:
     recorded = codes == (words.index("recorded") if "recorded" in words else -2)
     rate = turn_rates(view.motion)
     yield from poses.findings(
-        recorded & (rate > _LIMIT_DEGPS),
+        recorded & view.has_motion[poses.traversal] & (rate > _LIMIT_DEGPS),
         lambda row: f"{rate[row]:.0f} degrees a second; expected at most {_LIMIT_DEGPS:g}",
         worst=rate,
     )
@@ -242,11 +245,13 @@ def _frozen(view: SceneView) -> Iterator[Finding]:
             for step in (into, out)
             if poses.same_file[step]
         )
-        bad[begin] = fast or _turn_deg(motion, begin, end) > _TURN_DEG
+        bad[begin] = view.has_motion[poses.traversal[begin]] and (fast or _turn_deg(motion, begin, end) > _TURN_DEG)
     length = np.zeros(len(poses))
     length[first] = (stamps[last] - stamps[first]) * 1e-9
     yield from poses.findings(
-        bad, lambda row: f"the same position for {length[row]:.1f} s, while the vehicle turns or moves", worst=length
+        bad,
+        lambda row: f"the same position for {length[row]:.1f} s, while the vehicle turns or moves",
+        worst=length,
     )
 
 

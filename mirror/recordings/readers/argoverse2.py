@@ -211,7 +211,18 @@ class Argoverse2Recording:
             return faults.drop_from(Track(stamps, x_m=x, y_m=y, height_m=z, rotation=rotation, file=file))
         city = _CITIES[self.city]
         east, north = geodetic_to_utm([city.longitude_deg], [city.latitude_deg], city.zone, True)
-        track = track_from_utm(stamps, x + east, y + north, z, rotation, zone=city.zone, north=True, file=file)
+        track = track_from_utm(
+            stamps,
+            x + east,
+            y + north,
+            z,
+            rotation,
+            zone=city.zone,
+            north=True,
+            faults=faults,
+            locate=lambda row: (file, f"row {row}"),
+            file=file,
+        )
         return faults.drop_from(track)
 
     @cached_property

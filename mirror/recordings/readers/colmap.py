@@ -38,12 +38,13 @@ from mirror.recordings.paths import natural_key, require_files_inside, to_identi
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.colmap_lenses import to_lens
-from mirror.recordings.readers.colmap_model import ColmapModel, read_model
+from mirror.recordings.readers.colmap_model import ColmapModel, count_images, read_model
 from mirror.recordings.readers.colmap_settings import OPTIONS, ColmapSettings, read_settings
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.time import SECOND_NS
 
-_FOLDERS: Final = ("sparse/0", "sparse", "colmap/sparse/0", "colmap", "")
+# Folders of models, in the order in which they are looked for; a star is a folder with a number.
+_FOLDERS: Final = ("sparse/*", "sparse", "colmap/sparse/*", "colmap", "")
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _STAMP: Final = re.compile(r"\d{16}|\d{19}")
 # Poses of the reference camera further apart than this do not give a pose between them.
@@ -55,15 +56,16 @@ class ColmapReader:
     """Reads the drives of a folder with a COLMAP model and its images."""
 
     name = "colmap"
-    expects = "a folder with images/ and a model of COLMAP in sparse/0, sparse, colmap or itself, or FOLDER/DRIVE"
+    expects = "a folder with images/ and a model of COLMAP in sparse/NUMBER, sparse, colmap or itself, or FOLDER/DRIVE"
 
     def recognises(self, path: Path) -> bool:
         """Whether the folder holds a model and a folder of images."""
-        return path.is_dir() and _model_folder(path) is not None and (path / "images").is_dir()
+        return path.is_dir() and (path / "images").is_dir() and bool(_model_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
         """Names of the drives; one drive has no name of its own."""
-        return list(_by_drive(read_model(path, _model_folder(path) or "").images.name))
+        folder = next(iter(_model_folders(path)), "")
+        return list(_by_drive(read_model(path, folder).images.name))
 
     def open(self, path: Path, options: Mapping[str, str]) -> ColmapRecording:
         """Open a drive.
@@ -76,28 +78,55 @@ class ColmapReader:
         refuse_options(options, OPTIONS, path, self.name)
         settings = read_settings(options, path)
         root, name = path, None
-        folder = options.get("model", _model_folder(path) if path.is_dir() else None)
-        if folder is None:
+        models = _model_folders(path) if path.is_dir() else {}
+        if (not models and "model" not in options) or not path.exists():
             root, name = path.parent, path.name
-            folder = _model_folder(root)
-        if folder is None:
+            models = _model_folders(root) if root.is_dir() else {}
+        if not models and "model" not in options:
             raise RecordingError("no model of COLMAP", file=path, expected=self.expects)
+        folder = options.get("model", next(iter(models), ""))
         model = read_model(root, folder)
         drives = _by_drive(model.images.name)
         chosen = choose_drive(list(drives), name, root)
-        return ColmapRecording(root, model, chosen, drives[chosen], settings)
+        return ColmapRecording(root, model, chosen, drives[chosen], settings, _name_choice(models, folder))
 
 
-def _model_folder(path: Path) -> str | None:
-    """The folder of the model, relative to the recording; None: there is none."""
-    for folder in _FOLDERS:
-        prefix = f"{folder}/" if folder else ""
-        if any(
-            find_file(path, f"{prefix}cameras{suffix}") and find_file(path, f"{prefix}images{suffix}")
-            for suffix in (".bin", ".txt")
-        ):
-            return folder
-    return None
+def _model_folders(path: Path) -> dict[str, int]:
+    """Number of images by the folder of each model at the first of the places of models, the largest model first.
+
+    The mapper of COLMAP writes a model for each part of the images that it could not connect: ``sparse/0``,
+    ``sparse/1`` ... One model alone is not counted (0).
+    """
+    for place in _FOLDERS:
+        folders = [place]
+        if place.endswith("/*"):
+            parent = place.removesuffix("/*")
+            children = (path / parent).iterdir() if (path / parent).is_dir() else ()
+            names = sorted((child.name for child in children if child.name.isdecimal()), key=natural_key)
+            folders = [f"{parent}/{name}" for name in names]
+        found = [folder for folder in folders if _holds_model(path, folder)]
+        if len(found) > 1:
+            counts = {folder: count_images(path, folder) for folder in found}
+            return dict(sorted(counts.items(), key=lambda item: -item[1]))
+        if found:
+            return {found[0]: 0}
+    return {}
+
+
+def _holds_model(path: Path, folder: str) -> bool:
+    prefix = f"{folder}/" if folder else ""
+    return any(
+        find_file(path, f"{prefix}cameras{suffix}") and find_file(path, f"{prefix}images{suffix}")
+        for suffix in (".bin", ".txt")
+    )
+
+
+def _name_choice(models: Mapping[str, int], folder: str) -> tuple[str, ...]:
+    """What `mirror info` and `mirror ingest` say of a folder with several models."""
+    if len(models) < 2:
+        return ()
+    listed = ", ".join(f"{name} ({count} images)" for name, count in models.items())
+    return (f"several models of COLMAP: {listed}; {folder} is read, `--option model=FOLDER` reads another",)
 
 
 def _by_drive(names: Sequence[str]) -> dict[str, list[int]]:
@@ -138,6 +167,7 @@ class ColmapRecording:
         drive: the drive's name.
         rows: rows of its images in the model.
         settings: the options.
+        notes: what is said of the choice among several models.
     """
 
     path: Path
@@ -145,6 +175,7 @@ class ColmapRecording:
     drive: str
     rows: Sequence[int]
     settings: ColmapSettings
+    notes: tuple[str, ...] = ()
 
     @property
     def _is_single(self) -> bool:
@@ -164,6 +195,8 @@ class ColmapRecording:
             frame=None if self.settings.origin is not None else self.settings.frame or f"colmap_{folder}"[:120],
             body_frame="camera",
             has_date=by_name,
+            has_motion=by_name,
+            notes=self.notes,
         )
 
     @cached_property

@@ -7,6 +7,7 @@ Source: https://colmap.github.io/format.html
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -129,6 +130,23 @@ def read_model(root: Path, folder: str) -> ColmapModel:
         frame_of = _frames_text(files["frames"]) if "frames" in files else {}
     rows = sorted(images, key=lambda row: row[0])
     return ColmapModel(files, cameras, _to_images(rows, cameras, files["images"]), frame_of)
+
+
+def count_images(root: Path, folder: str) -> int:
+    """Number of registered images of a model.
+
+    Args:
+        root: the recording's folder.
+        folder: the model's folder, relative to it.
+
+    Raises:
+        RecordingError: the file of images is damaged.
+    """
+    binary = find_file(root, f"{folder}/images.bin")
+    if binary is not None:
+        return int(_Bytes(binary).unpack("Q")[0])
+    text = find_file(root, f"{folder}/images.txt")
+    return 0 if text is None else len(_images_text(text))
 
 
 _Row = tuple[int, tuple[float, ...], int, str]
@@ -274,20 +292,34 @@ def _cameras_text(file: Path) -> dict[int, ColmapCamera]:
 
 
 def _images_text(file: Path) -> list[_Row]:
-    lines = _lines(file)
-    while lines and not lines[-1][1].strip():
-        lines.pop()
+    """Images of two lines each, the pose and the points; some programs leave the empty lines of points out."""
     rows: list[_Row] = []
-    # The second line of each image lists its points, and may be empty.
-    for number, line in lines[::2]:
+    expects_points = False
+    for number, line in _lines(file):
+        if expects_points and _is_points(line):
+            expects_points = False
+            continue
+        if not line.strip():
+            continue
         try:
             identity, *pose, camera, name = line.split(maxsplit=9)
             if len(pose) != 7:
                 raise ValueError(f"{len(pose)} numbers of a pose")
             rows.append((int(identity), tuple(map(float, pose)), int(camera), name.strip()))
         except ValueError as error:
-            raise _line_error(file, number, f"not an image ({error})") from error
+            what = "neither points nor an image" if expects_points else "not an image"
+            raise _line_error(file, number, f"{what} ({error})") from error
+        expects_points = True
     return rows
+
+
+def _is_points(line: str) -> bool:
+    """Whether a line lists points: triples of x, y and the point's id, or nothing."""
+    words = line.split()
+    try:
+        return len(words) % 3 == 0 and all(map(math.isfinite, map(float, words)))
+    except ValueError:
+        return False
 
 
 def _frames_text(file: Path) -> dict[int, int]:

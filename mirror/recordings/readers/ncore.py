@@ -214,7 +214,8 @@ class NcoreRecording:
             poses = self._global @ poses
         stamp_ns: Int64 = np.where(known, stamp_us, 0) * 1_000
         if self._is_geodetic:
-            return faults.drop_from(track_from_ecef(stamp_ns, poses.translation, poses.rotation, file=file))
+            track = track_from_ecef(stamp_ns, poses.translation, poses.rotation, file=file, faults=faults)
+            return faults.drop_from(track)
         x, y, z = poses.translation.T
         return faults.drop_from(Track(stamp_ns, x_m=x, y_m=y, height_m=z, rotation=poses.rotation, file=file))
 

@@ -206,7 +206,19 @@ class NuplanRecording:
         )
         stamps: Int64 = np.where(bad, 0, stamps_us).astype(np.int64) * 1_000
         x, y, z = values[:, :3].T
-        return faults.drop_from(track_from_utm(stamps, x, y, z, rotation, zone=zone, north=north, file=self.path))
+        track = track_from_utm(
+            stamps,
+            x,
+            y,
+            z,
+            rotation,
+            zone=zone,
+            north=north,
+            faults=faults,
+            locate=lambda row: (self.path, f"table ego_pose, row {row}"),
+            file=self.path,
+        )
+        return faults.drop_from(track)
 
     def _zone(self, epsg: Any) -> tuple[int, bool]:
         """UTM zone and hemisphere of all poses."""

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.tabular import RecordingRows
-from mirror.recordings.time import SECOND_NS
+from mirror.recordings.time import SECOND_NS, ends_in_leap_second, order_leap_seconds
 
 FORMATS: Final = ("YYYY-MM-DD", "MM/DD/YYYY", "DD/MM/YYYY")
 _STAMP: Final = (
@@ -30,7 +30,7 @@ _EXPECTED: Final = "a date and time such as 2021-08-05T17:34:46.438+00:00, 08/05
 def parse_stamps(
     rows: RecordingRows, column: str, text: pa.ChunkedArray, *, tz: str | None, date_format: str | None
 ) -> Int64:
-    """Convert dates and times to Unix nanoseconds.
+    """Convert dates and times to Unix nanoseconds; ``23:59:60`` exists where UTC had a leap second.
 
     A stamp with an offset (``Z``, ``+02:00``) states its own zone; a stamp without one is local time in ``tz``. The
     rows that can be read in one order only decide whether ``04/05`` is in April or in May: the more frequent order is
@@ -76,14 +76,17 @@ def parse_stamps(
     year, month, day = (date[letter] for letter in order)
     hour, minute, second = (_number(parts[name]) for name in ("hour", "minute", "second"))
     # int64 nanoseconds since 1970 reach from 1678 to 2261.
-    wrong = ~_is_date(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 59)
+    wrong = ~_is_date(year, month, day) | (year < 1678) | (year > 2261) | (hour > 23) | (minute > 59) | (second > 60)
     refuse(wrong & ~bad, lambda stamp: f"{stamp!r} does not exist")
     bad = bad | wrong
     days = _first_day(year, month).astype(np.int64) + day - 1
-    local = ((days * 24 + hour) * 60 + minute) * 60 + second
+    is_leap: Bool = second == 60
+    local = ((days * 24 + hour) * 60 + minute) * 60 + np.minimum(second, 59)
     fraction = _number(pc.utf8_rpad(parts["fraction"], 9, "0"))
     local_ns = np.where(bad, 0, local) * SECOND_NS + np.where(bad, 0, fraction)
-    return _to_utc(rows, column, text, local_ns, parts["zone"], tz, ~bad)
+    utc_ns = _to_utc(rows, column, text, local_ns, parts["zone"], tz, ~bad)
+    refuse(is_leap & ~ends_in_leap_second(utc_ns) & ~bad, lambda stamp: f"{stamp!r} does not exist")
+    return order_leap_seconds(utc_ns, is_leap & ~bad)
 
 
 def _first_day(year: Int64, month: Int64) -> npt.NDArray[np.datetime64]:

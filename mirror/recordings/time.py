@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.errors import RecordingError
+from mirror.schema.casting import EXACT_FLOAT64
 
 SECOND_NS: Final = 1_000_000_000
 WEEK_S: Final = 604_800
@@ -82,6 +83,30 @@ def unix_from_gps_ns(gps_ns: Int64) -> Int64:
     return gps_ns + (GPS_EPOCH_NS - leaps * SECOND_NS)
 
 
+def order_leap_seconds(unix_ns: Int64, in_leap_second: Bool) -> Int64:
+    """Give instants within an inserted leap second stamps of their own: between the second before and the one after.
+
+    Unix time has one second for two: the leap second and the second before it share it, at half the rate, so that no
+    two stamps coincide and their order stays. A stamp is then at most half a second early. Recordings without an
+    instant in the leap second keep their stamps.
+
+    Args:
+        unix_ns: (N,) Unix time; instants in a leap second have that of the second before.
+        in_leap_second: (N,) True for those.
+    """
+    if not in_leap_second.any():
+        return unix_ns
+    second = unix_ns // SECOND_NS
+    shared = np.isin(second, second[in_leap_second])
+    halved = second * SECOND_NS + (unix_ns - second * SECOND_NS + np.where(in_leap_second, SECOND_NS, 0)) // 2
+    return np.where(shared, halved, unix_ns)
+
+
+def ends_in_leap_second(unix_ns: Int64) -> Bool:
+    """(N,) True in the seconds of Unix time after which UTC had a leap second."""
+    return np.isin((unix_ns // SECOND_NS + 1) * SECOND_NS, _LEAP_UNIX_NS)
+
+
 def unix_from_gps_week(week: AnyArray, time_of_week_s: Float64) -> Int64:
     """Convert GPS weeks (not rolled over) and seconds of the week to Unix nanoseconds, exact to the nanosecond.
 
@@ -117,27 +142,36 @@ def to_unix_ns(values: pa.ChunkedArray, base: str) -> Int64:
     """Convert a column of numbers to Unix nanoseconds.
 
     Args:
-        values: (N,) integers, text of decimal numbers (exact to the nanosecond), or floats.
+        values: (N,) integers, text of decimal numbers (exact to the nanosecond), floats up to 2^53, beyond which whole
+            numbers are rounded, or Arrow timestamps of any unit (without a zone: UTC).
         base: a key of `TIME_BASES`.
 
     Returns:
         (N,) Unix time, UTC.
 
     Raises:
-        StampError: a value is missing, not a number, or too large for its unit; its row is named.
+        StampError: a value is missing, not a number, has lost digits, or is too large for its unit; its row is named.
         RecordingError: the time base is unknown.
     """
     if base not in TIME_BASES:
         raise RecordingError(f"unknown time base {base!r}", expected=f"one of {', '.join(TIME_BASES)}")
     kind = TIME_BASES[base]
     _raise_for(np.asarray(pc.is_null(values, nan_is_null=True)), "missing")
+    if pa.types.is_timestamp(values.type):
+        if kind.gps:
+            raise StampError(np.ones(len(values), np.bool_), f"dates ({values.type}) are no {kind.words}: use unix_ns")
+        return _from_timestamps(values)
     if pa.types.is_integer(values.type):
         counted = _from_integers(values, kind)
     elif pa.types.is_floating(values.type):
         counted = _from_floats(np.asarray(values, np.float64), kind)
     else:
         counted = _from_text(values, kind)
-    return unix_from_gps_ns(counted) if kind.gps else counted
+    if not kind.gps:
+        return counted
+    begun = np.searchsorted(_LEAP_GPS_NS - SECOND_NS, counted, side="right")
+    over = np.searchsorted(_LEAP_GPS_NS, counted, side="right")
+    return order_leap_seconds(unix_from_gps_ns(counted), begun > over)
 
 
 def _from_text(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
@@ -161,9 +195,19 @@ def _from_integers(values: pa.ChunkedArray, kind: TimeBase) -> Int64:
     return integers * kind.unit_ns
 
 
+def _from_timestamps(values: pa.ChunkedArray) -> Int64:
+    unit = values.type.unit
+    length = SECOND_NS if unit == "s" else _UNITS[unit][1]
+    integers = np.asarray(values.cast(pa.int64()))
+    _raise_for(np.abs(integers) > (2**63 - 1) // length, "a date beyond the year 2262", values)
+    return integers * length
+
+
 def _from_floats(values: Float64, kind: TimeBase) -> Int64:
     limit = (2**63 - 1 - GPS_EPOCH_NS) // kind.unit_ns
     _raise_for(~(np.abs(values) < limit), f"not finite, or too large for {kind.words}", values)
+    lost = "a float64 beyond 2^53, which has lost digits: write whole numbers as integers (int64)"
+    _raise_for(np.abs(values) > EXACT_FLOAT64, lost, values)
     whole = np.floor(values)
     return whole.astype(np.int64) * kind.unit_ns + np.rint((values - whole) * kind.unit_ns).astype(np.int64)
 

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 
 from mirror.errors import DatasetError, SchemaError
+from mirror.schema.casting import cast_exactly
 from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import ADDED, Table
@@ -292,7 +293,7 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
         column = data.column(field.name)
         if column.type != field.type:
             try:
-                column = column.cast(field.type)
+                column = cast_exactly(column, field)
             except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
                 raise SchemaError(
                     f"table {table.name}: {error}", file=file, place=f"column {field.name}", expected=str(field.type)

@@ -397,3 +397,18 @@ def test_truth_beside_a_recording_is_not_one_of_its_files(tmp_path: Path) -> Non
     (path / "truth" / "depth" / "0.png").write_bytes(b"depth")
     assert list(open_recording(path).files()) == list(before)
     assert "recording.json" in [name for name, _ in before]
+
+
+def test_arrow_timestamps_and_floats_in_parquet(tmp_path: Path) -> None:
+    """Timestamps of any unit are read; a float64 of nanoseconds has lost digits, in poses and in boxes."""
+    stamps = np.array([row[0] for row in ROWS]) + 123_456_789
+    columns = {"longitude_deg": [row[1] for row in ROWS], "latitude_deg": [row[2] for row in ROWS]}
+    path = write_recording(tmp_path / "drive", poses=None, **POSES_ONLY)
+    for column in (pa.array(stamps), pa.array(stamps, pa.timestamp("ns")), pa.array(stamps, pa.timestamp("ns", "UTC"))):
+        pq.write_table(pa.table({"timestamp_ns": column, **columns}), path / "poses.parquet")
+        track = open_recording(path).track()
+        assert track.bad is None and track.timestamp_ns.tolist() == stamps.tolist()
+    pq.write_table(pa.table({"timestamp_ns": stamps.astype(np.float64), **columns}), path / "poses.parquet")
+    track = open_recording(path).track()
+    assert len(track) == 0 and track.bad is not None and len(track.bad) == len(ROWS)
+    assert "2^53" in track.bad.first.problem and "int64" in track.bad.first.problem

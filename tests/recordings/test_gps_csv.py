@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from mirror.errors import RecordingError
+from mirror.ingest.clean import clean
 from mirror.recordings.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
+from mirror.schema.documents import CleaningOptions
 from tests.recordings.clean_track import clean_track
 from tests.recordings.layout import POSES, POSES_ONLY, START_NS, write_recording
 
@@ -283,3 +285,23 @@ def test_bad_row_of_a_later_file_is_named_by_its_own_line(part: str, line: int, 
     error = refusal(tmp_path / "drive")
     assert error.file is not None and Path(error.file).name == f"{part}.csv"
     assert error.place == f"line {line}, column lat"
+
+
+def test_a_leap_second_is_read(tmp_path: Path) -> None:
+    """Ten fixes in 23:59:60 are no bad rows, and cleaning keeps them all; there is no such second on other days."""
+    seconds = [f"2016-12-31T23:59:{58 + number // 10}.{number % 10}Z" for number in range(30)]
+    seconds += [f"2017-01-01T00:00:0{number // 10}.{number % 10}Z" for number in range(20)]
+    rows = [f"{stamp},{11.5 + 1e-5 * number:.6f},48.1" for number, stamp in enumerate(seconds)]
+    (tmp_path / "drive.csv").write_text("time,lon,lat\n" + "\n".join(rows) + "\n")
+    track = open_recording(tmp_path / "drive.csv").track()
+    assert track.bad is None and len(track) == 50 and (np.diff(track.timestamp_ns) > 0).all()
+    _, report = clean(track, CleaningOptions())
+    assert report.kept == 50
+    # The same instants in a zone.
+    local = [row.replace("2016-12-31T23:59:", "2017-01-01T00:59:").replace("Z,", "+01:00,") for row in rows[:30]]
+    local += [row.replace("T00:00:", "T01:00:").replace("Z,", "+01:00,") for row in rows[30:]]
+    (tmp_path / "local.csv").write_text("time,lon,lat\n" + "\n".join(local) + "\n")
+    np.testing.assert_array_equal(open_recording(tmp_path / "local.csv").track().timestamp_ns, track.timestamp_ns)
+    (tmp_path / "other.csv").write_text("time,lon,lat\n" + "\n".join(rows).replace("2016-12-31", "2015-12-31") + "\n")
+    bad = open_recording(tmp_path / "other.csv").track().bad
+    assert bad is not None and bad.counts() == {"time": 10}

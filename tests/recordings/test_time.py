@@ -105,3 +105,40 @@ def test_an_unknown_base_is_refused() -> None:
 
 def test_a_column_may_be_empty() -> None:
     assert len(to_unix_ns(pa.chunked_array([pa.array([], pa.int64())]), "unix_s")) == 0
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Berlin"])
+def test_arrow_timestamps_are_read_in_any_unit(unit: str, zone: str | None) -> None:
+    """An Arrow timestamp counts from 1970 in UTC, whatever zone it is shown in; without a zone it is taken as UTC."""
+    whole = np.array(["2026-03-01T10:00:00", "2026-03-01T10:00:01"], "datetime64[ns]").astype(np.int64)
+    column = pa.chunked_array([pa.array(whole, pa.timestamp("ns", zone)).cast(pa.timestamp(unit, zone))])
+    for base in ("unix_ns", "unix_us", "unix_s"):
+        np.testing.assert_array_equal(to_unix_ns(column, base), whole)
+    with pytest.raises(StampError, match="use unix_ns"):
+        to_unix_ns(column, "gps_us")
+
+
+def test_floats_beyond_2_53_have_lost_digits() -> None:
+    stamps = np.array([1_772_359_200_123_456_789, 5], np.int64)
+    with pytest.raises(StampError, match=r"beyond 2\^53") as caught:
+        to_unix_ns(pa.chunked_array([stamps.astype(np.float64)]), "unix_ns")
+    assert caught.value.bad.tolist() == [True, False]
+    # Microseconds and seconds since 1970 fit.
+    for base, length in (("unix_us", 1_000), ("unix_s", 10**9)):
+        exact = stamps // 10**9 * 10**9
+        np.testing.assert_array_equal(to_unix_ns(pa.chunked_array([exact / length]), base), exact)
+
+
+def test_poses_in_a_leap_second_keep_stamps_of_their_own_and_their_order() -> None:
+    """Ten a second from 23:59:58 to 00:00:01, counted by GPS: none coincide, and only two seconds are moved."""
+    gps_us = (1930 * 604_800 + 15) * 1_000_000 + 100_000 * np.arange(40)
+    stamps = to_unix_ns(pa.chunked_array([gps_us]), "gps_us")
+    midnight = unix("2017-01-01")
+    assert (np.diff(stamps) > 0).all()
+    assert stamps[:10].tolist() == [midnight - 2 * SECOND + 100_000_000 * number for number in range(10)]
+    assert stamps[10:30].tolist() == [midnight - SECOND + 50_000_000 * number for number in range(20)]
+    assert stamps[30:].tolist() == [midnight + 100_000_000 * number for number in range(10)]
+    # Without an instant in the leap second nothing is moved.
+    before = to_unix_ns(pa.chunked_array([gps_us[:20]]), "gps_us")
+    assert before[10:].tolist() == [midnight - SECOND + 100_000_000 * number for number in range(10)]

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.recordings.opening import unreadable_error
+from mirror.schema.casting import cast_exactly
 
 
 def read_feather(file: Path, schema: pa.Schema) -> pa.Table:
@@ -69,7 +70,7 @@ def _read(file: Path, schema: pa.Schema, read: Callable[[], Any]) -> pa.Table:
             )
         column = table.column(field.name)
         try:
-            column = column.cast(field.type)
+            column = cast_exactly(column, field)
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
             raise RecordingError(
                 f"values of type {column.type} cannot be used ({str(error).splitlines()[0]})",

@@ -27,7 +27,7 @@ from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
-from mirror_leaderboard.rescore import Sources, require_plan, rescore
+from mirror_leaderboard.rescore import MEASURED_HERE, Sources, require_plan, rescore
 from mirror_leaderboard.rollouts import rescore_rollouts
 from mirror_leaderboard.trust import today
 
@@ -37,7 +37,7 @@ _MAX_NOTE_CHARACTERS: Final = 400
 _NOT_SHOWN: Final = re.compile(r"psnr_pooled|ap_.+")
 """Additional figures of a result that are not metrics of its protocol."""
 
-_RUNTIME_GROUPS: Final = ("reported", "measured")
+_RUNTIME_GROUPS: Final = ("reported", MEASURED_HERE)
 
 
 def add_result(
@@ -79,6 +79,7 @@ def add_result(
     _require_name(entry.method, "submission.method.name", path)
     for name in filter(None, (entry.version, entry.setting, dataset)):
         _require_name(name, "version, setting or dataset name", path)
+    _require_measured_here(result, sources, path)
     if result.protocol.task == "safety":
         if sources is None or sources.submission is not None or sources.hidden is not None:
             raise RefusedError(
@@ -100,7 +101,9 @@ def add_result(
     elif sources is not None and sources.submission is not None:
         result = rescore(result, path, sources, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)
-        entry = entry.model_copy(update={"verified": True})
+        # Of the costs, only what was measured here is more than the submission's word.
+        is_verified = result.protocol.task != "runtime" or sources.measured is not None
+        entry = entry.model_copy(update={"verified": is_verified})
     else:
         require_recomputed_means(result, path)
         if sources is not None:
@@ -294,6 +297,26 @@ def _require_distinct_name(entry: Measured, other: Entry, file: Path) -> None:
             file=file,
             place="submission.method.name",
             remedy="write it as on the board, or choose another name",
+        )
+
+
+def _require_measured_here(result: Result, sources: Sources | None, file: Path) -> None:
+    """Refuse costs that the result says were measured, unless they are measured again now."""
+    is_measured = sources is not None and sources.measured is not None
+    if is_measured and result.protocol.task != "runtime":
+        raise UsageError(
+            f"the result is one of the protocol {result.protocol.name}",
+            file=file,
+            place="--measure",
+            expected="a result of the protocol runtime",
+        )
+    if not is_measured and any(figure.group == MEASURED_HERE for figure in result.figures):
+        raise RefusedError(
+            "says that a speed was measured, which was not done here",
+            file=file,
+            place="figures",
+            expected="stated figures alone",
+            remedy="measure it here, with --submission and --measure METHOD=MODEL, or evaluate without --measure",
         )
 
 

@@ -22,7 +22,14 @@ FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
 _PUBLIC_SEED: Final = re.compile(r"\bseed \d+", re.IGNORECASE)
 
 UNVERIFIED: Final = "unverified:"
-"""Option that separates the tables of entries that the organiser did not verify; its value says why."""
+STATED: Final = "stated:"
+"""Options that separate the tables of entries that the organiser did not verify; their values say why."""
+
+_OF_RENDERS: Final = {UNVERIFIED: "the renders were not scored again"}
+_UNVERIFIED: Final = {
+    "safety": {UNVERIFIED: "the controls were not driven again"},
+    "runtime": {STATED: "by the submissions, not measured here"},
+}
 
 Column = tuple[str, str]
 """A group and a metric."""
@@ -145,8 +152,7 @@ def seconds_per_image(entry: Entry, entries: Sequence[Entry]) -> float | None:
 def _board_key(entry: Entry) -> _Key:
     if isinstance(entry, Reported):
         return (entry.protocol, entry.dataset or "Data set not stated", None, None, ())
-    what = "controls were not driven" if load_protocol(entry.protocol).task == "safety" else "renders were not scored"
-    unverified = {} if entry.verified else {UNVERIFIED: f"the {what} again"}
+    unverified = {} if entry.verified else _UNVERIFIED.get(load_protocol(entry.protocol).task, _OF_RENDERS)
     plan = () if entry.plan_hash is None else (entry.plan_hash,)
     hashes = (entry.protocol_hash, entry.dataset_hash, *plan)
     options = tuple(sorted({**entry.options, **unverified}.items()))

@@ -77,6 +77,9 @@ class Add:
     """Folder of the hidden truth, for protocols that use it."""
     features: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
+    measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
+    """Protocol runtime: measure the speed of this installed method with its model. Without it, all figures are stated
+    ones, and the row stands in a table that says so."""
     street: Annotated[tuple[str, ...], help_text(default="none", metavar="DATASET|synth:PRESET ...")] = ()
     """Protocol safety: drive the recorded controls again in these streets, with all of --scenarios in each. Each scene
     of a dataset is a street. Without it, the row stands in a table of unverified ones."""
@@ -161,7 +164,15 @@ def _add(argv: Sequence[str]) -> int:
         plan = RolloutPlan(arguments.street, arguments.scenarios, arguments.map, arguments.boxes)
     elif arguments.map is not None or arguments.boxes is not None:
         raise UsageError("--map and --boxes belong to a street", expected="--street and --scenarios with them")
-    sources = Sources(arguments.dataset, arguments.submission, arguments.hidden, arguments.features, plan=plan)
+    measured = None
+    if arguments.measure is not None:
+        name, _, model = arguments.measure.partition("=")
+        if not (name and model and arguments.submission):
+            raise UsageError(repr(arguments.measure), place="--measure", expected="METHOD=MODEL, and --submission")
+        measured = name, Path(model)
+    sources = Sources(
+        arguments.dataset, arguments.submission, arguments.hidden, arguments.features, plan=plan, measured=measured
+    )
     with progress_bar(quiet=False) as bar:
         entry = add_result(
             arguments.result,

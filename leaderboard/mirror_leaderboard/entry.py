@@ -11,6 +11,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, RootModel, model_validator
 
 from mirror.errors import DatasetError, SchemaError
+from mirror.evaluation.submission.manifest import MOST_FRAMES_PER_SECOND
 from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json, sha256_bytes
@@ -183,7 +184,7 @@ class Measured(Document):
     setting: Name | None = None
     result_hash: Hash
     toolkit: Name
-    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    frames_per_second: Annotated[float, Field(ge=1e-6, le=MOST_FRAMES_PER_SECOND)] | None = None
     device: Name | None = None
     figures: tuple[Figure, ...] = Field(min_length=1)
     pairs: tuple[Pair, ...] = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from pydantic import ValidationError
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -165,6 +167,57 @@ def test_times_of_an_unverified_row_are_those_of_its_manifest(dataset: Dataset, 
         edited = done.result.model_copy(update={"figures": (figure.model_copy(update=change),)})
         with pytest.raises(RefusedError, match="frames_per_second"):
             require_plan(edited, tmp_path / "out" / "result.json", str(root))
+
+
+@pytest.mark.parametrize(
+    ("figure", "value"),
+    [
+        ("frames_per_second", 1e12),
+        ("training_s", 1e-9),
+        ("peak_memory_bytes", 1),
+        ("model_bytes", 0),
+        ("driven_m", 1e300),
+        ("training_s", 1e30),
+    ],
+)
+def test_impossible_costs_are_a_problem_of_the_submission(figure: str, value: float) -> None:
+    """Before: 10^12 frames a second and a training of 1e-9 s were verified."""
+    with pytest.raises(ValidationError, match=figure):
+        Runtime.model_validate({"device": "a GPU", figure: value})
+
+
+def test_costs_are_stated_unless_they_are_measured_here(
+    dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before: the figures of the manifest were verified, as they are its figures."""
+    protocol = load_protocol("runtime")
+    plan = plan_views(dataset, protocol, SPLIT)
+    runtime = Runtime(device="a GPU", frames_per_second=9e5, training_s=0.5)
+    (tmp_path / "s").mkdir()
+    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime))
+    assert evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1)).result
+    path, sources = tmp_path / "out" / "result.json", Sources(str(root), tmp_path / "s", workers=1)
+    add_result(path, tmp_path / "board", "street", sources=sources)
+    (entry,) = load_entries(tmp_path / "board" / "entries")
+    assert isinstance(entry, Measured) and not entry.verified
+    (board,) = make_boards([entry])
+    assert dict(board.options) == {"stated:": "by the submissions, not measured here"}
+
+    class Grey:
+        def open(self, model: Path) -> Callable[[RenderView], UInt8]:
+            return lambda view: np.zeros((view.height_px, view.width_px, 3), np.uint8)
+
+    monkeypatch.setattr("mirror.evaluation.scorers.runtime.installed_method", lambda name: Grey())
+    monkeypatch.setattr("mirror.evaluation.scorers.speed.MIN_DURATION_S", 0.01)
+    measured_here = replace(sources, measured=("grey", tmp_path / "s"))
+    add_result(path, tmp_path / "measured", "street", sources=measured_here)
+    (entry,) = load_entries(tmp_path / "measured" / "entries")
+    assert isinstance(entry, Measured) and entry.verified
+    assert {figure.group for figure in entry.figures if figure.value is not None} == {"reported", "measured"}
+    with pytest.raises(UsageError, match="protocol"):
+        add_module._require_measured_here(
+            add_module.read_result(path).model_copy(update={"protocol": SMALL}), measured_here, path
+        )
 
 
 @pytest.mark.parametrize("with_submission", [False, True])

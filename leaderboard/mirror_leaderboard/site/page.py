@@ -17,7 +17,7 @@ from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror_leaderboard.boards import UNVERIFIED, Board, make_boards
+from mirror_leaderboard.boards import STATED, UNVERIFIED, Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
 from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, entry_file
@@ -127,7 +127,9 @@ def _version_word(board: Board) -> str:
 
 def _tab_word(option: tuple[str, str]) -> str:
     """Name an option of a board in its tab: hashes of hidden truth are left to the heading."""
-    return {UNVERIFIED: "unverified", "hidden truth": f"truth {option[1][:4]}"}.get(option[0], " ".join(option))
+    return {UNVERIFIED: "unverified", STATED: "stated", "hidden truth": f"truth {option[1][:4]}"}.get(
+        option[0], " ".join(option)
+    )
 
 
 def _format_heading(board: Board) -> str:

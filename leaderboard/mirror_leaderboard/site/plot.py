@@ -61,7 +61,7 @@ def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     )
     axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds per image ↓</text>'
     return (
-        f'<figure class="plot"><figcaption>{escape(head)}, against the render time of an image</figcaption>'
+        f'<figure class="plot"><figcaption>{escape(head)}, against the stated render time of an image</figcaption>'
         f'<p class="key">{legend}{shapes}</p>'
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
         f"{''.join(elements)}{axis}</svg></figure>"

@@ -22,7 +22,8 @@ _CONTROL_CHARACTERS: Final = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u
 Text = Annotated[str, Field(max_length=2000, pattern=rf"^[^{_CONTROL_CHARACTERS}]*$")]
 Word = Annotated[str, Field(min_length=1, max_length=120, pattern=rf"^[^\t\n{_CONTROL_CHARACTERS}]+$")]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Figure = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+MOST_FRAMES_PER_SECOND: Final = 1e6
+"""More pixels of the protocols' size than the memory of any processor takes."""
 
 
 class Method(Document):
@@ -60,7 +61,7 @@ class Appearance(Document):
 
 
 class Runtime(Document):
-    """Time and memory that the method needs, as its authors measured them.
+    """Time and memory that the method needs, as its authors measured them: stated figures, within plausible bounds.
 
     Attributes:
         device: name of the processor.
@@ -72,11 +73,11 @@ class Runtime(Document):
     """
 
     device: Word
-    frames_per_second: Figure | None = None
-    model_bytes: Annotated[int, Field(gt=0)] | None = None
-    driven_m: Figure | None = None
-    training_s: Figure | None = None
-    peak_memory_bytes: Annotated[int, Field(gt=0)] | None = None
+    frames_per_second: Annotated[float, Field(ge=1e-6, le=MOST_FRAMES_PER_SECOND)] | None = None
+    model_bytes: Annotated[int, Field(ge=1, le=10**15)] | None = None
+    driven_m: Annotated[float, Field(ge=1.0, le=1e8)] | None = None
+    training_s: Annotated[float, Field(ge=0.01, le=1e9)] | None = None
+    peak_memory_bytes: Annotated[int, Field(ge=10**5, le=10**14)] | None = None
 
 
 class SubmissionManifest(Document):

@@ -12,7 +12,7 @@ from typing import TypeAlias
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import MANIFEST, MOST_FRAMES_PER_SECOND, Appearance, Method, Runtime
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
@@ -90,8 +90,9 @@ def write_submission(
         rendered = f"{present + written} of {len(expected)} views were rendered"
         raise DatasetError(rendered, file=out, expected="every view, once")
     runtime = costs or Runtime(device=f"{platform.machine()} CPU")
-    if timed:
-        runtime = runtime.model_copy(update={"frames_per_second": timed / max(duration_s, 1e-9)})
+    # Renders that take no measurable time have no speed.
+    if timed and duration_s * MOST_FRAMES_PER_SECOND > timed:
+        runtime = runtime.model_copy(update={"frames_per_second": timed / duration_s})
     write_manifest(out, make_manifest(plan, method, appearance, runtime, notes=notes))
     finish_render_folder(out)
     return len(expected)

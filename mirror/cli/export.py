@@ -123,7 +123,7 @@ def _run(layout: str, argv: Sequence[str]) -> int:
     }
     print(", ".join(f"{count:,} {name}" for name, count in counts.items() if count))
     if written.withheld:
-        print(f"left out: {written.withheld:,} images that the published dataset withholds")
+        print(f"left out: {written.withheld:,} images that the published dataset or the redaction withholds")
     if written.without_frame:
         print(f"left out: {written.without_frame:,} images that belong to no frame")
     for note in written.notes:

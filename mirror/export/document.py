@@ -57,7 +57,8 @@ class ExportDocument(Document):
         masks: number of masks.
         points: number of points.
         boxes: number of boxes.
-        withheld: images that the published dataset withholds, and that are left out.
+        withheld: images that the published dataset withholds, or that a redaction left out, and that are left out.
+        sources_sha256: hash of the encoded images that it was made from.
         without_frame: images that belong to no frame, and are left out.
         lost: what the format cannot hold.
         notes: what this export decided.
@@ -73,6 +74,7 @@ class ExportDocument(Document):
     points: int
     boxes: int
     withheld: int
+    sources_sha256: str | None = None
     without_frame: int
     lost: tuple[str, ...]
     notes: tuple[str, ...]

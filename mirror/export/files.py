@@ -18,7 +18,7 @@ _JPEG_QUALITY: Final = 95
 
 
 def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) -> None:
-    """Place an image in an export. A complete file of an earlier call stays.
+    """Place an image in an export. A file of an earlier call stays only if its bytes are those of the dataset.
 
     The bytes are those of the dataset where the format allows it. A frame of a video becomes a PNG file; an undistorted
     JPEG file is encoded again with quality 95, so that the names in all tables stay the same.
@@ -32,16 +32,11 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
     Raises:
         DatasetError: the image cannot be read, or the file cannot be written.
     """
-    image = item.image
-    if not _keeps_bytes(item, target.suffix):
-        if not target.is_file():
-            write_bytes(target, image_bytes(item, target.suffix))
+    if _keeps_bytes(item, target.suffix) and not copy and _link(store, item, target):
         return
-    if target.is_file() and target.stat().st_size == image.byte_length:
-        return
-    if not copy and _link(store, item, target):
-        return
-    write_bytes(target, image_bytes(item, target.suffix))
+    data = image_bytes(item, target.suffix)
+    if not (target.is_file() and target.read_bytes() == data):
+        write_bytes(target, data)
 
 
 def image_bytes(item: ExportImage, suffix: str) -> bytes:
@@ -75,6 +70,8 @@ def _link(store: Store, item: ExportImage, target: Path) -> bool:
     def make(source: Path) -> bool:
         if source.stat().st_size != image.byte_length:
             return False
+        if target.is_file() and target.samefile(source):
+            return True
         temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
         try:
             target.parent.mkdir(parents=True, exist_ok=True)

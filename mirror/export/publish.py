@@ -16,7 +16,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.door.files import RECORDED, ImageKey, list_dataset_files
 from mirror.dataset.door.inspection import Leak, SameBytes, inspect_files, read_below
 from mirror.dataset.door.placing import dataset_state, hash_file, place_file, require_unchanged
-from mirror.dataset.door.plan import Departure, plan_departure
+from mirror.dataset.door.plan import Departure, plan_departure, require_own_files
 from mirror.dataset.door.secrets import Secrets
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
@@ -132,6 +132,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
         )  # fmt: skip
     split = read_split(dataset.store, options.split)
     departure = plan_departure(list_dataset_files(layout), withheld_images(dataset, split, options.protocols))
+    require_own_files(departure)
     _refuse_large_folders(layout, departure.files)
     # The folder counts as a bundle again once its new document is written.
     write_bytes(out / PUBLISHING, b"")

@@ -17,6 +17,7 @@ from mirror.errors import UsageError
 from mirror.export.document import MANIFEST, UNFINISHED, ExportDocument, ExportRequest
 from mirror.export.files import encode_image, place_image
 from mirror.export.layout import ExportLayout, Written
+from mirror.export.leaving import ExportDoor
 from mirror.export.lenses import require_lenses
 from mirror.export.scene import ExportImage, ExportScene, select_scene
 from mirror.pools import thread_pool
@@ -25,6 +26,7 @@ from mirror.schema.csv_files import Cell, encode_csv
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import read_json, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.links import require_inside
 
 LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti", "webdataset", "lerobot")
 """The formats; each is a module of this package."""
@@ -71,8 +73,9 @@ def export(
 ) -> ExportDocument:
     """Export a scene in another format.
 
-    Images are those of the index: where a redaction layer exists, its images. Images that a published dataset
-    withholds are left out and counted. Points come from training traversals only if a split is chosen.
+    Images are those of the index: where a redaction layer exists, its images and no others. Images that a published
+    dataset withholds are left out and counted. All files are held against the images that a redaction replaced before
+    the export is sealed. Points come from training traversals only if a split is chosen.
 
     Args:
         dataset: the view to export; its layers of poses, calibrations, boxes and points are used.
@@ -87,28 +90,33 @@ def export(
     Raises:
         UsageError: the format or the scene is unknown, a lens has no model in the format, a layer must be chosen, a
             package is missing, or `out` is another export or a folder of another kind.
-        DatasetError: an image cannot be read, or a file cannot be written.
+        DatasetError: an image cannot be read, a file cannot be written or must not leave, or the dataset changed
+            meanwhile.
     """
     chosen, reporter = options or ExportOptions(), progress or NullProgress()
     form = find_layout(layout)
     existing = require_output_folder(out, FolderKind.EXPORT)
     scene = select_scene(dataset, chosen.scene, chosen.split, undistort=chosen.undistort)
     request = _request(scene, layout, chosen)
+    door = ExportDoor(scene.dataset)
     if existing is not None:
         complete = _continued(out, request)
-        if complete is not None:
+        if complete is not None and complete.sources_sha256 == _hash_sources(scene, reporter):
             return complete
     require_lenses(layout, scene.images, form.lens_of)
     if form.require is not None:
         form.require(scene)
     write_json(out / UNFINISHED, request)
+    require_inside(out, MANIFEST).unlink(missing_ok=True)
+    sources = _hash_sources(scene, reporter)
     if not form.holds_images:
         _place_images(scene, form, out, copy=chosen.copies, progress=reporter)
     masks = _write_masks(scene, form, out, reporter)
     written = form.write(scene, out, reporter)
     reporter.start("tables", 1)
     files = [*written.files, *_write_lists(scene, form, out)]
-    document = _document(scene, form, request, written, masks, files, out)
+    document = _document(scene, form, request, written, masks, files, out, sources)
+    door.require_clean(out, reporter)
     write_json(out / MANIFEST, document)
     (out / UNFINISHED).unlink()
     reporter.advance(1)
@@ -148,6 +156,24 @@ def _continued(out: Path, request: ExportRequest) -> ExportDocument | None:
             expected="a new folder, or the same export again", remedy="name another folder with --out",
         )  # fmt: skip
     return document
+
+
+def _hash_sources(scene: ExportScene, progress: ProgressReporter) -> str:
+    """Hash of the encoded images that an export is made from; a video is read once for all its frames."""
+    progress.start("hashing", len(scene.images))
+    parts = {(item.image.uri, item.image.byte_offset): item for item in scene.images}
+
+    def digest(item: ExportImage) -> bytes:
+        data = hashlib.sha256(item.image.read()).digest()
+        progress.advance(1)
+        return data
+
+    with thread_pool(usable_cores()) as pool:
+        hashes = dict(zip(parts, pool.map(digest, parts.values())))
+    whole = hashlib.sha256()
+    for (uri, offset), one in sorted(hashes.items()):
+        whole.update(f"{uri} {offset} {one.hex()}\n".encode())
+    return whole.hexdigest()
 
 
 def _place_images(scene: ExportScene, form: ExportLayout, out: Path, *, copy: bool, progress: ProgressReporter) -> None:
@@ -220,7 +246,7 @@ def _write_lists(scene: ExportScene, form: ExportLayout, out: Path) -> list[Path
 
 def _document(
     scene: ExportScene, form: ExportLayout, request: ExportRequest, written: Written, masks: int,
-    files: Sequence[Path], out: Path,
+    files: Sequence[Path], out: Path, sources: str,
 ) -> ExportDocument:  # fmt: skip
     entries = {}
     for path in sorted(files):
@@ -236,6 +262,7 @@ def _document(
         points=written.points,
         boxes=written.boxes,
         withheld=scene.withheld,
+        sources_sha256=sources,
         without_frame=scene.without_frame,
         lost=form.lost,
         notes=written.notes,

@@ -16,6 +16,7 @@ from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
 from mirror.dataset.points import Points
 from mirror.dataset.raster import ImageRaster, image_raster
+from mirror.dataset.redaction import REDACTION
 from mirror.dataset.withheld import read_withheld
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
@@ -99,7 +100,7 @@ class ExportScene:
         images: the images, ordered by traversal, frame and camera.
         points: points of the training traversals, or of all traversals without a split; None: there are none.
         split: name of the split; None: no split was chosen.
-        withheld: number of images that the published dataset withholds.
+        withheld: number of images that the published dataset withholds, or that a redaction left out.
         without_frame: number of images that belong to no frame.
     """
 
@@ -160,12 +161,19 @@ def select_scene(dataset: Dataset, scene: str | None, split: str | None, *, undi
     roles = _roles(view, split)
     rows = {row["traversal_id"]: row for row in view.table("traversals").to_pylist()}
     withheld = read_withheld(view.store)
+    prefix = f"{REDACTION}/"
+    redacted = {
+        key: f"traversals/{key}/layers/{prefix}"
+        for key, row in rows.items()
+        if any(name.startswith(prefix) for name in row["layers"])
+    }
     images: list[ExportImage] = []
     sequences: dict[tuple[str, str], list[int]] = {}
     left_out = 0
     for frame in view.frames():
         for image in frame.images.values():
-            if image.uri in withheld:
+            own = redacted.get(frame.traversal_id)
+            if image.uri in withheld or (own is not None and not image.uri.startswith(own)):
                 left_out += 1
                 continue
             raster = image_raster(_lens_of(image), undistort, None)

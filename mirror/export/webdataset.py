@@ -25,7 +25,6 @@ from mirror.export.samples import describe_frame, own_lens
 from mirror.export.scene import ExportImage, ExportScene
 from mirror.progress import ProgressReporter
 from mirror.schema.files import TEMPORARY, unwritable_error
-from mirror.schema.strict_json import decode_json
 
 SHARD_BYTES: Final = 256 * 1024 * 1024
 """A shard ends with the sample that reaches this size of recorded images."""
@@ -79,10 +78,7 @@ def _shards(scene: ExportScene) -> Iterator[tuple[str, list[Sample]]]:
 
 
 def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], progress: ProgressReporter) -> _Shard:
-    """Write a shard under a temporary name, unless an earlier call completed it."""
-    if path.is_file():
-        progress.advance(len(samples))
-        return _read_counts(path)
+    """Write a shard under a temporary name, in place of one of an earlier call."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     masks = boxes = 0
     try:
@@ -103,17 +99,6 @@ def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], prog
         raise unwritable_error(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
-    return _Shard(masks, boxes)
-
-
-def _read_counts(path: Path) -> _Shard:
-    """Count the masks and boxes of a complete shard."""
-    masks = boxes = 0
-    with tarfile.open(path) as tar:
-        for member in tar:
-            masks += member.name.endswith(".mask.png")
-            content = tar.extractfile(member) if member.name.endswith(".json") else None
-            boxes += len(decode_json(content.read())["boxes"]) if content is not None else 0
     return _Shard(masks, boxes)
 
 

@@ -24,6 +24,8 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
 from mirror.errors import DatasetError
 from mirror.export.audit import audit
+from mirror.export.document import MANIFEST, UNFINISHED
+from mirror.export.run import ExportOptions, export
 from mirror.progress import NullProgress
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import BUNDLE
@@ -344,3 +346,42 @@ def test_publishing_to_a_url_again_removes_what_no_longer_leaves(root: Path, tmp
     filesystem.pipe_file(f"{base}-other/dataset.json", b"{}")
     with pytest.raises(mirror.errors.UsageError, match="not a published one"):
         publish_to(root, f"{url}-other")
+
+
+@pytest.mark.parametrize("layout", ["colmap", "kitti", "webdataset", "lerobot"])
+def test_an_export_has_no_recorded_image_of_a_redacted_traversal(root: Path, tmp_path: Path, layout: str) -> None:
+    chosen = train(root)
+    view = mirror.open(root).where(camera="front_wide", traversal=chosen)
+    redact(root, without=frozenset({view.table("images", ["timestamp_ns"]).column(0)[0].as_py()}))
+    dataset = mirror.open(root).where(camera=["front_wide", "rear"], traversal=chosen)
+    out = tmp_path / "out"
+    written = export(dataset, layout, out, ExportOptions(undistort=layout in ("colmap", "kitti")))
+    assert written.withheld == 1
+    assert not audit(str(out), root).leaks
+    # Another run of the same call finds a file that must not be there, and seals nothing.
+    images = recorded_images(root).items()
+    original = next(data for path, data in images if path.parent.name == "rear" and chosen in str(path))
+    (out / MANIFEST).unlink()
+    write_json(out / UNFINISHED, written.request)
+    (out / "preview.jpg").write_bytes(original)
+    with pytest.raises(DatasetError, match="the original of a redacted image"):
+        export(dataset, layout, out, ExportOptions(undistort=layout in ("colmap", "kitti")))
+    assert not (out / MANIFEST).exists()
+
+
+@pytest.mark.parametrize(("layout", "undistort"), [("colmap", False), ("kitti", True), ("webdataset", False)])
+def test_an_export_shows_images_as_they_are_now(root: Path, tmp_path: Path, layout: str, undistort: bool) -> None:
+    dataset = mirror.open(root).where(camera="rear")
+    out, whole = tmp_path / "out", tmp_path / "whole"
+    export(dataset, layout, out, ExportOptions(undistort=undistort))
+    row = dataset.table("images").to_pylist()[0]
+    pixels = np.zeros((row["height_px"], row["width_px"], 3), np.uint8)
+    data = cv2.imencode(".jpg", pixels)[1].tobytes()
+    data += bytes(row["byte_length"] - len(data))
+    blank = data[: -len(b"\xff\xd9")] + b"\xff\xd9"
+    assert len(blank) == row["byte_length"]
+    (root / row["uri"]).unlink()
+    (root / row["uri"]).write_bytes(blank)
+    export(dataset, layout, out, ExportOptions(undistort=undistort))
+    export(dataset, layout, whole, ExportOptions(undistort=undistort))
+    assert files_below(out) == files_below(whole)

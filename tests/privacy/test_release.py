@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 import json
 import shutil
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -23,12 +25,13 @@ from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits import make_split
 from mirror.integrity import check
 from mirror.privacy.log import Review, encode_log, read_log
-from mirror.privacy.release.check import check_release
+from mirror.privacy.release.check import check_release, find_leaving
 from mirror.privacy.release.document import Release
 from mirror.privacy.release.review import ReviewSession, review_server
 from mirror.privacy.release.sample import choose_sample, miss_bound
 from mirror.privacy.release.tree import read_plate_regions
 from mirror.privacy.release.vault import Vault
+from mirror.progress import NullProgress
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, read_table, write_json
 from mirror.schema.road_map import write_road_map
@@ -379,3 +382,18 @@ def test_the_bound_is_that_of_clopper_and_pearson(misses: int, images: int, boun
 def test_what_is_no_release_could_not_be_checked(tmp_path: Path, dataset: Path) -> None:
     for root in (tmp_path / "none", dataset):
         assert main(["release", "check", str(root)]) == 2
+
+
+def test_a_preview_in_a_model_and_a_page_with_an_original_are_found(released: Path, tmp_path: Path) -> None:
+    dataset = released.parent / "dataset"
+    original = next(iter(sorted(dataset.glob("traversals/*/recorded/front_wide/*.jpg")))).read_bytes()
+    model = tmp_path / "model"
+    model.mkdir()
+    (model / "weights.safetensors").write_bytes(bytes(100) + original)
+    (model / "page.html").write_text(f'<img src="data:image/jpeg;base64,{base64.b64encode(original).decode()}">')
+    (model / "preview.png").write_bytes(cv2.imencode(".png", cv2.imdecode(np.frombuffer(original, np.uint8), 1))[1])
+    source = Layout(dataset)
+    assert not find_leaving(source, [released], NullProgress())
+    found = find_leaving(source, [released, model], NullProgress())
+    assert {one.file for one in found} == {str(path) for path in model.iterdir()}
+    assert {one.rule_id for one in found} == {"REL017"}

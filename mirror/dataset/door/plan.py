@@ -63,8 +63,7 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
         is_withheld: whether an image must not leave, for reasons of the caller.
 
     Raises:
-        DatasetError: an image lies outside of the dataset, or one file shows an image that leaves and one that must
-            not.
+        DatasetError: one file shows an image that leaves and one that must not.
     """
     newest = {traversal_id: newest_of(files.layers, traversal_id) for traversal_id in files.layers}
     recorded = {one.key: one for one in files.images if one.layer == RECORDED}
@@ -74,7 +73,6 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
     withheld = set()
     for key, original in recorded.items():
         current = redacted.get(key, original)
-        _require_inside_dataset(current)
         if is_withheld(key):
             why[key] = Why.WITHHELD
         elif newest[key[0]] is not None and key not in redacted:
@@ -116,14 +114,21 @@ def _stated(images: Iterable[ImageFile]) -> dict[str, str | None]:
     return {name: next(iter(digests)) if len(digests) == 1 else None for name, digests in found.items()}
 
 
-def _require_inside_dataset(one: ImageFile) -> None:
-    if "://" in one.name or one.name.startswith("/"):
-        raise DatasetError(
-            f"the image {one.name} lies outside of the dataset",
-            place=_place(one),
-            expected="images in the dataset's folder",
-            remedy="ingest the recordings without references to images elsewhere",
-        )
+def require_own_files(departure: Departure) -> None:
+    """Require that all images of the index, those that leave and those that stay, lie in the dataset's folder.
+
+    Raises:
+        DatasetError: an image lies elsewhere.
+    """
+    withheld = frozenset(departure.withheld)
+    for one in (*departure.shown.values(), *(kept.file for kept in departure.kept if kept.file.name in withheld)):
+        if "://" in one.name or one.name.startswith("/"):
+            raise DatasetError(
+                f"the image {one.name} lies outside of the dataset",
+                place=_place(one),
+                expected="images in the dataset's folder",
+                remedy="ingest the recordings without references to images elsewhere",
+            )
 
 
 def _shared_error(kept: Kept) -> DatasetError:

@@ -14,6 +14,7 @@ import numpy as np
 
 import mirror
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.door.placing import dataset_state, require_unchanged
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, complete_manifest, require_dataset
@@ -25,7 +26,7 @@ from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError, UsageError
 from mirror.privacy.detection import decode_recorded, read_recorded
 from mirror.privacy.log import ImageRecord, encode_log
-from mirror.privacy.release.check import Finding, check_release
+from mirror.privacy.release.check import Finding, check_release, find_leaving
 from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE, LOG, TIMES, Release
 from mirror.privacy.release.renaming import rename_drive
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, choose_sample, read_reviews, with_reviews
@@ -111,7 +112,7 @@ def build_release(
         wait: wait for another run that writes the dataset.
 
     Raises:
-        DatasetError: images have no redacted version, or files are missing or changed.
+        DatasetError: images have no redacted version, files are missing or changed, or the dataset changed meanwhile.
         UsageError: an option is not valid or contradicts the de-identification, or a folder is taken or lies in another
             dataset.
     """
@@ -128,6 +129,7 @@ def build_release(
     work = OwnedFolder(out.absolute().parent, f".{out.name}")
     try:
         with writer_lock(layout, wait=wait):
+            before = dataset_state(layout)
             release, parts = _write(layout, Layout(work.path), options, vault, bar)
         build_index(work.path)
         report = TreeReport()
@@ -136,7 +138,8 @@ def build_release(
             report.recorded += part.recorded
             report.left_out += part.left_out
             report.traversals |= part.traversals
-        findings = check_release(work.path, progress=bar).findings
+        findings = [*check_release(work.path, progress=bar).findings, *find_leaving(layout, [work.path], bar)]
+        require_unchanged(layout, before)
         if not findings:
             if vault is not None and options.vault is not None:
                 write_private_log(options.vault, f"{options.name}.v{release.version}", _originals(layout, report))

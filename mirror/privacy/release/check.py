@@ -22,6 +22,7 @@ from mirror.privacy.detection import Detected, DetectionTask, decode_recorded, d
 from mirror.privacy.detectors.registry import DetectorChoice
 from mirror.privacy.log import LOG, read_log
 from mirror.privacy.regions import covered_share, grown_box
+from mirror.privacy.release.leaving import leaving_originals
 from mirror.privacy.release.rules import RULES
 from mirror.privacy.release.vault import VAULT, Vault, is_expired, read_private_logs
 from mirror.privacy.release.view import ImageName, ReleaseView
@@ -32,6 +33,7 @@ from mirror.schema.tables import IMAGES
 COVERED: Final = 0.9
 """The share of what detectors find again that logged regions must cover: they fire on redacted faces too."""
 _REDETECTED, _ORIGINALS, _INTEGRITY, _RETENTION, _SOURCES = "REL012", "REL013", "REL014", "REL015", "REL016"
+_LEAVING: Final = "REL017"
 
 
 @dataclass(frozen=True)
@@ -124,8 +126,9 @@ def check_release(
         rules += 1
         findings += _originals(view, originals, vault)
     if originals is not None:
-        rules += 1
+        rules += 2
         findings += _other_sources(view, originals)
+        findings += find_leaving(Layout(originals), [view.root, *view.models], bar)
     if vault is not None:
         rules += 1
         if is_expired(read_json(vault / VAULT, Vault)):
@@ -204,6 +207,19 @@ def _hashes_of(root: Path) -> Iterator[tuple[str, str]]:
                     yield recorded, ""
                     continue
                 yield hashlib.sha256(data).hexdigest(), hashlib.sha256(pixels.tobytes()).hexdigest()
+
+
+def find_leaving(source: Layout, folders: list[Path], progress: ProgressReporter) -> list[Finding]:
+    """Find recorded images in a release and what is published with it, also inside archives, tables and pages.
+
+    Args:
+        source: the dataset.
+        folders: the release, then models that are published with it.
+        progress: receives the progress.
+    """
+    title = "A file holds a recorded image that its redaction replaced."
+    leaks = leaving_originals(source, folders, progress)
+    return [Finding(_LEAVING, title, "remove it, or build the release again", one.file, one.problem) for one in leaks]
 
 
 def _other_sources(view: ReleaseView, originals: Path) -> Iterator[Finding]:

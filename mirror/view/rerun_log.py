@@ -6,9 +6,6 @@ pinholes only: images of distorted lenses are undistorted.
 
 from __future__ import annotations
 
-import os
-import socket
-import sysconfig
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +25,7 @@ from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import unwritable_error
 from mirror.view.rerun_layout import make_layout
+from mirror.view.rerun_program import open_viewer
 
 LIGHT_COLOURS: Final = {"day": (240, 160, 20), "dusk": (190, 70, 160), "night": (60, 90, 220)}
 _OTHER: Final = (140, 140, 140)
@@ -136,18 +134,7 @@ def _open_file(recording: Any, file: Path) -> None:
 
 def _open_viewer(recording: Any) -> None:
     """Open rerun's viewer and send it the recording."""
-    # Rerun looks for its viewer in PATH, where a Python that is called by its path does not have its own programs.
-    os.environ["PATH"] = os.pathsep.join((os.environ.get("PATH", os.defpath), sysconfig.get_path("scripts")))
-    try:
-        recording.spawn(connect=False)
-        # Without a display, the viewer ends at once, and logging would wait for it.
-        socket.create_connection(("127.0.0.1", _PORT), timeout=2.0).close()
-    except (RuntimeError, OSError) as error:
-        raise UsageError(
-            "rerun's viewer does not open",
-            expected="a display, and the program rerun of the package rerun-sdk",
-            remedy="write a file with --save FILE.rrd, and open it where there is a display: rerun FILE.rrd",
-        ) from error
+    open_viewer(_PORT)
     recording.connect_grpc()
 
 

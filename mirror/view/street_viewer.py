@@ -6,7 +6,7 @@ has moved for `_STILL_S`.
 
 from __future__ import annotations
 
-import sys
+import io
 import threading
 import time
 from contextlib import redirect_stdout
@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
-from mirror.errors import UsageError
+from mirror.errors import MirrorError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.installation import install_command
 from mirror.methods.interactive import InteractiveRenderer
 from mirror.protocols.views.view import RenderView
 from mirror.view.street_path import StreetPath, blend, by_light, recorded_pixels
+from mirror.view.viewer_guard import ViewerGuard, guarded_sockets
 
 if TYPE_CHECKING:
     import viser
@@ -36,6 +37,8 @@ _STILL_S: Final = 0.4
 _RECORDED_PX: Final = 480
 _FRUSTUMS: Final = 60
 _FAR_M: Final = 10.0
+_BESIDE_M: Final = 6.0
+_SHOWN_S: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -77,9 +80,11 @@ class StreetViewer:
         self._frames: list[float] = []
         self._track: list[dict[str, object]] = []
         self._shown: UInt8 | None = None
-        # Its banner belongs to no output of a program.
-        with redirect_stdout(sys.stderr):
-            self.server = viser.ViserServer(host=options.host, port=options.port, label="MIRROR street")
+        self._told: dict[int, str] = {}
+        self._guard = ViewerGuard(options.host)
+        # The addresses of its banner lack the token.
+        with redirect_stdout(io.StringIO()), guarded_sockets(self._guard):
+            self.server = viser.ViserServer(host=options.host, port=options.port, label="MIRROR street", verbose=False)
         self._make_controls()
         self._add_frustums()
         self.server.on_client_connect(self._connected)
@@ -88,8 +93,8 @@ class StreetViewer:
 
     @property
     def url(self) -> str:
-        """The address of the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        """The address of the page, with the token without which nobody can open it."""
+        return self._guard.url(self.server.get_host(), self.server.get_port())
 
     @property
     def rendered(self) -> int:
@@ -107,14 +112,14 @@ class StreetViewer:
             self._closed = True
             self._changed.notify()
         self._thread.join(timeout=10.0)
-        with redirect_stdout(sys.stderr):
+        with redirect_stdout(io.StringIO()):
             self.server.stop()
 
     def _make_controls(self) -> None:
         gui, path = self.server.gui, self._path
         last = len(path.images) - 1
         self.time = gui.add_slider("time", 0, max(last, 1), 1, 0, hint=f"image of {path.camera} on {path.traversal_id}")
-        self.left = gui.add_slider("shift left (m)", -6.0, 6.0, 0.1, 0.0, hint="beside the driven line")
+        self.left = gui.add_slider("shift left (m)", -_BESIDE_M, _BESIDE_M, 0.1, 0.0, hint="beside the driven line")
         top = max(len(self._appearances) - 1, 1)
         names = tuple((float(place), item.light) for place, item in enumerate(self._appearances))
         self.appearance = gui.add_slider("appearance", 0.0, float(top), 0.05, self._first_appearance(), marks=names)
@@ -160,7 +165,7 @@ class StreetViewer:
     def _show_recorded(self) -> None:
         self.recorded.visible = self.beside.value
         if self.beside.value:
-            self.recorded.image = recorded_pixels(self._path.images[int(self.time.value)], _RECORDED_PX)
+            self.recorded.image = recorded_pixels(self._path.images[self._number], _RECORDED_PX)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         client.camera.on_update(lambda _: self._touch())
@@ -173,9 +178,17 @@ class StreetViewer:
         self._show_recorded()
         self._touch()
 
+    @property
+    def _number(self) -> int:
+        """The image of the slider of time. A page can send values beyond the ends of a slider."""
+        return int(np.clip(self.time.value, 0, len(self._path.images) - 1))
+
+    @property
+    def _left_m(self) -> float:
+        return float(np.clip(self.left.value, -_BESIDE_M, _BESIDE_M))
+
     def _place(self, client: viser.ClientHandle) -> None:
-        number = min(int(self.time.value), len(self._path.images) - 1)
-        view = self._path.view(number, 480, MOVING_PX, left_m=float(self.left.value))
+        view = self._path.view(self._number, 480, MOVING_PX, left_m=self._left_m)
         matrix = view.pose.matrix()[0]
         with client.atomic():
             client.camera.up_direction = (0.0, 0.0, 1.0)
@@ -204,7 +217,10 @@ class StreetViewer:
                 version, full = self._version, self._version == rendered
             clients = list(self.server.get_clients().values())
             for client in clients:
-                self._render_client(client, full=full)
+                try:
+                    self._render_client(client, full=full)
+                except (MirrorError, ValueError, ArithmeticError) as error:
+                    self._tell(client, f"nothing can be rendered from this place: {error}")
             rendered, is_full = version, full or not clients
 
     def _render_client(self, client: viser.ClientHandle, *, full: bool) -> None:
@@ -219,6 +235,12 @@ class StreetViewer:
         self.named.value = ", ".join(f"{weight:.0%} {self._words(name)}" for name, weight in weights.items())
         self.status.value = f"{view.width_px} x {view.height_px}, {1e3 * taken:.0f} ms"
 
+    def _tell(self, client: viser.ClientHandle, problem: str) -> None:
+        """Show a problem in the page that has it, once in a row."""
+        if self._told.get(client.client_id) != problem:
+            self._told[client.client_id] = problem
+            client.add_notification("street", problem, color="orange", auto_close_seconds=_SHOWN_S)
+
     def _words(self, traversal_id: str) -> str:
         item = next(item for item in self._appearances if item.traversal_id == traversal_id)
         return f"{item.light}, {item.weather}"
@@ -230,7 +252,7 @@ class StreetViewer:
         width = max(16, round(height * float(camera.aspect)))
         focal = 0.5 * height / float(np.tan(0.5 * camera.fov))
         pose = Poses(np.asarray(camera.wxyz, np.float64)[None], np.asarray(camera.position, np.float64)[None])
-        image = self._path.images[min(int(self.time.value), len(self._path.images) - 1)]
+        image = self._path.images[self._number]
         return self._path.make_view(pose, focal, width, height, image.timestamp_ns)
 
     def _save_screenshot(self, event: Any) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import http.client
+import socket
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -10,6 +13,7 @@ import grpc
 import numpy as np
 import pytest
 
+from hybridworldsim.simulator.remote.command import Arguments
 from hybridworldsim.simulator.remote.lenses import from_spec
 from hybridworldsim.simulator.remote.messages import SENSOR_SERVICE, wire
 from hybridworldsim.simulator.remote.poses import from_pose, to_flat_pose
@@ -220,6 +224,36 @@ def test_more_images_than_the_limits_are_refused() -> None:
             except grpc.RpcError as error:
                 codes.append(error.code())
         assert codes and set(codes) == {grpc.StatusCode.RESOURCE_EXHAUSTED} and len(codes) <= 4
+
+
+def test_more_pixels_than_the_limits_are_refused_before_they_are_rendered(client: Client) -> None:
+    large = {"resolution_w": 4096, "resolution_h": 4096}
+    items = [wire().BatchRGBRenderRequestItem(camera_name=str(n), request=request(**large)) for n in range(16)]
+    start = time.monotonic()
+    found = status(lambda: client.call("batch_render_rgb", items=items))
+    assert found[0] == grpc.StatusCode.INVALID_ARGUMENT and f"{1 << 28} pixels in one request" in found[1]
+    assert time.monotonic() - start < 5.0
+    for size in ({"resolution_w": 1 << 20, "resolution_h": 1}, {"resolution_w": 1, "resolution_h": 9000}):
+        found = status(lambda size=size: render(client, request(**size)))  # type: ignore[misc]
+        assert found[0] == grpc.StatusCode.INVALID_ARGUMENT and "sides of at most 8192" in found[1]
+    with render_server(service(Limits(pixels_per_s=70_000.0)), "127.0.0.1", 0) as port:
+        few = Client(port)
+        assert render(few, request()).shape == (200, 320, 3)
+        render(few, request())
+        found = status(lambda: render(few, request()))
+    assert found[0] == grpc.StatusCode.RESOURCE_EXHAUSTED and "64000 pixels" in found[1]
+
+
+def test_web_pages_and_other_machines_get_no_images() -> None:
+    """The verb listens on this machine alone, and browsers cannot speak the protocol: it begins with HTTP/2."""
+    assert Arguments(source="synth:tiny").host == "127.0.0.1"
+    with render_server(service(), Arguments(source="synth:tiny").host, 0) as port:
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), timeout=5.0)
+        page = http.client.HTTPConnection("127.0.0.1", port, timeout=5.0)
+        page.request("POST", f"/{SENSOR_SERVICE}/get_version", b"\0" * 5, {"Origin": "http://evil.example"})
+        with pytest.raises((http.client.HTTPException, OSError)):
+            page.getresponse()
 
 
 def test_a_port_that_is_taken_is_refused_and_so_is_a_street_far_from_its_origin() -> None:

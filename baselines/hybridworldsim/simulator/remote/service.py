@@ -46,16 +46,22 @@ class Limits:
     """What the service renders at most.
 
     Attributes:
+        side_px: width or height of one image.
         pixels: of one image.
+        request_pixels: of all images of one request, which are held in memory together.
         images: in one request.
         agents: of one image.
         images_per_s: on average over a second; twice as many at once.
+        pixels_per_s: on average over a second; twice as many at once.
     """
 
+    side_px: int = 8192
     pixels: int = 1 << 24
+    request_pixels: int = 1 << 25
     images: int = 16
     agents: int = 1000
     images_per_s: float = 200.0
+    pixels_per_s: float = float(1 << 26)
 
 
 class SensorService:
@@ -70,7 +76,7 @@ class SensorService:
         self._scenes, self._limits = dict(scenes), limits or Limits()
         self._messages = wire()
         self._rendering = threading.Lock()
-        self._budget = _Budget(self._limits.images_per_s)
+        self._budgets = _Budget(self._limits.images_per_s, "images"), _Budget(self._limits.pixels_per_s, "pixels")
         formats = self._messages.image_formats
         self._formats: dict[int, Format] = {formats["PNG"]: "png", formats["JPEG"]: "jpeg"}
 
@@ -109,7 +115,7 @@ class SensorService:
         Raises:
             MirrorError: the request is not valid, or more than is rendered.
         """
-        self._budget.take(1)
+        self._take([request])
         (data,) = self._render_group([self._job("image", request)])
         return self._messages.RGBRenderReturn(image_bytes=data)
 
@@ -121,7 +127,7 @@ class SensorService:
         """
         if len(request.items) > self._limits.images:
             raise UsageError(f"{len(request.items)} images", expected=f"at most {self._limits.images} in a request")
-        self._budget.take(len(request.items))
+        self._take([item.request for item in request.items])
         answer = self._messages.BatchRGBRenderReturn()
         groups: dict[tuple[object, ...], list[tuple[Any, _Job]]] = {}
         for number, item in enumerate(request.items):
@@ -143,6 +149,25 @@ class SensorService:
                 row.success, row.result.image_bytes = True, data
         return answer
 
+    def _take(self, requests: Sequence[Any]) -> None:
+        """Take the images and the pixels of a request from what is rendered in a second; refused images take none.
+
+        Raises:
+            UsageError: all images together are larger than is rendered.
+            TooManyError: too many were asked for in the last second.
+        """
+        most = self._limits.request_pixels
+        pixels = sum(width * height for width, height in map(_size, requests) if self._is_rendered(width, height))
+        if pixels > most:
+            raise UsageError(f"images of {pixels} pixels in one request", expected=f"at most {most}")
+        for budget, count in zip(self._budgets, (len(requests), pixels), strict=True):
+            budget.take(count)
+
+    def _is_rendered(self, width: int, height: int) -> bool:
+        """Whether images of this size are rendered."""
+        limits = self._limits
+        return min(width, height) >= 1 and max(width, height) <= limits.side_px and width * height <= limits.pixels
+
     def _scene(self, scene_id: str) -> ServedScene:
         if scene_id not in self._scenes:
             raise UnknownSceneError(f"no scene {scene_id!r}", expected=f"one of {', '.join(sorted(self._scenes))}")
@@ -156,15 +181,15 @@ class SensorService:
             raise UsageError(f"image format {request.image_format}", expected="PNG or JPEG")
         if request.image_quality and not 1.0 <= request.image_quality <= 100.0:
             raise UsageError(f"image_quality is {request.image_quality}", expected="1 to 100")
-        spec = request.camera_intrinsics
-        width, height = request.resolution_w or spec.resolution_w, request.resolution_h or spec.resolution_h
-        if not 0 < width * height <= limits.pixels:
-            raise UsageError(f"an image of {width} x {height} px", expected=f"1 to {limits.pixels} pixels")
+        width, height = _size(request)
+        if not self._is_rendered(width, height):
+            expected = f"1 to {limits.pixels} pixels, sides of at most {limits.side_px}"
+            raise UsageError(f"an image of {width} x {height} px", expected=expected)
         if len(request.dynamic_objects) > limits.agents:
             raise UsageError(f"{len(request.dynamic_objects)} dynamic objects", expected=f"at most {limits.agents}")
         if request.frame_end_us < request.frame_start_us:
             raise UsageError("the frame ends before it starts", place="frame_end_us")
-        camera = from_spec(spec).resized(width, height)
+        camera = from_spec(request.camera_intrinsics).resized(width, height)
         pose = _middle(request.sensor_pose, "sensor_pose")
         exposure_s = 1e-6 * (request.frame_end_us - request.frame_start_us)
         places = {
@@ -203,9 +228,10 @@ class _Job:
 
 
 class _Budget:
-    """Images that may be rendered: they come back at a rate."""
+    """Images or pixels that may be rendered: they come back at a rate."""
 
-    def __init__(self, per_s: float) -> None:
+    def __init__(self, per_s: float, unit: str) -> None:
+        self._unit = unit
         self._per_s, self._left, self._at = per_s, 2.0 * per_s, time.monotonic()
         self._lock = threading.Lock()
 
@@ -215,8 +241,15 @@ class _Budget:
             self._left = min(self._left + (now - self._at) * self._per_s, 2.0 * self._per_s)
             self._at = now
             if count > self._left:
-                raise TooManyError(f"{count} images", expected=f"at most {self._per_s:g} a second", remedy="--rate")
+                remedy = "--rate" if self._unit == "images" else "ask later, or for smaller images"
+                raise TooManyError(f"{count} {self._unit}", expected=f"at most {self._per_s:g} a second", remedy=remedy)
             self._left -= count
+
+
+def _size(request: Any) -> tuple[int, int]:
+    """Width and height of the image that a request asks for."""
+    spec = request.camera_intrinsics
+    return request.resolution_w or spec.resolution_w, request.resolution_h or spec.resolution_h
 
 
 def _middle(pair: Any, place: str) -> Poses:

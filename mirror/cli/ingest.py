@@ -103,6 +103,8 @@ class Arguments:
     """Read and hash every image, and refuse truncated and broken ones. --no-hash reads their headers only."""
     verify_images: bool = False
     """Decode every image, and refuse those that cannot be decoded."""
+    max_missing_images: float = 0.0
+    """Share of a recording's images whose files may be missing, 0 to 1; the drive is ingested without them."""
     images: Literal["jpeg", "video"] = "jpeg"
     """How frames of recorded videos are stored: as JPEG images, or as the recording's own compressed video."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
@@ -129,6 +131,8 @@ def main(argv: Sequence[str]) -> int:
     is_dataset = arguments.out is not None and (arguments.out / "dataset.json").is_file()
     if not arguments.recordings and not (arguments.map and is_dataset):
         raise UsageError("no recording given", expected="mirror ingest RECORDING... --rois FILE --out DATASET")
+    if not 0.0 <= arguments.max_missing_images <= 1.0:
+        raise UsageError(f"{arguments.max_missing_images}", place="--max-missing-images", expected="0 to 1")
     if arguments.out is None and not arguments.dry_run:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
 
@@ -161,6 +165,7 @@ def main(argv: Sequence[str]) -> int:
         fail_fast=arguments.fail_fast,
         wait=arguments.wait,
         licence=arguments.licence,
+        max_missing_images=arguments.max_missing_images,
         maps=arguments.map,
     )
     out = arguments.out or Path("dry-run")
@@ -219,6 +224,8 @@ def _plain(report: IngestReport, out: Path) -> dict[str, object]:
         },
         "unchanged": report.unchanged,
         "traversals": [vars(traversal) for traversal in report.traversals],
+        "licence": report.licence,
+        "other_licences": report.other_licences,
         "images": report.images,
         "bytes": report.bytes,
         "linked": report.linked,
@@ -238,6 +245,18 @@ def print_failures(failures: Sequence[tuple[Path, MirrorError]], passed_over: Se
         # The message of an error may already begin with the path.
         named = error.file is not None and error.file.startswith(str(path))
         print(f"failed {error}" if named else f"failed {path}: {error}", file=sys.stderr)
+
+
+def _print_licences(report: IngestReport) -> None:
+    """Say where the dataset's licence differs from those that recordings state, or was taken from them."""
+    if report.other_licences:
+        print(
+            f"licence: recordings state {', '.join(report.other_licences)}, the dataset"
+            f" {report.licence or 'none'}: write that of the whole into dataset.json, or ingest into a new folder"
+            " with --licence"
+        )
+    elif report.licence is not None:
+        print(f"licence: {report.licence}")
 
 
 def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
@@ -302,6 +321,7 @@ def _print(report: IngestReport, out: Path, *, dry_run: bool) -> None:
             f"left out: {count_of(report.without_pose, 'image')} taken in pose gaps longer than --max-gap-s,"
             " or beyond the ends of the track"
         )
+    _print_licences(report)
     if report.repeated:
         counts = ", ".join(f"{camera} {count}" for camera, count in sorted(report.repeated.items()))
         console.print(

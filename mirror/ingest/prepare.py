@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from mirror.ingest.settings import Settings
 from mirror.ingest.traversal import select_images
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.boundary import reader_errors
+from mirror.recordings.missing_images import name_missing_images, without_missing_images
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import DriveDocument, Source, is_identifier
@@ -57,19 +60,31 @@ def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settin
     for name, value in (("drive_id", drive_id), ("vehicle_id", recording.info.vehicle_id)):
         if not is_identifier(value):
             raise RecordingError(f"{name} {value!r} is not an id", file=path, expected="letters, digits, _ and -")
+    reader = options.reader or type(recording).__module__.rpartition(".")[2]
     with reader_errors(path):
-        reader = options.reader or type(recording).__module__.rpartition(".")[2]
-        source = fingerprint(recording, reader, path.resolve().name)
+        if options.max_missing_images > 0.0:
+            recording = without_missing_images(recording, options.max_missing_images)
+        with _missing_images_named(recording):
+            source = fingerprint(recording, reader, path.resolve().name)
     if _is_unchanged(path, recording, source, layout, options, settings) and not options.dry_run:
         return PreparedDrive(drive_id, None)
     drive = find_drive_passes(path, recording, source, trigger, settings.rois, settings.document.cleaning)
     images = 0
     if not options.dry_run:
-        with reader_errors(path):
+        with reader_errors(path), _missing_images_named(recording):
             for number in drive.slices:
                 images += sum(len(indices) for _, indices, _ in select_images(drive, number).values())
     replace = options.replace or not _same_source(layout, drive_id, source, settings.configuration)
     return PreparedDrive(drive_id, drive, replace, images)
+
+
+@contextmanager
+def _missing_images_named(recording: Recording) -> Iterator[None]:
+    """Where images are missing, an error says how many, and names the option that accepts the drive without them."""
+    try:
+        yield
+    except RecordingError as error:
+        raise name_missing_images(recording, error) from error
 
 
 def _is_unchanged(

@@ -59,6 +59,7 @@ class IngestOptions:
         fail_fast: stop at the first drive that cannot be ingested.
         wait: wait for another writer of the dataset.
         licence: licence of the data, for ``dataset.json`` of a new dataset.
+        max_missing_images: share of a recording's images whose files may be missing.
         maps: recorded road maps of scenes: GeoParquet files, and folders of them.
     """
 
@@ -75,6 +76,7 @@ class IngestOptions:
     fail_fast: bool = False
     wait: bool = False
     licence: str | None = None
+    max_missing_images: float = 0.0
     maps: tuple[Path, ...] = ()
 
 
@@ -110,6 +112,7 @@ class IngestReport:
         bytes: of those images.
         linked: those of them that are hard links.
         maps: what became of each given road map, by scene.
+        licence: of the dataset, where this run wrote into it; None: it states none.
     """
 
     drives: dict[str, DriveReport] = field(default_factory=dict)
@@ -117,6 +120,19 @@ class IngestReport:
     traversals: list[WriteReport] = field(default_factory=list)
     failures: list[tuple[Path, MirrorError]] = field(default_factory=list)
     maps: dict[str, MapOutcome] = field(default_factory=dict)
+    licence: str | None = None
+
+    @property
+    def common_licence(self) -> str | None:
+        """The licence that all judged recordings state; None: they state several, or some state none."""
+        licences = {drive.info.licence for drive in self.drives.values()}
+        return licences.pop() if len(licences) == 1 else None
+
+    @property
+    def other_licences(self) -> list[str]:
+        """Licences that recordings state and the dataset does not, in order."""
+        stated = {drive.info.licence for drive in self.drives.values() if drive.info.licence}
+        return sorted(stated - {self.licence})
 
     @property
     def images(self) -> int:

@@ -146,7 +146,11 @@ def _write(run: _Run, recordings: Sequence[Path]) -> None:
     try:
         run.work(recordings, staging)
         if run.report.drives:
-            write_json(run.layout.document, run.settings.document)
+            document = run.settings.document
+            if not run.layout.document.exists() and document.licence is None:
+                document = document.model_copy(update={"licence": run.report.common_licence})
+            run.report.licence = document.licence
+            write_json(run.layout.document, document)
             write_rois(run.layout.rois, run.settings.rois)
             staging.publish()
         done = True

@@ -98,4 +98,6 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
     if options.write.videos != "jpeg":
         # Absent for the default, so that datasets of earlier versions keep their hash.
         decisive["videos"] = options.write.videos
+    if options.max_missing_images:
+        decisive["max_missing_images"] = options.max_missing_images
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()

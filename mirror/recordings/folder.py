@@ -252,6 +252,11 @@ class FolderRecording:
         """One stream per camera."""
         return {name: image_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
 
+    def named_images(self) -> Mapping[str, ImageStream]:
+        """One stream per camera; files that a table of exposures names may be missing."""
+        cameras = self.document.cameras.items()
+        return {name: image_stream(self.path, name, entry, named=True) for name, entry in cameras}
+
     def boxes(self) -> pa.Table | None:
         """The rows of ``boxes.parquet``, cast to the `boxes` table."""
         file = find_file(self.path, "boxes.parquet")

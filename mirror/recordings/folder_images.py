@@ -25,13 +25,14 @@ _SIZES: Final = ("byte_length", "width_px", "height_px")
 _LARGEST: Final = 2**31 - 1
 
 
-def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
+def image_stream(root: Path, camera: str, entry: FolderCamera, *, named: bool = False) -> ImageStream:
     """The images of one camera in the order of their exposures.
 
     Args:
         root: the recording.
         camera: the camera's name.
         entry: its entry in ``recording.json``.
+        named: also take images that the table of exposures names and whose files are missing.
 
     Raises:
         RecordingError: images are missing, have several formats, or differ from their table; camera, file and row are
@@ -54,15 +55,17 @@ def image_stream(root: Path, camera: str, entry: FolderCamera) -> ImageStream:
         )
     if table is not None and elsewhere:
         return _referenced_stream(camera, table)
-    return _video_stream(root, camera, entry, videos[0]) if videos else _file_stream(root, camera, folder, table)
+    if videos:
+        return _video_stream(root, camera, entry, videos[0])
+    return _file_stream(root, camera, folder, table, named=named)
 
 
-def _file_stream(root: Path, camera: str, folder: Path, table: Path | None) -> FileStream:
+def _file_stream(root: Path, camera: str, folder: Path, table: Path | None, *, named: bool) -> FileStream:
     images = list_file_names(root, folder)
     if not images:
         raise RecordingError(f"camera {camera} has no images", file=folder, expected="<timestamp_ns>.jpg or .png")
     if table is not None:
-        start, end, names = _read_listed_files(table, set(images))
+        start, end, names = _read_listed_files(table, set(images), named=named)
     else:
         names = images
         start = end = _parse_names(folder, names)
@@ -146,10 +149,10 @@ def _parse_names(folder: Path, names: list[str]) -> Int64:
         ) from error
 
 
-def _read_listed_files(table: Path, images: set[str]) -> tuple[Int64, Int64, list[str]]:
+def _read_listed_files(table: Path, images: set[str], *, named: bool) -> tuple[Int64, Int64, list[str]]:
     rows = read_rows([table], types=dict.fromkeys(("file", *_EXPOSURES), pa.string()), columns=("file", *_EXPOSURES))
     names = rows.column("file").to_pylist()
-    unknown = np.array([name not in images for name in names])
+    unknown = np.array([name not in images and not (named and _is_image_name(name)) for name in names])
     rows.refuse(
         unknown,
         "file",
@@ -167,6 +170,11 @@ def _read_listed_files(table: Path, images: set[str]) -> tuple[Int64, Int64, lis
         )
     start, end = _read_exposures(rows)
     return start, end, names
+
+
+def _is_image_name(name: str | None) -> bool:
+    """Whether a cell is the name of an image, without a path."""
+    return name is not None and not {"/", "\\"} & set(name) and f".{name.rpartition('.')[2].lower()}" in _CODECS
 
 
 def _read_exposures(rows: RecordingRows) -> tuple[Int64, Int64]:

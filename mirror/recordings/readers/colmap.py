@@ -341,9 +341,13 @@ class ColmapRecording:
         prefix = f"{self.settings.images}/"
         return require_files_inside(self.path, [prefix + name for name in self._names], file=self.model.files["images"])
 
-    def files(self) -> Sequence[tuple[str, Path]]:
-        """The model's cameras, images and frames, and the drive's images; points are not read."""
+    def named_files(self) -> Sequence[tuple[str, Path]]:
+        """The model's cameras, images and frames, and the drive's images, missing ones included; not the points."""
         paths = [*self.model.files.values(), *self._paths]
+        return sorted((path.relative_to(self.path).as_posix(), path) for path in paths)
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """The model's cameras, images and frames, and the drive's images; all must be there."""
         for path in self._paths:
             if not path.exists():
                 raise RecordingError(
@@ -352,7 +356,7 @@ class ColmapRecording:
                     expected="every registered image of the model",
                     remedy="restore it, or name the folder of images: --option images=FOLDER",
                 )
-        return sorted((path.relative_to(self.path).as_posix(), path) for path in paths)
+        return self.named_files()
 
     def track(self) -> Track:
         """The ego's pose at every image; of images at one instant, the reference camera's counts."""

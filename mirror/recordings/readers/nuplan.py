@@ -168,9 +168,14 @@ class NuplanRecording:
         rig_id = "nuplan" if set(self._cameras) == _EIGHT else f"nuplan_{self.info.drive_id}"[:120]
         return RigInfo(rig_id, cameras, cameras[0].name)
 
+    def named_files(self) -> Sequence[tuple[str, Path]]:
+        """The database and the images, missing ones included."""
+        images = [path for _, _, paths in self._cameras.values() for path in paths]
+        listed = [(path.relative_to(self.blobs or path).as_posix(), path) for path in images]
+        return sorted([(self.path.name, self.path), *listed])
+
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The database and the images."""
-        files = [(self.path.name, self.path)]
+        """The database and the images; all must be there."""
         for _, _, paths in self._cameras.values():
             for path in paths:
                 if not path.exists():
@@ -181,8 +186,7 @@ class NuplanRecording:
                         remedy="download and extract the camera archives again, or remove the log's folder of blobs:"
                         " its poses and boxes are then read alone",
                     )
-                files.append((path.relative_to(self.blobs or path).as_posix(), path))
-        return sorted(files)
+        return self.named_files()
 
     def track(self) -> Track:
         """The ego's poses, on WGS 84 through their UTM zone."""

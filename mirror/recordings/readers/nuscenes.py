@@ -226,12 +226,17 @@ class NuscenesRecording:
         rig_id = "nuscenes" if set(names.values()) == _SIX else f"nuscenes_{digest}"
         return RigInfo(rig_id, cameras, cameras[0].name)
 
-    def files(self) -> Sequence[tuple[str, Path]]:
-        """The tables and the scene's images; point clouds and maps are not read."""
+    def named_files(self) -> Sequence[tuple[str, Path]]:
+        """The tables and the scene's images, missing ones included; point clouds and maps are not read."""
         files = {name: self.tables.folder / name for name in (f"{table}.json" for table in TABLES)}
         for channel, rows in self._cameras.items():
             files |= dict(zip(rows.filename.to_pylist(), self._image_paths[channel]))
-        for name, path in files.items():
+        return sorted(files.items())
+
+    def files(self) -> Sequence[tuple[str, Path]]:
+        """The tables and the scene's images; all must be there."""
+        files = self.named_files()
+        for name, path in files:
             if not path.exists():
                 raise RecordingError(
                     "missing",
@@ -241,7 +246,7 @@ class NuscenesRecording:
                     remedy="download and extract all archives of file blobs"
                     + (", or read annotated frames only: --option sweeps=no" if name.startswith("sweeps/") else ""),
                 )
-        return sorted(files.items())
+        return files
 
     @cached_property
     def _image_paths(self) -> dict[str, list[Path]]:

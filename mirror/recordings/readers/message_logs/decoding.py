@@ -15,6 +15,7 @@ from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.readers.message_logs.container import Message, Topic
+from mirror.recordings.readers.message_logs.zstd import plain_message
 from mirror.recordings.time import SECOND_NS
 from mirror.schema.strict_json import JsonError, decode_json
 
@@ -149,7 +150,8 @@ class Decoder:
                 remedy="convert the topic, or leave it out of the topics file",
             )
         try:
-            return _CONVERT[kind](self._parser(topic)(message.data))
+            data = plain_message(message.data, self._path) if topic.encoding == "cdr" else message.data
+            return _CONVERT[kind](self._parser(topic)(data))
         except RecordingError:
             raise
         except Exception as error:

@@ -21,6 +21,7 @@ from mirror.installation import install_command
 from mirror.recordings.opening import unreadable_error
 from mirror.recordings.paths import not_a_file_error
 from mirror.recordings.readers.message_logs.container import Message, Place, Topic
+from mirror.recordings.readers.message_logs.zstd import stored_file
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _CHUNK_INDEX, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x08, 0x0F
@@ -136,7 +137,7 @@ class McapFile:
 
     def _open(self) -> IO[bytes]:
         try:
-            descriptor = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK)
+            descriptor = os.open(stored_file(self._path), os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
             raise unreadable_error(self._path, error) from error
         file = os.fdopen(descriptor, "rb")

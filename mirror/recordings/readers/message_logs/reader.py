@@ -15,6 +15,7 @@ from mirror.recordings.readers.message_logs.mcap_file import McapFile
 from mirror.recordings.readers.message_logs.recording import LogRecording
 from mirror.recordings.readers.message_logs.rosbag2_file import Rosbag2File
 from mirror.recordings.readers.message_logs.topics_file import propose_topics, read_topics_file, require_topics
+from mirror.recordings.readers.message_logs.zstd import without_suffix
 from mirror.recordings.registry import refuse_options
 
 _OPTIONS: Final = ("topics",)
@@ -24,7 +25,7 @@ _FOLDER_MARKS: Final = ("metadata.yaml", _FOLDER_TOPICS)
 
 
 class _LogReader(ABC):
-    """Reads logs with one file suffix."""
+    """Reads logs with one file suffix, also as a recorder compressed them: ``.db3.zstd``."""
 
     name: ClassVar[str]
     expects: ClassVar[str]
@@ -37,10 +38,13 @@ class _LogReader(ABC):
     def recognises(self, path: Path) -> bool:
         """Whether the path is a log, or a folder of consecutive logs with ``metadata.yaml`` or ``topics.toml``."""
         if path.is_file():
-            return path.suffix.lower() == self.suffix
+            return self._is_log(path)
         if not path.is_dir() or not any((path / mark).is_file() for mark in _FOLDER_MARKS):
             return False
-        return any(child.suffix.lower() == self.suffix for child in path.iterdir())
+        return any(self._is_log(child) for child in path.iterdir())
+
+    def _is_log(self, path: Path) -> bool:
+        return without_suffix(path).suffix.lower() == self.suffix
 
     def open(self, path: Path, options: Mapping[str, str]) -> LogRecording:
         """Open a drive; the option ``topics`` names its topics file.
@@ -66,12 +70,12 @@ class _LogReader(ABC):
         """The proposal of a topics file, as text; None: there is one."""
         if self._topics_file(path, options) is not None:
             return None
-        return f"# Save as {_beside(path)}\n" + propose_topics(_all_topics(self._logs(path)), path.stem)
+        return f"# Save as {_beside(path)}\n" + propose_topics(_all_topics(self._logs(path)), without_suffix(path).stem)
 
     def _logs(self, path: Path) -> tuple[MessageLog, ...]:
         if path.is_dir():
             listed = list_folder(path, path)
-            names = sorted((name for name in listed if Path(name).suffix.lower() == self.suffix), key=natural_key)
+            names = sorted((name for name in listed if self._is_log(Path(name))), key=natural_key)
             files = [listed[name] for name in names]
         else:
             files = [path]
@@ -89,7 +93,7 @@ class _LogReader(ABC):
 
 
 def _beside(path: Path) -> Path:
-    return path / _FOLDER_TOPICS if path.is_dir() else path.with_suffix(".toml")
+    return path / _FOLDER_TOPICS if path.is_dir() else without_suffix(path).with_suffix(".toml")
 
 
 def _all_topics(logs: tuple[MessageLog, ...]) -> dict[str, Topic]:

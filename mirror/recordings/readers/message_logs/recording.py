@@ -25,6 +25,7 @@ from mirror.recordings.readers.message_logs.contents import CameraContents, Cont
 from mirror.recordings.readers.message_logs.decoding import CameraMessage, FixMessage, PoseMessage
 from mirror.recordings.readers.message_logs.images import MessageImages, MessageVideo, stored_messages
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile
+from mirror.recordings.readers.message_logs.zstd import without_suffix
 from mirror.recordings.row_faults import RowFaults
 
 # Unix nanoseconds of the year 2000: earlier stamps count from the start of a computer.
@@ -55,7 +56,7 @@ class LogRecording:
         """The entries of the topics file."""
         document = self.document
         return DriveInfo(
-            drive_id=document.drive_id or to_identifier(self.path.stem),
+            drive_id=document.drive_id or to_identifier(without_suffix(self.path).stem),
             vehicle_id=document.vehicle_id,
             vehicle_type=document.vehicle_type,
             time_base="Unix nanoseconds of the messages"

@@ -12,6 +12,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.opening import read_file_start
 from mirror.recordings.readers.message_logs.container import Message, Place, Topic
 from mirror.recordings.readers.message_logs.ros_definitions import definition_of
+from mirror.recordings.readers.message_logs.zstd import stored_file
 
 _MAGIC: Final = b"SQLite format 3\0"
 
@@ -87,12 +88,13 @@ class Rosbag2File:
 
     @contextmanager
     def _database(self) -> Iterator[sqlite3.Connection]:
-        if read_file_start(self._path, len(_MAGIC))[0] != _MAGIC:
+        file = stored_file(self._path)
+        if read_file_start(file, len(_MAGIC))[0] != _MAGIC:
             raise RecordingError(
                 "is not an SQLite database", file=self._path, expected="a rosbag2 file", remedy="copy it again"
             )
         # Immutable: nothing is locked, and no journal file is made beside the recording.
-        location = f"{self._path.resolve().as_uri()}?mode=ro&immutable=1"
+        location = f"{file.resolve().as_uri()}?mode=ro&immutable=1"
         try:
             with closing(sqlite3.connect(location, uri=True)) as database:
                 yield database

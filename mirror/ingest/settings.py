@@ -86,7 +86,7 @@ def missing_roi_error() -> UsageError:
 
 
 def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
-    decisive = {
+    decisive: dict[str, object] = {
         "schema_version": SCHEMA_VERSION,
         "trigger": document.trigger.model_dump(mode="json"),
         "cleaning": document.cleaning.model_dump(mode="json"),

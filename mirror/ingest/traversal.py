@@ -263,12 +263,8 @@ def _with_lost_images(written: WriteReport, drive: DrivePasses, number: int) -> 
     """Count the images that the pass lacks: without a pose, missing from the recording, and with repeated stamps."""
     exposed = _exposed_within(drive, drive.passes[number]).values()
     missing = sum(count_missing_images(stamps) for _, _, stamps in exposed)
-    return replace(
-        written,
-        without_pose=images_without_pose(drive, number),
-        missing=missing,
-        repeated=repeated_images(drive, number),
-    )
+    without_pose, repeated = images_without_pose(drive, number), repeated_images(drive, number)
+    return replace(written, without_pose=without_pose, missing=missing, repeated=repeated)
 
 
 def _exposed_within(drive: DrivePasses, one: Pass) -> dict[str, tuple[ImageStream, Int64, Int64]]:

@@ -6,9 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
-import numpy as np
-
+from mirror.dataset.images.binary_mask import encode_mask
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, manifest_sha256, seal
 from mirror.errors import RecordingError
 from mirror.ingest.passes import DrivePasses
@@ -81,8 +79,8 @@ def _write_rig(staging: Staging, drive: DrivePasses) -> None:
         return
     for camera in rig.cameras:
         if camera.static_mask is not None:
-            encoded = cv2.imencode(".png", np.ascontiguousarray(camera.static_mask))[1]
-            write_bytes(layout.root / "rigs" / _mask_file_name(rig.rig_id, camera.name), encoded.tobytes())
+            encoded = encode_mask(camera.static_mask)
+            write_bytes(layout.root / "rigs" / _mask_file_name(rig.rig_id, camera.name), encoded)
     write_json(layout.rig(document.rig_id), document)
 
 

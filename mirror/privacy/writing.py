@@ -8,10 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
-import numpy as np
-
-from mirror.arrays import Bool
+from mirror.dataset.images.binary_mask import encode_mask
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.layer_writer import LayerWriter, remove_layer
 from mirror.dataset.layout import Layout, read_manifest
@@ -112,7 +109,7 @@ def write_layers(
             )
         )
         if redacted.mask is not None and masks is not None:
-            file = masks.file(f"{camera}/{timestamp_ns}.png", _encode_mask(redacted.mask))
+            file = masks.file(f"{camera}/{timestamp_ns}.png", encode_mask(redacted.mask))
             mask_rows.append({"camera": camera, "timestamp_ns": timestamp_ns, "kind": MASK_KIND, **file})
     # A layer of masks without rows would say that no road user is visible: none is written then.
     if masks is not None and mask_rows:
@@ -167,11 +164,6 @@ def _redacted(
     with thread_pool(max(workers, 1)) as pool:
         while chunk := list(islice(keys, _AT_ONCE * max(workers, 1))):
             yield from zip(chunk, pool.map(work, chunk))
-
-
-def _encode_mask(mask: Bool) -> bytes:
-    encoded = cv2.imencode(".png", np.asarray(mask, np.uint8) * 255)[1]
-    return encoded.tobytes()
 
 
 def layer_folder(layout: Layout, traversal_id: str, version: str) -> Path:

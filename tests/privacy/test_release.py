@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import datetime
+import io
 import json
 import shutil
 import threading
@@ -20,6 +21,7 @@ from PIL import Image
 
 import mirror
 from mirror.cli.main import main
+from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, complete_manifest, seal
 from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits import make_split
@@ -35,7 +37,7 @@ from mirror.progress import NullProgress
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, read_table, write_json
 from mirror.schema.road_map import write_road_map
-from mirror.schema.tables import IMAGES
+from mirror.schema.tables import IMAGES, MASKS
 from tests.dataset.builders import Builder, encode_rows, write_reconstruction
 from tests.metrics.safety.streets import two_way_street
 from tests.privacy.conftest import FACE, RED, marked, write_image
@@ -397,3 +399,34 @@ def test_a_preview_in_a_model_and_a_page_with_an_original_are_found(released: Pa
     found = find_leaving(source, [released, model], NullProgress())
     assert {one.file for one in found} == {str(path) for path in model.iterdir()}
     assert {one.rule_id for one in found} == {"REL017"}
+
+
+def test_a_photo_saved_as_a_mask_does_not_reach_a_release(dataset: Path, tmp_path: Path) -> None:
+    photo = np.asarray(Image.fromarray(marked(4, (FACE, RED))).convert("L"))
+    for path in dataset.glob("rigs/*.json"):
+        document = json.loads(path.read_text())
+        for camera in document["cameras"]:
+            camera["static_mask"] = f"{path.stem}.{camera['name']}.png"
+            write_image(path.parent / camera["static_mask"], np.repeat(photo[..., None], 3, axis=2))
+        path.write_text(json.dumps(document))
+    # A layer of masks whose rows name the photo, too.
+    name = next((dataset / "traversals").iterdir()).name
+    stamp = read_table(Layout(dataset).recorded(name) / "images.parquet", IMAGES).column("timestamp_ns")[0].as_py()
+    writer = LayerWriter(Layout(dataset), name, "masks", "people", "1")
+    row = {"camera": "front_wide", "timestamp_ns": stamp, "kind": "instance"}
+    writer.finish(MASKS, [{**row, **writer.file("a.png", encoded_png(photo))}], {})
+    assert build(dataset, tmp_path / "release", "--sample", "0") == 0
+    release = tmp_path / "release"
+    masks = [*release.glob("rigs/*.png"), *release.glob("traversals/*/layers/masks/**/*.png")]
+    assert len(masks) > 4
+    for path in masks:
+        assert set(np.unique(np.asarray(Image.open(path)))) <= {0, 255}, path
+    assert check_release(tmp_path / "release").exit_code() == 0
+    write_image(next((tmp_path / "release" / "rigs").glob("*.png")), np.repeat(photo[..., None], 3, axis=2))
+    assert "REL018" in rules(tmp_path / "release")
+
+
+def encoded_png(pixels: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    return buffer.getvalue()

@@ -1,7 +1,7 @@
 """Metadata of encoded images: what a JPEG (ITU T.81) or PNG (ISO 15948) holds beside its pixels, and its removal.
 
-Pixels are not decoded: the tables and the entropy-coded data of a JPEG, and the critical chunks of a PNG, are copied
-byte by byte. What is not needed to decode the same pixels is left out, known or not.
+An image is written again from the parts that decoding needs, by an allow-list (see `jpeg_cleaning` and `png_cleaning`):
+what is not needed to decode the same pixels is left out, known or not, wherever it lies.
 """
 
 from __future__ import annotations
@@ -9,17 +9,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import PurePath
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
+from mirror.dataset.images.jpeg_cleaning import clean_jpeg
+from mirror.dataset.images.jpeg_frame import FormatError
+from mirror.dataset.images.png_cleaning import START, clean_png, list_chunks
 from mirror.errors import DatasetError
 
-_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
-_PNG_KEPT: Final = frozenset((b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS"))
 _SOI, _EOI, _SOS, _TEM, _APP0, _APP1, _APP2, _APP13, _APP14, _COM = (
     0xD8, 0xD9, 0xDA, 0x01, 0xE0, 0xE1, 0xE2, 0xED, 0xEE, 0xFE,
 )  # fmt: skip
-_JFIF: Final = bytes.fromhex("ffe000104a46494600010100000100010000")
-"""An APP0 segment without a thumbnail: it says that the components are Y, Cb and Cr."""
 _ORIENTATION, _GPS, _THUMBNAIL = 0x0112, 0x8825, 0x0201
 
 
@@ -47,44 +46,38 @@ def list_metadata(data: bytes, file: str | PurePath) -> list[str]:
     Raises:
         DatasetError: it is neither a JPEG nor a PNG, or it is cut short.
     """
-    found = set()
-    if data.startswith(_PNG_START):
-        for kind, _, end in _chunks(data, file):
-            if kind not in _PNG_KEPT:
-                found.add(f"PNG chunk {kind.decode('ascii', 'replace')}")
+    found = _clean(data, file)[1]
+    if data.startswith(START):
+        for _, _, end in list_chunks(data):
             last = end
-        found |= {"bytes after the end"} if last != len(data) else set()
-        return sorted(found)
-    for segment in segments(data, file):
-        found |= _names(segment.marker, data[segment.start + 4 : segment.end])
-        last = segment.end
+    else:
+        for segment in segments(data, file):
+            found |= _names(segment.marker, data[segment.start + 4 : segment.end])
+            last = segment.end
     return sorted(found | ({"bytes after the end"} if last != len(data) else set()))
 
 
 def strip_metadata(data: bytes, file: str | PurePath) -> bytes:
-    """Remove everything that decoding does not need; the encoded pixels are the same bytes.
+    """Remove everything that decoding does not need; the decoded pixels are the same.
 
-    Kept are tables, frames and scans of a JPEG, with a JFIF segment without thumbnail or the colour transform of an
-    Adobe segment where it had one; critical chunks and transparency of a PNG. Bytes after the end are removed.
+    Kept are the tables that scans use, the frame and the scans of a JPEG up to its last block, with a JFIF segment
+    without thumbnail or the colour transform of an Adobe segment where it had one; the header, the used colours, the
+    transparency and the rows of a PNG. Bytes after the end are removed.
 
     Raises:
-        DatasetError: it is neither a JPEG nor a PNG, or it is cut short.
+        DatasetError: it is neither a JPEG nor a PNG, it is broken or cut short, or it is of a kind that cameras do not
+            write, such as a lossless JPEG.
     """
-    if data.startswith(_PNG_START):
-        return _PNG_START + b"".join(data[start:end] for kind, start, end in _chunks(data, file) if kind in _PNG_KEPT)
-    parts, has_jfif = [data[:2]], False
-    for segment in segments(data, file):
-        body = data[segment.start : segment.end]
-        if segment.marker == _APP0:
-            if body[4:9] == b"JFIF\0" and not has_jfif:
-                parts.append(_JFIF)
-                has_jfif = True
-        elif segment.marker == _APP14:
-            if body[4:9] == b"Adobe" and len(body) >= 16:
-                parts.append(b"\xff\xee\x00\x0e" + body[4:16])
-        elif not (0xE0 <= segment.marker <= 0xEF or segment.marker == _COM):
-            parts.append(body)
-    return b"".join(parts)
+    return _clean(data, file)[0]
+
+
+def _clean(data: bytes, file: str | PurePath) -> tuple[bytes, set[str]]:
+    if not data.startswith((START, b"\xff\xd8")):
+        raise _broken(file, "neither a JPEG nor a PNG")
+    try:
+        return clean_png(data) if data.startswith(START) else clean_jpeg(data)
+    except FormatError as error:
+        raise _broken(file, str(error)) from error
 
 
 def read_orientation(data: bytes) -> int:
@@ -193,22 +186,6 @@ def _exif_tags(tiff: bytes) -> dict[int, int]:
         # Damaged EXIF data is metadata too, whatever it says.
         return tags
     return tags
-
-
-def _chunks(data: bytes, file: str | PurePath) -> Iterator[tuple[bytes, int, int]]:
-    """Kind, start and end of the chunks of a PNG, up to its end chunk."""
-    position = len(_PNG_START)
-    while True:
-        if position + 12 > len(data):
-            raise _broken(file, "truncated: it has no end marker")
-        length, kind = struct.unpack_from(">I4s", data, position)
-        end = position + 12 + length
-        if end > len(data):
-            raise _broken(file, "truncated: it has no end marker")
-        yield kind, position, end
-        if kind == b"IEND":
-            return
-        position = end
 
 
 def _broken(file: str | PurePath, problem: str) -> DatasetError:

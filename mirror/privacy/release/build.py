@@ -15,6 +15,7 @@ import numpy as np
 import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.door.placing import dataset_state, require_unchanged
+from mirror.dataset.images.binary_mask import rewrite_mask
 from mirror.dataset.images.video_decoders import VideoDecoders
 from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, complete_manifest, require_dataset
@@ -292,7 +293,7 @@ def _copy_rig(source: Layout, target: Layout, rig_id: str) -> None:
     for camera in rig.cameras:
         if camera.static_mask is not None:
             path = source.rig(rig_id).parent / camera.static_mask
-            write_bytes(target.rig(rig_id).parent / camera.static_mask, path.read_bytes())
+            write_bytes(target.rig(rig_id).parent / camera.static_mask, rewrite_mask(path.read_bytes(), path))
 
 
 def _originals(layout: Layout, report: TreeReport) -> list[OriginalRecord]:

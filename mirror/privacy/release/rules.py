@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+from mirror.dataset.images.binary_mask import is_binary
 from mirror.dataset.images.metadata import list_metadata
 from mirror.errors import MirrorError
 from mirror.methods.model_document import DOCUMENT as MODEL
@@ -189,6 +190,13 @@ def _texts(view: ReleaseView) -> Iterator[Found]:
         yield Found(LICENCE, "it does not forbid to identify persons and vehicles")
 
 
+def _photos_as_masks(view: ReleaseView) -> Iterator[Found]:
+    for name in sorted(view.masks):
+        path = view.root / name
+        if path.is_file() and not is_binary(path.read_bytes()):
+            yield Found(name, "a mask with other pixels than 0 and 255: it may be a photo")
+
+
 def _withdrawn(view: ReleaseView) -> Iterator[Found]:
     present = {*view.traversals, *("/".join(map(str, key)) for key in view.images)}
     present |= {"/".join(map(str, record.key)) for record in view.records}
@@ -238,5 +246,6 @@ RULES: Final = (
     ),
     ReleaseRule("REL010", "The datasheet or licence is missing or incomplete.", "build the release again", _texts),
     ReleaseRule("REL011", "Something that was withdrawn.", "withdraw it again", _withdrawn),
+    ReleaseRule("REL018", "A mask that holds more than an outline.", "build the release again", _photos_as_masks),
 )
 """Rules that need neither detectors nor originals; `mirror.privacy.release.check` has those that do."""

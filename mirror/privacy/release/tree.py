@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.content_hashes import ContentHashes
+from mirror.dataset.images.binary_mask import rewrite_mask
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest, seal
 from mirror.dataset.redaction import REDACTION, current_redaction, newest_redaction
 from mirror.dataset.store import Store
@@ -191,20 +192,25 @@ def _write_layer(
         # Masks of an older redaction do not fit the images of the newest.
         report.left_out.append(f"{new}/{'/'.join(layer)}")
         return
-    data = read_table(folder / f"{table.name}.parquet", table)
+    table_rows = read_table(folder / f"{table.name}.parquet", table)
     out = target.layer(new, *layer)
-    if "uri" in data.column_names:
-        rows = data.to_pylist()
+    if "uri" in table_rows.column_names:
+        rows = table_rows.to_pylist()
         known = {(record.camera, record.timestamp_ns) for record in report.records if record.traversal_id == new}
         kept = [row for row in rows if (row["camera"], row["timestamp_ns"] + renaming.shift_ns) in known]
         for row in kept:
             stem = f"{row['camera']}/{row['timestamp_ns'] + renaming.shift_ns}"
             # An image may have several masks of a layer.
             name = f"{stem}{'-' + row['kind'] if 'kind' in row else ''}{PurePosixPath(row['uri']).suffix}"
-            write_bytes(out / name, _read(source, row, row["sha256"]))
+            data = _read(source, row, row["sha256"])
+            if kind == "masks":
+                # A photo may be saved as a mask.
+                data = rewrite_mask(data, source.root / row["uri"])
+                row |= {"sha256": hashlib.sha256(data).digest(), "byte_length": len(data)}
+            write_bytes(out / name, data)
             row["uri"] = (out / name).relative_to(target.root).as_posix()
-        data = _table(kept, table)
-    encoded = encode_table(renaming.table(data, report.traversals), table)
+        table_rows = _table(kept, table)
+    encoded = encode_table(renaming.table(table_rows, report.traversals), table)
     name = f"{table.name}.parquet"
     write_bytes(out / name, encoded)
     seal(out, {name: encoded}, derived_from={"recorded": _content(target, new)})

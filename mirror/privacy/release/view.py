@@ -15,7 +15,7 @@ from mirror.privacy.release.tree import LAYER_TABLES, read_drives
 from mirror.schema.documents import DriveDocument, Manifest, Rig
 from mirror.schema.files import read_json, read_table
 from mirror.schema.links import refuse_links_out
-from mirror.schema.tables import IMAGES
+from mirror.schema.tables import IMAGES, MASKS, Table
 
 ImageName = tuple[str, str, int]
 """Traversal, camera, timestamp_ns."""
@@ -97,19 +97,35 @@ class ReleaseView:
                 folders.append(folder)
                 table = LAYER_TABLES.get(layer[0])
                 if table is not None and "uri" in table.schema.names:
-                    path = folder / f"{table.name}.parquet"
-                    names.update(read_table(path, table, ["uri"]).column("uri").to_pylist())
+                    names.update(self._uris(folder, table))
         for folder in [*folders, self.layout.index]:
             manifest = read_manifest(folder)
             place = folder.relative_to(self.root).as_posix()
             if manifest is not None:
                 names |= {f"{place}/manifest.json", *(f"{place}/{name}" for name in manifest.files)}
-        for rig_id in {drive.rig_id for drive, _ in self.drives if drive.rig_id is not None}:
-            rig = read_json(self.layout.rig(rig_id), Rig)
-            names |= {f"rigs/{rig_id}.json", *(f"rigs/{one.static_mask}" for one in rig.cameras if one.static_mask)}
+        names |= {f"rigs/{rig.rig_id}.json" for rig in self._rigs} | self.masks
         names |= {row["uri"] for row in self.images.values()}
         names |= {f"splits/{path.name}" for path in (self.root / "splits").glob("*.json")}
         return frozenset(names)
+
+    @cached_property
+    def masks(self) -> frozenset[str]:
+        """The masks of the rigs and those of all layers, relative to the root."""
+        names = {f"rigs/{one.static_mask}" for rig in self._rigs for one in rig.cameras if one.static_mask}
+        for name in self.traversals:
+            for layer in self.layout.layers(name):
+                if layer[0] == MASKS.name:
+                    names.update(self._uris(self.layout.layer(name, *layer), MASKS))
+        return frozenset(names)
+
+    @cached_property
+    def _rigs(self) -> Sequence[Rig]:
+        rig_ids = {drive.rig_id for drive, _ in self.drives if drive.rig_id is not None}
+        return [read_json(self.layout.rig(rig_id), Rig) for rig_id in sorted(rig_ids)]
+
+    def _uris(self, folder: Path, table: Table) -> list[str]:
+        uris: list[str] = read_table(folder / f"{table.name}.parquet", table, ["uri"]).column("uri").to_pylist()
+        return uris
 
     @cached_property
     def files(self) -> Sequence[str]:

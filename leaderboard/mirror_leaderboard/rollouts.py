@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -14,6 +14,7 @@ from mirror.evaluation.rollouts import evaluate_rollouts, make_result
 from mirror.evaluation.scorers.safety import ScoredRollout, score_drive
 from mirror.metrics.safety import StateLog, find_difference, find_impossible_motion, read_state_log
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.protocols.document import Protocol
 from mirror.schema.documents import FileEntry
 from mirror.schema.files import sha256_bytes
 from mirror.schema.road_map import encode_road_map
@@ -44,8 +45,15 @@ _UNVERIFIED: Final = "leave --street and --scenarios out: the row is then unveri
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """One drive that was asked for."""
+class AskedDrive:
+    """One drive that was asked for.
+
+    Attributes:
+        street: the street.
+        dataset_hash: hash of its dataset; None: it is synthetic.
+        map_hash: hash of its encoded map.
+        scenario: the scenario with its seed.
+    """
 
     street: Street
     dataset_hash: str | None
@@ -87,10 +95,11 @@ def rescore_rollouts(
     require_equal("options", result.options, done.options, path)
     require_equal("warnings", result.warnings, done.warnings, path)
     require_equal_figures(result.figures, done.figures, path)
-    logs = {one.path: _read_possible(rollouts / one.path) for one in evaluation.scored}
     if plan is None:
+        for one in evaluation.scored:
+            _read_possible(rollouts / one.path)
         return done
-    return _drive_again(done, rollouts, evaluation.scored, logs, plan, progress or NullProgress())
+    return _drive_again(done, rollouts, evaluation.scored, plan, progress or NullProgress())
 
 
 def _read_possible(folder: Path) -> StateLog:
@@ -110,7 +119,6 @@ def _drive_again(
     done: Result,
     rollouts: Path,
     scored: Sequence[ScoredRollout],
-    logs: Mapping[str, StateLog],
     plan: RolloutPlan,
     progress: ProgressReporter,
 ) -> Result:
@@ -125,7 +133,7 @@ def _drive_again(
     progress.start("driving again", len(scored))
     again = []
     for key, one in given.items():
-        again.append(_require_same_drive(rollouts / one.path, one, logs[one.path], tasks[key], done))
+        again.append(check_rollout(rollouts / one.path, one, tasks[key], done.protocol))
         progress.advance(1)
     own = make_result(again, done.protocol)
     kept = ("figures", "dataset", "options", "warnings")
@@ -140,7 +148,7 @@ def _describe(key: tuple[str, str, int]) -> str:
     return f"scenario {key[1]} with seed {key[2]} in scene {key[0]}"
 
 
-def _list_tasks(plan: RolloutPlan) -> Iterator[_Task]:
+def _list_tasks(plan: RolloutPlan) -> Iterator[AskedDrive]:
     if not plan.scenarios.is_dir():
         raise UsageError("no such folder", file=plan.scenarios, place="--scenarios", expected="a folder of scenarios")
     files = sorted(plan.scenarios.glob("*.toml"))
@@ -159,7 +167,7 @@ def _list_tasks(plan: RolloutPlan) -> Iterator[_Task]:
         seen.add(street.scene_id)
         map_hash = sha256_bytes(encode_road_map(street.road_map))
         for scenario in scenarios.values():
-            yield _Task(street, dataset_hash, map_hash, scenario)
+            yield AskedDrive(street, dataset_hash, map_hash, scenario)
 
 
 def _open_streets(plan: RolloutPlan) -> Iterator[tuple[Street, str | None]]:
@@ -178,11 +186,22 @@ def _open_streets(plan: RolloutPlan) -> Iterator[tuple[Street, str | None]]:
             yield street, dataset.index_sha256
 
 
-def _require_same_drive(folder: Path, one: ScoredRollout, log: StateLog, task: _Task, done: Result) -> ScoredRollout:
-    """Drive a rollout again; returns the score of the new drive."""
+def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: Protocol) -> ScoredRollout:
+    """Drive the recorded controls of a rollout again, and return the score of the new drive.
+
+    Args:
+        folder: folder of the rollout.
+        one: the rollout, scored by its own files.
+        task: what was asked for.
+        protocol: the protocol.
+
+    Raises:
+        RefusedError: a motion is impossible, or the rollout is not what its controls lead to.
+        UsageError: the scenario does not fit on the street.
+    """
     from hybridworldsim.simulator.rollout.driven_again import drive_again
 
-    rollout, scenario = one.rollout, task.scenario
+    log, rollout, scenario = _read_possible(folder), one.rollout, task.scenario
     if rollout.ending == "policy":
         raise RefusedError(
             f"the policy ended the rollout after {rollout.steps} steps: nobody knows what would have come then",
@@ -221,7 +240,7 @@ def _require_same_drive(folder: Path, one: ScoredRollout, log: StateLog, task: _
             f"not the states that the controls lead to: {difference}",
             file=folder / STATES_FILE, expected="the states of the drive, to 1e-6 m", remedy=_DRIVE,
         )  # fmt: skip
-    again = score_drive(driven.log, task.street.road_map, scenario, one.path, own, done.protocol)
+    again = score_drive(driven.log, task.street.road_map, scenario, one.path, own, protocol)
     for name in EVENTS:
         if one.values.get(name) != again.values.get(name) or one.causes.get(name) != again.causes.get(name):
             raise _another(folder / STATES_FILE, name, one.values.get(name), again.values.get(name), "drive")
@@ -246,7 +265,7 @@ def _read_controls(folder: Path, rollout: Rollout, most: int) -> Sequence[Contro
     return controls
 
 
-def _describe_files(task: _Task) -> dict[str, FileEntry]:
+def _describe_files(task: AskedDrive) -> dict[str, FileEntry]:
     """The organiser's map and scenario, as a rollout lists them."""
     encoded = encode_scenario(task.scenario)
     return {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,16 +25,19 @@ from hybridworldsim.simulator.street.street import Street
 from mirror.cli.main import main
 from mirror.errors import MirrorError
 from mirror.evaluation.rollouts import evaluate_rollouts
+from mirror.evaluation.scorers.safety import score_folder
 from mirror.metrics.safety import StateLog, read_state_log, write_state_log
 from mirror.protocols.document import load_protocol
-from mirror.schema.files import write_json
-from mirror.schema.road_map import MapArea, read_road_map, write_road_map
+from mirror.schema.files import sha256_bytes, write_json
+from mirror.schema.road_map import MapArea, encode_road_map, read_road_map, write_road_map
 from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, STATES_FILE, Rollout, list_files
 from mirror.schema.scenario import Scenario, read_scenario, write_scenario
 from mirror_leaderboard.add import add_result
 from mirror_leaderboard.entry import Measured, load_entries
 from mirror_leaderboard.refused import RefusedError
 from mirror_leaderboard.rescore import RolloutPlan, Sources
+from mirror_leaderboard.rollouts import AskedDrive, check_rollout
+from tests.simulator.streets import straight_street
 
 SOURCE = "synth:tiny"
 PROTOCOL = load_protocol("safety")
@@ -312,7 +316,7 @@ def crawl_sideways(log: StateLog) -> StateLog:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (jump, "from where its velocity leads"),
+        (jump, "from where its speed leads"),
         (jump_agent, "from where its velocity leads"),
         (brake_at_once, "change of speed"),
         (turn_on_the_spot, "turn in a step|from where|change of speed|sideways"),
@@ -365,6 +369,29 @@ def test_a_collision_cannot_be_cut_off(street: Street, tmp_path: Path) -> None:
     truncate(ending="duration")(run)
     with pytest.raises(RefusedError, match="the controls end after 10 steps, and the drive does not"):
         submit(tmp_path / "runs", plan)
+
+
+def test_a_log_of_20_s_with_60_agents_is_checked_in_150_ms(tmp_path: Path) -> None:
+    """Processor time of reading, bounds, driving again, comparing and scoring; the least of five."""
+    street = straight_street()
+    traffic = {"kind": "idm", "radius_m": 400.0, "speed_mps": 1.0, "desired_share": 0.1}
+    ego = {"speed_mps": 6.0, "start": {"kind": "lane", "lane": "fast", "along_m": 30.0}}
+    crowded = Scenario.model_validate(
+        {"name": "jam", "duration_s": 20.0, "ego": ego, "agents": [{"id": "t", "count": 60, "behaviour": traffic}]}
+    )
+    request = RolloutRequest(street, crowded, LaneKeeping(), "idm", {}, RendererFactory("boxes"))
+    rollout = run_rollout(request, tmp_path / "run").rollout
+    one = score_folder(tmp_path / "run", "run", rollout, PROTOCOL)
+    task = AskedDrive(street, None, sha256_bytes(encode_road_map(street.road_map)), crowded)
+    seconds = []
+    for _ in range(5):
+        begin = time.process_time()
+        again = check_rollout(tmp_path / "run", one, task, PROTOCOL)
+        seconds.append(time.process_time() - begin)
+    assert rollout.steps == 200 and len(read_state_log(tmp_path / "run" / STATES_FILE).ids) == 61
+    # To the bit on the machine that made them.
+    assert again.values == one.values
+    assert min(seconds) <= 0.15
 
 
 def test_the_verb_needs_both_street_and_scenarios(

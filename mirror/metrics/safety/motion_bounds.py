@@ -19,6 +19,7 @@ _CURVATURE_RADPM: Final = 0.35
 _SLIP: Final = 0.15
 """Greatest ratio of a step's sideways and forward part, in the mean heading of its ends."""
 
+_NO_ARC: Final = 0.1
 _AGENT_SLACK_M: Final = 1.0
 _EGO_SLACK_M: Final = 0.1
 _SPEED_SLACK_MPS: Final = 0.5
@@ -43,11 +44,11 @@ class ImpossibleMotion:
 def find_impossible_motion(log: StateLog) -> ImpossibleMotion | None:
     """Find the first step of a log that no body can make; None: there is none.
 
-    All actors: the speed is at most that of the category (pedestrians 13 m/s, bicycles 30 m/s, others 80 m/s), and the
-    place after a step is the one to which the mean velocity leads, within 1 m (the noise of labels) and what an
-    acceleration of 13 m/s2 changes. The ego in addition: the speed of its rear axle changes by at most 13 m/s2, the
-    distance follows from the speed to 0.1 m, the path has at most a curvature of 0.35 / m, and leads ahead. Actors that
-    are absent at one end of a step are not compared over it.
+    All actors: the speed is at most that of the category (pedestrians 13 m/s, bicycles 30 m/s, others 80 m/s). Agents:
+    the place after a step is the one to which the mean velocity leads, within 1 m (the noise of labels) and what an
+    acceleration of 13 m/s2 changes. The ego: the speed of its rear axle changes by at most 13 m/s2, the distance
+    follows from the speed to 0.1 m, the path has at most a curvature of 0.35 / m, and leads ahead. Actors that are
+    absent at one end of a step are not compared over it.
 
     Args:
         log: the log.
@@ -75,7 +76,8 @@ def _jumps(log: StateLog, steps_s: Float64) -> ImpossibleMotion | None:
     ]
     distance = np.hypot(*off)
     allowed = np.broadcast_to(_AGENT_SLACK_M + 0.25 * _ACCELERATION_MPS2 * step**2, distance.shape)
-    both = log.present[1:] & log.present[:-1]
+    # The ego, whose velocity may turn far in a step, has its own test.
+    both = log.present[1:] & log.present[:-1] & (np.arange(len(log.ids)) > 0)
     return _first(log, both & (distance > allowed), distance, allowed, "distance from where its velocity leads", "m", 1)
 
 
@@ -94,9 +96,11 @@ def _ego_steps(log: StateLog, steps_s: Float64) -> list[ImpossibleMotion | None]
     change = np.abs(np.diff(speed))
     greatest = _ACCELERATION_MPS2 * steps_s + _SPEED_SLACK_MPS
     off = np.abs(path - 0.5 * steps_s * (speed[1:] + speed[:-1]))
-    nearest = 0.25 * _ACCELERATION_MPS2 * steps_s**2 + _EGO_SLACK_M
+    # Where the curvature changes within a step, the path is no arc: the difference grows with the square of the turn.
+    no_arc = _NO_ARC * turn**2 * np.abs(speed[1:] + speed[:-1]) * steps_s
+    nearest = 0.25 * _ACCELERATION_MPS2 * steps_s**2 + _EGO_SLACK_M + no_arc
     bend = _CURVATURE_RADPM * np.abs(path) + _YAW_SLACK_RAD
-    slip = _SLIP * np.abs(ahead) + _EGO_SLACK_M
+    slip = _SLIP * np.abs(ahead) + _EGO_SLACK_M + no_arc
     return [
         _first(log, (values > most)[:, None], values[:, None], most[:, None], name, unit, 1)
         for values, most, name, unit in (

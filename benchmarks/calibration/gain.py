@@ -52,7 +52,7 @@ INJECTED_DEG: Final = (0.05, 1.0)
 LAYERS: Final = ("injected", "refined", "exact")
 METRICS: Final = ("psnr", "psnr_invariant")
 KEYS: Final = {"training": "psnr", "novel": "psnr_invariant"}
-"""The metric by which the protocol ranks each group."""
+"""The metric that decides in each group."""
 _SEED: Final = 0
 _VERSION: Final = "1"
 _PROTOCOL: Final = "static-reconstruction"

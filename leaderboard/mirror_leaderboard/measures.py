@@ -48,9 +48,10 @@ class Measure:
 
 MEASURES: Final = {
     "psnr": Measure("PSNR", "peak signal-to-noise ratio of the scored pixels", "higher", 2, unit="dB"),
-    "psnr_invariant": Measure(
-        "PSNR inv.", "PSNR after the best linear recolouring; ranks novel views", "higher", 2, unit="dB"
+    "ms_structure": Measure(
+        "Structure", "share of the truth's local structure that the render explains", "higher", 3, low=-1.0, high=1.0
     ),
+    "psnr_invariant": Measure("PSNR inv.", "PSNR after the best linear recolouring", "higher", 2, unit="dB"),
     "psnr_affine": Measure("PSNR aff.", "PSNR after a gain and an offset of each channel", "higher", 2, unit="dB"),
     "psnr_cc": Measure("PSNR*", "PSNR after MTGS's quadratic colour correction", "higher", 2, unit="dB"),
     "ssim": Measure("SSIM", "structural similarity", "higher", 3, low=-1.0, high=1.0),

@@ -77,8 +77,8 @@ def _compare_block(results: Path) -> ExitCode:
     """Print the scores of the block and of the nearest images on the held-out traversal. The block must be above."""
     scores = {name: _held_out_scores(results / name) for name in (_OURS, _FLOOR)}
     for name, values in scores.items():
-        psnr, invariant = values["psnr"], values["psnr_invariant"]
-        print(f"  {name:<13} PSNR {psnr:.2f} dB, invariant PSNR {invariant:.2f} dB on the held-out traversal")
+        structure, invariant = values["ms_structure"], values["psnr_invariant"]
+        print(f"  {name:<13} structure {structure:.3f}, invariant PSNR {invariant:.2f} dB on the held-out traversal")
     if costs := _costs(results / _OURS):
         print(f"  {costs}")
     is_above = all(scores[_OURS][metric] > value for metric, value in scores[_FLOOR].items())
@@ -103,14 +103,15 @@ def _costs(result: Path) -> str:
 
 
 def _held_out_scores(result: Path) -> dict[str, float]:
-    """PSNR and invariant PSNR on the held-out traversal, dB; NaN if there is no value."""
+    """Structure, which ranks, and invariant PSNR in dB on the held-out traversal; NaN if there is no value."""
     from mirror.evaluation.result import RESULT, Result
     from mirror.schema.files import read_json
 
     figures = read_json(result / RESULT, Result).figures
     values = {figure.metric: figure.value for figure in figures if (figure.group, figure.level) == ("novel", "group")}
     # NaN is above no value.
-    return {metric: math.nan if (value := values[metric]) is None else value for metric in ("psnr", "psnr_invariant")}
+    shown = ("ms_structure", "psnr_invariant")
+    return {metric: math.nan if (value := values[metric]) is None else value for metric in shown}
 
 
 def run(words: Sequence[str]) -> int:

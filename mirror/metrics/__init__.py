@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from mirror.metrics.images.ssim import ssim as ssim
     from mirror.metrics.images.ssim import ssim_map as ssim_map
     from mirror.metrics.images.ssim_map import SsimSettings as SsimSettings
+    from mirror.metrics.images.structure import ms_structure as ms_structure
     from mirror.metrics.score import Score as Score
 
 __all__ = [
@@ -119,6 +120,7 @@ __all__ = [
     "lpips",
     "mask_iou",
     "mean_interval",
+    "ms_structure",
     "nuscenes_detection",
     "paired_difference",
     "polygon_mask",
@@ -183,6 +185,7 @@ __getattr__, __dir__ = lazy_names(
         "lpips": "mirror.metrics.features.lpips",
         "mask_iou": "mirror.metrics.boxes.iou_2d",
         "mean_interval": "mirror.metrics.images.bootstrap",
+        "ms_structure": "mirror.metrics.images.structure",
         "nuscenes_detection": "mirror.metrics.detection.nuscenes",
         "paired_difference": "mirror.metrics.images.bootstrap",
         "polygon_mask": "mirror.metrics.boxes.raster",

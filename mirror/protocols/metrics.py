@@ -27,6 +27,12 @@ class PsnrInvariant(Document):
     metric: Literal["psnr_invariant"]
 
 
+class MsStructure(Document):
+    """Share of the truth's local structure that the render explains, over four octaves; renders are ranked by it."""
+
+    metric: Literal["ms_structure"]
+
+
 class PsnrCc(Document):
     """PSNR after the quadratic colour warp of MTGS (PSNR* in the paper); ``iterations`` fits on unclipped pixels."""
 
@@ -145,6 +151,7 @@ class DrivableArea(Document):
 Metric = Annotated[
     Psnr
     | PsnrInvariant
+    | MsStructure
     | PsnrAffine
     | PsnrCc
     | Ssim

@@ -478,6 +478,8 @@ def test_two_variants_of_one_method_are_distinct_on_the_page(tmp_path: Path) -> 
     assert "version 1" in page and "version 2" in page
 
 
-def test_version_two_of_the_protocol_ranks_by_the_invariant_metric() -> None:
-    names = load_protocol("static-reconstruction").metric_names
-    assert names[:4] == ("psnr", "psnr_invariant", "psnr_affine", "psnr_cc")
+def test_the_key_is_the_first_figure_and_no_colour_fit() -> None:
+    for name in ("static-reconstruction", "lane-shift"):
+        protocol = load_protocol(name)
+        assert protocol.ranking is not None and protocol.ranking.metric == "ms_structure"
+        assert protocol.metric_names[:4] == ("ms_structure", "psnr", "psnr_invariant", "psnr_affine")

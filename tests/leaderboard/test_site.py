@@ -211,10 +211,10 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
     best = ["hybridworldsim", "nearest_frame", "mean_color"]
     assert browser.script(METHODS) == best
     # A click reverses the ranked column; another column starts with its best; rows without a value stay last.
-    browser.script(f"{HEADS}[3].click()")
+    browser.script(f"{HEADS}[1].click()")
     assert browser.script(METHODS) == best[::-1]
     assert browser.script(f"{TABLE}.querySelector('th[aria-sort]').getAttribute('aria-sort')") == "ascending"
-    browser.script(f"{HEADS}[1].click()")
+    browser.script(f"{HEADS}[2].click()")
     assert browser.script(METHODS) == best
     assert browser.script("document.querySelectorAll('table.board th[aria-sort]').length") >= 1
     browser.script(f"{HEADS}[0].click()")
@@ -226,7 +226,7 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
 def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.open(build([board], tmp_path / "site"))
     browser.script(SHOW_MEASURED)
-    browser.script(f"{HEADS}[3].focus()")
+    browser.script(f"{HEADS}[1].focus()")
     for kind in ("keyDown", "keyUp"):
         browser.call(
             "Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r"
@@ -339,7 +339,7 @@ def test_footnotes_stand_once(tmp_path: Path) -> None:
     notes = re.findall(r'<li value="(\d+)">(.*?)</li>', text)
     equal = "PSNR: 1 equal to the truth (infinite, left out of the mean)"
     # The column that ranks comes first.
-    expected = ("PSNR inv.: 2 grey", none, "PSNR: 2 grey", equal)
+    expected = ("Structure: 2 grey", none, "PSNR: 2 grey", equal)
     assert notes == [(str(k + 1), note) for k, note in enumerate(expected)]
 
 

@@ -103,7 +103,7 @@ def test_demo_replaces_only_its_own_folder(
             out = Path(words[words.index("--out") + 1])
             figures = [
                 {"metric": metric, "group": "novel", "value": scores[out.name] + more, "better": "higher", "n": 1}
-                for metric, more in (("psnr", 0.0), ("psnr_invariant", 3.0))
+                for metric, more in (("ms_structure", 0.0), ("psnr_invariant", 3.0))
             ]
             out.mkdir(parents=True)
             (out / "result.json").write_text(json.dumps({**result(), "figures": figures}))
@@ -113,8 +113,8 @@ def test_demo_replaces_only_its_own_folder(
     own = tmp_path / "own"
     assert demo(["--out", str(own)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "  reconstructed PSNR 17.50 dB, invariant PSNR 20.50 dB on the held-out traversal" in lines
-    assert "  nearest_frame PSNR 13.25 dB, invariant PSNR 16.25 dB on the held-out traversal" in lines
+    assert "  reconstructed structure 17.500, invariant PSNR 20.50 dB on the held-out traversal" in lines
+    assert "  nearest_frame structure 13.250, invariant PSNR 16.25 dB on the held-out traversal" in lines
     steps = [
         words[4] if words[1] == "baseline" else words[2] for words in ran if words[1] in ("baseline", "leaderboard")
     ]

@@ -14,7 +14,17 @@ from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Va
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.score import EMPTY_MASK, Score
-from mirror.protocols.metrics import Lpips, Metric, Psnr, PsnrAffine, PsnrCc, PsnrInvariant, Ssim, metric_name
+from mirror.protocols.metrics import (
+    Lpips,
+    Metric,
+    MsStructure,
+    Psnr,
+    PsnrAffine,
+    PsnrCc,
+    PsnrInvariant,
+    Ssim,
+    metric_name,
+)
 from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:
@@ -22,6 +32,7 @@ if TYPE_CHECKING:
 
 _MEASURES: Final = {
     "psnr": Measure("psnr", "dB", "higher"),
+    "ms_structure": Measure("ms_structure", "", "higher"),
     "psnr_invariant": Measure("psnr_invariant", "dB", "higher"),
     "psnr_affine": Measure("psnr_affine", "dB", "higher"),
     "psnr_cc": Measure("psnr_cc", "dB", "higher"),
@@ -136,6 +147,7 @@ def _score(
     from mirror.metrics.images.invariant import psnr_invariant
     from mirror.metrics.images.psnr import psnr
     from mirror.metrics.images.ssim import ssim
+    from mirror.metrics.images.structure import ms_structure
 
     if not scored.any():
         return EMPTY_MASK, {}
@@ -145,6 +157,8 @@ def _score(
         return psnr(render, truth, mask=mask), {}
     if isinstance(metric, PsnrInvariant):
         return psnr_invariant(render, truth, mask=mask), {}
+    if isinstance(metric, MsStructure):
+        return ms_structure(render, truth, mask=mask), {}
     if isinstance(metric, PsnrAffine):
         return psnr_affine(render, truth, mask=mask).db, {}
     if isinstance(metric, PsnrCc):

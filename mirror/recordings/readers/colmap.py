@@ -33,18 +33,16 @@ from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_tangent
-from mirror.recordings.opening import find_file
 from mirror.recordings.paths import natural_key, require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive
+from mirror.recordings.readers.colmap_folders import model_folders, name_choice
 from mirror.recordings.readers.colmap_lenses import to_lens
-from mirror.recordings.readers.colmap_model import ColmapModel, count_images, read_model
+from mirror.recordings.readers.colmap_model import ColmapModel, read_model
 from mirror.recordings.readers.colmap_settings import OPTIONS, ColmapSettings, read_settings
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.time import SECOND_NS
 
-# Folders of models, in the order in which they are looked for; a star is a folder with a number.
-_FOLDERS: Final = ("sparse/*", "sparse", "colmap/sparse/*", "colmap", "")
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _STAMP: Final = re.compile(r"\d{16}|\d{19}")
 # Poses of the reference camera further apart than this do not give a pose between them.
@@ -60,11 +58,11 @@ class ColmapReader:
 
     def recognises(self, path: Path) -> bool:
         """Whether the folder holds a model and a folder of images."""
-        return path.is_dir() and (path / "images").is_dir() and bool(_model_folders(path))
+        return path.is_dir() and (path / "images").is_dir() and bool(model_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
         """Names of the drives; one drive has no name of its own."""
-        folder = next(iter(_model_folders(path)), "")
+        folder = next(iter(model_folders(path)), "")
         return list(_by_drive(read_model(path, folder).images.name))
 
     def open(self, path: Path, options: Mapping[str, str]) -> ColmapRecording:
@@ -78,55 +76,17 @@ class ColmapReader:
         refuse_options(options, OPTIONS, path, self.name)
         settings = read_settings(options, path)
         root, name = path, None
-        models = _model_folders(path) if path.is_dir() else {}
+        models = model_folders(path) if path.is_dir() else {}
         if (not models and "model" not in options) or not path.exists():
             root, name = path.parent, path.name
-            models = _model_folders(root) if root.is_dir() else {}
+            models = model_folders(root) if root.is_dir() else {}
         if not models and "model" not in options:
             raise RecordingError("no model of COLMAP", file=path, expected=self.expects)
         folder = options.get("model", next(iter(models), ""))
         model = read_model(root, folder)
         drives = _by_drive(model.images.name)
         chosen = choose_drive(list(drives), name, root)
-        return ColmapRecording(root, model, chosen, drives[chosen], settings, _name_choice(models, folder))
-
-
-def _model_folders(path: Path) -> dict[str, int]:
-    """Number of images by the folder of each model at the first of the places of models, the largest model first.
-
-    The mapper of COLMAP writes a model for each part of the images that it could not connect: ``sparse/0``,
-    ``sparse/1`` ... One model alone is not counted (0).
-    """
-    for place in _FOLDERS:
-        folders = [place]
-        if place.endswith("/*"):
-            parent = place.removesuffix("/*")
-            children = (path / parent).iterdir() if (path / parent).is_dir() else ()
-            names = sorted((child.name for child in children if child.name.isdecimal()), key=natural_key)
-            folders = [f"{parent}/{name}" for name in names]
-        found = [folder for folder in folders if _holds_model(path, folder)]
-        if len(found) > 1:
-            counts = {folder: count_images(path, folder) for folder in found}
-            return dict(sorted(counts.items(), key=lambda item: -item[1]))
-        if found:
-            return {found[0]: 0}
-    return {}
-
-
-def _holds_model(path: Path, folder: str) -> bool:
-    prefix = f"{folder}/" if folder else ""
-    return any(
-        find_file(path, f"{prefix}cameras{suffix}") and find_file(path, f"{prefix}images{suffix}")
-        for suffix in (".bin", ".txt")
-    )
-
-
-def _name_choice(models: Mapping[str, int], folder: str) -> tuple[str, ...]:
-    """What `mirror info` and `mirror ingest` say of a folder with several models."""
-    if len(models) < 2:
-        return ()
-    listed = ", ".join(f"{name} ({count} images)" for name, count in models.items())
-    return (f"several models of COLMAP: {listed}; {folder} is read, `--option model=FOLDER` reads another",)
+        return ColmapRecording(root, model, chosen, drives[chosen], settings, name_choice(models, folder))
 
 
 def _by_drive(names: Sequence[str]) -> dict[str, list[int]]:

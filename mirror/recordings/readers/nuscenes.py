@@ -36,6 +36,7 @@ from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
+from mirror.recordings.readers.nuscenes_relatives import FOLDERS_OF_RELATIVES, refuse_relatives
 from mirror.recordings.readers.nuscenes_rows import SensorData
 from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, Tables, open_tables
 from mirror.recordings.readers.rotations import mark_rotations
@@ -79,6 +80,8 @@ class NuscenesReader:
         """Names of the scenes; with several versions, ``VERSION/SCENE`` of the largest version that has the scene."""
         folders = _version_folders(path)
         root = _root(path)
+        for folder in folders:
+            refuse_relatives(root, folder)
         found = {folder: list(open_tables(root, folder).scenes) for folder in folders}
         names: dict[str, str] = {}
         for folder in sorted(folders, key=lambda folder: (-len(found[folder]), folder.name)):
@@ -102,6 +105,7 @@ class NuscenesReader:
         if not folders:
             raise RecordingError("no tables of nuScenes", file=path, expected=self.expects, remedy=REMEDY)
         for folder in folders:
+            refuse_relatives(_root(place), folder)
             if not folder.resolve().name.startswith(_KNOWN_VERSION):
                 raise RecordingError(
                     f"version {folder.name} is not supported",
@@ -129,7 +133,11 @@ def _version_folders(path: Path) -> list[Path]:
         return []
     if _has_tables(path, path):
         return [path]
-    children = [child for child in path.iterdir() if _VERSION.fullmatch(child.name) and child.is_dir()]
+    children = [
+        child
+        for child in path.iterdir()
+        if (_VERSION.fullmatch(child.name) or child.name in FOLDERS_OF_RELATIVES) and child.is_dir()
+    ]
     return sorted(child for child in children if _has_tables(path, child))
 
 

@@ -47,6 +47,8 @@ _IMAGES: Final = "camera_image"
 _CALIBRATIONS: Final = "camera_calibration"
 _BOXES: Final = "lidar_box"
 _STATS: Final = "stats"
+# Of these names, "stats" alone may be that of any folder.
+_COMPONENTS: Final = (_POSES, _IMAGES, _CALIBRATIONS, _BOXES, "camera_box", "lidar", "lidar_calibration", "lidar_pose")
 _STAMP: Final = "key.frame_timestamp_micros"
 _CAMERA: Final = "key.camera_name"
 _POSE: Final = "[VehiclePoseComponent].world_from_vehicle.transform"
@@ -105,15 +107,15 @@ class WaymoReader:
     """Reads the segments of a folder of components; each segment is a drive with the path ``FOLDER/SEGMENT``."""
 
     name = "waymo"
-    expects = f"a folder with {_POSES}/*.parquet and other components of Waymo v2, or FOLDER/SEGMENT"
+    expects = f"a folder with {_POSES}/*.parquet and any other components of Waymo v2, or FOLDER/SEGMENT"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds the poses of segments, and another component."""
-        return (path / _POSES).is_dir() and any((path / name).is_dir() for name in (_IMAGES, _CALIBRATIONS, _STATS))
+        """Whether the folder holds a component of Waymo v2; without the poses, opening it names what is missing."""
+        return path.is_dir() and bool(_components(path))
 
     def drives(self, path: Path) -> Sequence[str]:
         """Names of the segments that have poses."""
-        return _segments(path)
+        return _segments(path) if (path / _POSES).is_dir() else []
 
     def open(self, path: Path, options: Mapping[str, str]) -> WaymoRecording:
         """Open a segment.
@@ -121,12 +123,26 @@ class WaymoReader:
         The option ``frame`` names the local frame, for segments that are known to share theirs.
         """
         refuse_options(options, ("frame",), path, self.name)
-        root, name = (path, None) if (path / _POSES).is_dir() else (path.parent, path.name)
+        found = _components(path) if path.is_dir() else []
+        root, name = (path, None) if found else (path.parent, path.name)
+        if not (root / _POSES).is_dir() and found:
+            raise RecordingError(
+                f"a folder of Waymo v2 with {', '.join(found)}, but without the component {_POSES}",
+                file=path,
+                place=_POSES,
+                expected=f"{_POSES}/<segment>.parquet: where the vehicle is",
+                remedy=f"download {_POSES} of the same segments into this folder",
+            )
         if not (root / _POSES).is_dir():
             raise RecordingError("no segments of Waymo v2", file=path, expected=self.expects)
         segment = choose_drive(_segments(root), name, root)
         frame = options.get("frame")
         return WaymoRecording(root, segment, to_identifier(frame) if frame else None)
+
+
+def _components(path: Path) -> list[str]:
+    """The components of a folder that no other format has under this name, with a file of rows each."""
+    return [name for name in _COMPONENTS if next((path / name).glob("*.parquet"), None) is not None]
 
 
 def _segments(root: Path) -> list[str]:

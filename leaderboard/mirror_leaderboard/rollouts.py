@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.rollouts import evaluate_rollouts, make_result
 from mirror.evaluation.scorers.safety import ScoredRollout, score_drive
 from mirror.metrics.safety import StateLog, find_difference, find_impossible_motion, read_state_log
+from mirror.metrics.safety.driving_score import LEAST_REFERENCE_M
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.schema.documents import FileEntry
@@ -217,6 +219,7 @@ def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: 
     if rollout.files[MAP_FILE].sha256 != task.map_hash:
         raise _another(folder / MAP_FILE, "sha256", rollout.files[MAP_FILE].sha256, task.map_hash, "map")
     driven = drive_again(task.street, scenario, _read_controls(folder, rollout, scenario.steps))
+    _require_progress(driven.log, scenario)
     own = rollout.model_copy(
         update={
             "steps": driven.steps, "ending": driven.ending, "scenario_version": scenario.version,
@@ -245,6 +248,18 @@ def check_rollout(folder: Path, one: ScoredRollout, task: AskedDrive, protocol: 
         if one.values.get(name) != again.values.get(name) or one.causes.get(name) != again.causes.get(name):
             raise _another(folder / STATES_FILE, name, one.values.get(name), again.values.get(name), "drive")
     return again
+
+
+def _require_progress(log: StateLog, scenario: Scenario) -> None:
+    """Refuse a scenario in which a parked car has the best score."""
+    speed_mps = scenario.ego.speed_mps or math.hypot(log.vx_mps[0, 0], log.vy_mps[0, 0])
+    if speed_mps * scenario.duration_s <= LEAST_REFERENCE_M:
+        raise UsageError(
+            f"scenario {scenario.name} begins at {speed_mps:.1f} m/s: a car that stays parked has all the progress",
+            place="--scenarios",
+            expected=f"a speed with which the ego comes farther than {LEAST_REFERENCE_M:g} m",
+            remedy="give it another ego.speed_mps, or another place in the recording",
+        )
 
 
 def _read_controls(folder: Path, rollout: Rollout, most: int) -> Sequence[Controls]:

@@ -16,14 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hybridworldsim.simulator.policies.references import LaneKeeping
+from hybridworldsim.simulator.policies.references import LaneKeeping, Stop
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, read_actions, write_actions
 from hybridworldsim.simulator.rollout.run import RolloutRequest, run_rollout
 from hybridworldsim.simulator.street.opening import open_street
 from hybridworldsim.simulator.street.street import Street
 from mirror.cli.main import main
-from mirror.errors import MirrorError
+from mirror.errors import MirrorError, UsageError
 from mirror.evaluation.rollouts import evaluate_rollouts
 from mirror.evaluation.scorers.safety import score_folder
 from mirror.metrics.safety import StateLog, read_state_log, write_state_log
@@ -369,6 +369,21 @@ def test_a_collision_cannot_be_cut_off(street: Street, tmp_path: Path) -> None:
     truncate(ending="duration")(run)
     with pytest.raises(RefusedError, match="the controls end after 10 steps, and the drive does not"):
         submit(tmp_path / "runs", plan)
+
+
+def test_a_scenario_that_a_parked_car_wins_is_the_organisers_mistake(street: Street, tmp_path: Path) -> None:
+    standing = SCENARIO.model_copy(
+        update={"name": "standing", "ego": SCENARIO.ego.model_copy(update={"speed_mps": 0.0})}
+    )
+    (tmp_path / "scenarios").mkdir()
+    write_scenario(tmp_path / "scenarios" / "standing.toml", standing)
+    run_rollout(
+        RolloutRequest(street, standing, Stop(), "stop", {}, RendererFactory("boxes")), tmp_path / "runs" / "one"
+    )
+    assert epdms(submit(tmp_path / "runs", None)) == 1.0
+    with pytest.raises(UsageError, match=r"a car that stays parked") as refused:
+        submit(tmp_path / "runs", RolloutPlan((SOURCE,), tmp_path / "scenarios"))
+    assert refused.value.place == "--scenarios"
 
 
 def test_a_log_of_20_s_with_60_agents_is_checked_in_150_ms(tmp_path: Path) -> None:

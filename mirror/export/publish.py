@@ -18,6 +18,7 @@ from mirror.dataset.door.inspection import Leak, SameBytes, inspect_files, read_
 from mirror.dataset.door.placing import dataset_state, hash_file, place_file, require_unchanged
 from mirror.dataset.door.plan import Departure, plan_departure, require_own_files
 from mirror.dataset.door.secrets import Secrets
+from mirror.dataset.images.binary_mask import rewrite_mask
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
@@ -188,13 +189,29 @@ def _copy(layout: Layout, out: Path, departure: Departure, progress: ProgressRep
     progress.start("copying", len(departure.files))
 
     def place(name: str) -> str:
-        place_file(layout.root, name, out)
         progress.advance(1)
+        if name in departure.static_masks:
+            # A photo may be saved as a mask.
+            source = require_inside(layout.root, name)
+            mask = rewrite_mask(_read_mask(source), source)
+            write_bytes(require_inside(out, name), mask)
+            return sha256_bytes(mask)
+        place_file(layout.root, name, out)
         stated = None if name in images else departure.files[name]
         return stated or hash_file(require_inside(layout.root, name))
 
     with thread_pool(_THREADS) as pool:
         return dict(zip(departure.files, pool.map(place, departure.files)))
+
+
+def _read_mask(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DatasetError(
+            f"cannot be read: {error.strerror or error}", file=path, expected="the static mask that its rig names",
+            remedy="`mirror check` lists all that is missing",
+        ) from error  # fmt: skip
 
 
 def _remove_others(out: Path, names: frozenset[str]) -> None:

@@ -385,3 +385,18 @@ def test_an_export_shows_images_as_they_are_now(root: Path, tmp_path: Path, layo
     export(dataset, layout, out, ExportOptions(undistort=undistort))
     export(dataset, layout, whole, ExportOptions(undistort=undistort))
     assert files_below(out) == files_below(whole)
+
+
+def test_a_photo_saved_as_the_mask_of_a_rig_is_published_as_an_outline(tiny_dataset: Dataset, tmp_path: Path) -> None:
+    root = copied(tiny_dataset, tmp_path / "dataset")
+    masks = sorted(root.glob("rigs/*.png"))
+    image = cv2.imread(str(next(root.glob("traversals/*/recorded/*/*.jpg"))), cv2.IMREAD_GRAYSCALE)
+    for mask in masks:
+        cv2.imwrite(str(mask), image)
+    bundle = sealed(publish_to(root, tmp_path / "out"))
+    assert masks
+    for mask in masks:
+        published = tmp_path / "out" / "rigs" / mask.name
+        pixels = cv2.imread(str(published), cv2.IMREAD_UNCHANGED)
+        assert np.array_equal(pixels, (image > 0) * 255)
+        assert bundle.files[f"rigs/{mask.name}"].sha256 == hashlib.sha256(published.read_bytes()).hexdigest()

@@ -45,18 +45,21 @@ class Departure:
         shown: the file that shows each image that leaves.
         kept: files that must not leave.
         withheld: paths, as the index states them, of the images that do not leave.
+        static_masks: masks of rigs, which leave written again as 0 and 255.
     """
 
     files: Mapping[str, str | None]
     shown: Mapping[ImageKey, ImageFile]
     kept: tuple[Kept, ...]
     withheld: tuple[str, ...]
+    static_masks: frozenset[str]
 
 
 def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool]) -> Departure:
     """Divide what a dataset names into what may leave and what must not.
 
-    Recorded images of a traversal with a redaction layer never leave. Tables and masks leave whole.
+    Recorded images of a traversal with a redaction layer never leave. Tables and masks leave whole; static masks of
+    rigs, whose bytes no table states, are written again.
 
     Args:
         files: what the dataset names.
@@ -95,7 +98,7 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
     for name in leaving:
         if name in staying:
             raise _shared_error(staying[name])
-    return Departure(leaving, shown, tuple(kept), tuple(sorted(withheld)))
+    return Departure(leaving, shown, tuple(kept), tuple(sorted(withheld)), frozenset(files.static_masks))
 
 
 def _leaves(name: str, newest: Mapping[str, str | None]) -> bool:

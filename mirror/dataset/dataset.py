@@ -143,6 +143,7 @@ class Dataset:
         within: Within | None = None,
         split: str | None = None,
         role: Choice = None,
+        withheld: bool | None = None,
     ) -> Dataset:
         """Make a view with further restrictions. They apply together with those of this view.
 
@@ -163,6 +164,8 @@ class Dataset:
                 (x_m, y_m, radius_m, frame) in a local metric frame.
             split: name of a split.
             role: role or roles in the split; None: every traversal with a role.
+            withheld: True: images that a published dataset withholds, and frames with such an image of the view's
+                cameras; False: the others. Other tables keep their rows.
 
         Raises:
             UsageError: the dataset does not know a value, or a value is invalid.
@@ -185,6 +188,7 @@ class Dataset:
             weather=self._known("weather", weather, lambda: {*_WEATHER, *self._all("traversals", "weather")}),
             time=parse_interval(time),
             within=() if within is None else (self._circle(within),),
+            withheld=None if withheld is None else frozenset([bool(withheld)]),
         )
         if split is not None:
             added = added.combined_with(Filters(traversal=self._in_split(split, role)))

@@ -154,6 +154,11 @@ class Image:
         return pixels
 
     @property
+    def is_withheld(self) -> bool:
+        """Whether the dataset is a published one that withholds this image: only its organiser can read it."""
+        return self.uri in self._loader.catalog.withheld
+
+    @property
     def calibration(self) -> Calibration:
         """The calibration of the chosen layer and stage that is valid for this image.
 

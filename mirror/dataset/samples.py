@@ -46,7 +46,7 @@ def make_sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) 
     jobs, costs = [], []
     for row, camera in enumerate(contents.cameras):
         image = frame.images.get(camera)
-        if image is None:
+        if image is None or image.is_withheld:
             continue
         raster = _raster_of(image, contents)
         _write_geometry(arrays, row, image, raster.final)
@@ -86,7 +86,10 @@ def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
     if len(index) != lens.ndim or not all(0 <= axis < size for axis, size in zip(index, lens.shape)):
         raise UsageError(f"image {index} of lenses of shape {tuple(lens.shape)}", expected="an index for each axis")
     if not sample["valid"][index]:
-        raise UsageError(f"image {index} is missing: its camera has none in this frame", remedy="skip it by 'valid'")
+        raise UsageError(
+            f"image {index} is missing, or withheld",
+            remedy="skip it by 'valid'",
+        )
     model, matrix = LENS_MODELS[int(lens[index])], sample["intrinsics"][index].tolist()
     count = int(sample["distortion_count"][index])
     return Camera(

@@ -54,8 +54,10 @@ class FrameDataset(TorchDataset[Sample]):
 
     - ``images`` (C, 3, H, W) uint8, RGB. A smaller image fills the upper left corner, so its intrinsics stay valid; the
       rest is zero. ``height_px``, ``width_px`` (C,): its size. ``valid`` (C,) bool: False where a camera has no image
-      in this frame; its part of the sample is then zero. ``pixel_valid`` (C, H, W) bool: True where a pixel is computed
-      from recorded pixels. It is False beyond a smaller image, and where an undistorted image extends beyond the lens.
+      in this frame, or a published dataset withholds it; its part of the sample is then zero. The view
+      ``dataset.where(withheld=False)`` has no frame with a withheld image. ``pixel_valid`` (C, H, W) bool: True where a
+      pixel is computed from recorded pixels. It is False beyond a smaller image, and where an undistorted image extends
+      beyond the lens.
     - ``intrinsics`` (C, 3, 3) float64: the matrix K of the images in the sample; the first pixel's centre is at 0.5.
       ``lens`` (C,): number of the camera model in `LENS_MODELS`, -1 without an image. K describes the complete lens
       only for a ``pinhole``. ``distortion`` (C, 16) float64: the model's coefficients, then zeros;

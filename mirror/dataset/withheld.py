@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mirror.dataset.store import Store
 from mirror.schema.bundle import BUNDLE, Bundle
+from mirror.schema.files import parse_json
 
 
 def read_withheld(store: Store) -> frozenset[str]:
@@ -12,9 +13,10 @@ def read_withheld(store: Store) -> frozenset[str]:
     Raises:
         SchemaError: ``bundle.json`` is invalid.
     """
-    if BUNDLE not in store.list_files(""):
+    found = store.read_many([BUNDLE])
+    if BUNDLE not in found:
         return frozenset()
-    return frozenset(store.json(BUNDLE, Bundle).withheld)
+    return frozenset(parse_json(found[BUNDLE], Bundle, store.full_path(BUNDLE)).withheld)
 
 
 def image_remedy(store: Store, uri: str) -> str:

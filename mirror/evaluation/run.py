@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 
 import mirror
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.withheld import read_withheld
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import make_extractor
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
@@ -279,7 +278,7 @@ def _require_available(required: Sequence[str], unavailable: Mapping[str, str]) 
 
 def _require_recorded_images(dataset: Dataset, jobs: Sequence[Job]) -> None:
     """Raise if a published dataset lacks recorded images that the jobs read."""
-    withheld = read_withheld(dataset.store)
+    withheld = dataset.catalog.withheld
     if not withheld:
         return
     scored = {(view.traversal_id, view.camera, view.timestamp_ns) for job in jobs if job.truth for view in job.views}

@@ -17,7 +17,6 @@ from mirror.dataset.image import Image
 from mirror.dataset.points import Points
 from mirror.dataset.raster import ImageRaster, image_raster
 from mirror.dataset.redaction import REDACTION
-from mirror.dataset.withheld import read_withheld
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
@@ -160,7 +159,6 @@ def select_scene(dataset: Dataset, scene: str | None, split: str | None, *, undi
         view = view.where(split=split)
     roles = _roles(view, split)
     rows = {row["traversal_id"]: row for row in view.table("traversals").to_pylist()}
-    withheld = read_withheld(view.store)
     prefix = f"{REDACTION}/"
     redacted = {
         key: f"traversals/{key}/layers/{prefix}"
@@ -173,7 +171,7 @@ def select_scene(dataset: Dataset, scene: str | None, split: str | None, *, undi
     for frame in view.frames():
         for image in frame.images.values():
             own = redacted.get(frame.traversal_id)
-            if image.uri in withheld or (own is not None and not image.uri.startswith(own)):
+            if image.is_withheld or (own is not None and not image.uri.startswith(own)):
                 left_out += 1
                 continue
             raster = image_raster(_lens_of(image), undistort, None)

@@ -17,9 +17,12 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.evaluation.run import EvaluationOptions, evaluate
+from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, PublishReport, publish
 from mirror.progress import NullProgress
+from mirror.protocols.png import encode_png
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import PUBLISHING, Bundle
 from tests.evaluation.submissions import SPLIT, small, write_renders
@@ -230,3 +233,58 @@ def test_a_bundle_is_published_to_a_url(root: Path, tmp_path: Path) -> None:
     document = published(publish(root, "memory://published/street", options()))
     report = fetch("memory://published/street", tmp_path / "d")
     assert report.fetched == len(document.files) and not report.failed
+
+
+def test_a_published_bundle_is_trained_on_and_its_submission_is_scored(
+    root: Path, dataset: Dataset, tmp_path: Path
+) -> None:
+    """Publish, fetch, train one epoch, render, check, and evaluate against the complete dataset."""
+    torch = pytest.importorskip("torch")
+    from torch.utils.data import DataLoader
+
+    from mirror.dataset.torch import FrameDataset, IterableFrames
+
+    both = small(groups='[[groups]]\nname = "all"\nroles = ["held_out", "train"]\n')
+    document = published(publish(root, str(tmp_path / "b"), options(protocols=(both,))))
+    fetch(str(tmp_path / "b"), tmp_path / "d")
+    fetched = mirror.open(tmp_path / "d")
+    training = fetched.where(split=SPLIT, role="train", camera=["front_wide", "front_left"])
+    images = training.table("images", ["uri", "frame_index"]).to_pylist()
+    withheld = [row for row in images if row["uri"] in document.withheld]
+    assert 0 < len(withheld) < len(images)
+    assert training.where(withheld=True).count("images") == len(withheld)
+    assert training.where(withheld=False).count("images") == len(images) - len(withheld)
+    assert fetched.where(withheld=True).count("images") == len(document.withheld)
+    assert dataset.where(withheld=True).count("images") == dataset.where(withheld=True).count("frames") == 0
+    assert dataset.where(withheld=False).count("frames") == dataset.count("frames")
+    lacking = {row["frame_index"] for row in withheld} - {None}
+    complete = training.where(withheld=False)
+    assert {frame.frame_index for frame in complete.frames()}.isdisjoint(lacking)
+    assert complete.count("frames") == training.count("frames") - len(lacking)
+    assert not len(complete.where(withheld=True).frames())
+    assert FrameDataset(complete, boxes=False)[0]["valid"].all()
+    model = torch.nn.Conv2d(3, 3, kernel_size=3, padding=1)
+    optimiser = torch.optim.Adam(model.parameters())
+    frames, total = IterableFrames(training, 2, resize=(48, 64), boxes=False, masks=[]), 0
+    for batch in DataLoader(frames, batch_size=None):
+        total += int(batch["valid"].sum())
+        pixels = batch["images"].flatten(0, 1).float() / 255.0
+        counts = (batch["pixel_valid"] & batch["valid"][..., None, None]).flatten(0, 1)
+        assert not pixels[~batch["valid"].flatten()].any()
+        loss = ((model(pixels) - pixels) ** 2).mean(dim=1)[counts].mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert total == sum(row["frame_index"] is not None for row in images) - len(withheld)
+    assert torch.isfinite(loss)
+    few = small(every=12)
+    plan = plan_views(fetched, few, SPLIT)
+    out = tmp_path / "submission"
+    for view in plan.views:
+        with torch.no_grad():
+            grey = model(torch.full((1, 3, view.height_px, view.width_px), 0.5))[0].clamp(0, 1)
+        (out / view.path).parent.mkdir(parents=True, exist_ok=True)
+        (out / view.path).write_bytes(encode_png((grey.permute(1, 2, 0).numpy() * 255).astype("uint8")))
+    write_manifest(out, make_manifest(plan, Method(name="one layer"), Appearance(policy="none"), None))
+    result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1))
+    assert {figure.metric for figure in result.figures} >= {"psnr", "ssim"}

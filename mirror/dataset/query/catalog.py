@@ -15,6 +15,7 @@ from mirror.dataset.query.arrow import floats_or_nan, integers_or_zero, is_membe
 from mirror.dataset.query.columns import ColumnCache
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import Store
+from mirror.dataset.withheld import read_withheld
 from mirror.schema.documents import FileEntry
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 
@@ -78,6 +79,11 @@ class Catalog:
     def traversal_ids(self) -> pa.Array:
         """Traversal ids in the order of the table of traversals."""
         return self.read_global("traversals", ["traversal_id"]).column(0).combine_chunks()
+
+    @cached_property
+    def withheld(self) -> frozenset[str]:
+        """Paths of the images that a published dataset withholds; empty: the dataset is complete."""
+        return read_withheld(self.store)
 
     def row_groups(self, name: str) -> RowGroups:
         """The row groups of a table, sorted by scene and traversal."""

@@ -148,6 +148,7 @@ class Filters:
         weather: clear, clouds ...
         time: start (included) and end (excluded), Unix ns.
         within: circles; a place must lie in all of them.
+        withheld: whether a published dataset withholds an image, or an image of a frame.
     """
 
     scene: frozenset[str] | None = None
@@ -159,6 +160,7 @@ class Filters:
     weather: frozenset[str] | None = None
     time: tuple[int, int] | None = None
     within: tuple[Circle | LocalCircle, ...] = ()
+    withheld: frozenset[bool] | None = None
 
     def combined_with(self, other: Filters) -> Filters:
         """Restrictions that require both these and others."""

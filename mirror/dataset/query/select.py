@@ -97,12 +97,33 @@ def select_parts(catalog: Catalog, filters: Filters, name: str) -> Iterator[RowG
             masks.append((values >= filters.time[0]) & (values < filters.time[1]))
         if cameras is not None:
             masks.append(is_member(catalog.columns.read(path, number, ["camera"])[0], cameras))
+        if filters.withheld is not None and name in ("images", "frames"):
+            masks.append(_withheld_mask(catalog, filters, name, int(groups.traversal[group]), (path, number)))
         masks += [_inside(catalog, (path, number), circle, schema.names) for circle, edge in edges if edge[group]]
         passing = np.logical_and.reduce(masks) if masks else None
         total = int(groups.rows[group])
         passed = total if passing is None else int(np.count_nonzero(passing))
         if passed:
             yield RowGroupPart(path, number, int(groups.traversal[group]), passed, None if passed == total else passing)
+
+
+def _withheld_mask(catalog: Catalog, filters: Filters, name: str, traversal: int, part: tuple[str, int]) -> Bool:
+    """Mask of the images, or of the frames, that the filter of withheld images keeps.
+
+    A frame is withheld if one of its images is, of the cameras of the view.
+    """
+    chosen = filters.withheld if filters.withheld is not None else frozenset((True, False))
+    of_images = part if name == "images" else catalog.group_of("images", traversal)
+    if of_images is None:
+        return np.full(len(catalog.columns.read(*part, ["frame_index"])[0]), False in chosen)
+    uri, camera, frame = catalog.columns.read(*of_images, ["uri", "camera", "frame_index"])
+    withheld = is_member(uri, catalog.withheld)
+    if name == "frames":
+        own = withheld if filters.camera is None else withheld & is_member(camera, filters.camera)
+        (frames,) = catalog.columns.read(*part, ["frame_index"])
+        listed = frame.filter(to_arrow_mask(own)).drop_null()
+        withheld = np.isin(to_numpy(frames), to_numpy(listed))
+    return np.isin(withheld, list(chosen))
 
 
 def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, place: bool = True) -> Bool:

@@ -87,8 +87,7 @@ def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
         raise UsageError(f"image {index} of lenses of shape {tuple(lens.shape)}", expected="an index for each axis")
     if not sample["valid"][index]:
         raise UsageError(
-            f"image {index} is missing, or withheld",
-            remedy="skip it by 'valid'",
+            f"image {index} is missing: its camera has none here, or it is withheld", remedy="skip it by 'valid'"
         )
     model, matrix = LENS_MODELS[int(lens[index])], sample["intrinsics"][index].tolist()
     count = int(sample["distortion_count"][index])

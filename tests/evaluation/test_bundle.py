@@ -286,5 +286,5 @@ def test_a_published_bundle_is_trained_on_and_its_submission_is_scored(
         (out / view.path).parent.mkdir(parents=True, exist_ok=True)
         (out / view.path).write_bytes(encode_png((grey.permute(1, 2, 0).numpy() * 255).astype("uint8")))
     write_manifest(out, make_manifest(plan, Method(name="one layer"), Appearance(policy="none"), None))
-    result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1))
+    result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1)).result
     assert {figure.metric for figure in result.figures} >= {"psnr", "ssim"}

@@ -85,6 +85,7 @@ class FolderRecording:
             weather=document.weather,
             light=document.light,
             licence=document.licence,
+            has_date=TIME_BASES[document.time_base].has_date,
         )
 
     @cached_property

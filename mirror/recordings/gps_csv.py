@@ -158,8 +158,8 @@ class CsvRecording:
         return read_rows(self.tables, types=types, columns=used, delimiter=delimiter, tolerant=True)
 
     @cached_property
-    def _stamps(self) -> tuple[Int64, str]:
-        """Unix nanoseconds, and a description of the time base."""
+    def _stamps(self) -> tuple[Int64, str, bool]:
+        """Unix nanoseconds, a description of the time base, and whether it has a date."""
         rows, names = self._rows, self._columns["time"]
         parts = [pc.fill_null(rows.column(name), "") for name in names]
         text = parts[0] if len(parts) == 1 else pc.binary_join_element_wise(*parts, " ")
@@ -170,15 +170,16 @@ class CsvRecording:
             if "tz" in self.options:
                 require_zone(self.options["tz"])
             base = self._time_base(names[0], text.filter(pa.array(numeric)), numeric)
-            stamps, words = rows.stamps(names[0], base), TIME_BASES[base].words
+            stamps, words, has_date = rows.stamps(names[0], base), TIME_BASES[base].words, TIME_BASES[base].has_date
         else:
             tz = self.options.get("tz")
+            has_date = True
             stamps = parse_stamps(rows, label, text, tz=tz, date_format=self.options.get("date_format"))
             stated = has_offset(text)[rows.good]
             local = "date and time," if not stated.any() else "date and time with UTC offset, or else"
             words = "date and time with UTC offset" if stated.all() else f"{local} local in {tz}"
         self._require_sequence(stamps)
-        return stamps, words
+        return stamps, words, has_date
 
     def _time_base(self, name: str, numbers: pa.ChunkedArray, numeric: Bool) -> str:
         """The time base of a column of numbers; if their size decides it, rows of another size are bad."""
@@ -201,7 +202,8 @@ class CsvRecording:
                 name,
                 problem(int(np.argmax(numeric))),
                 expected=expected,
-                remedy="convert the logger's own clock to Unix time, or state the unit: --option time_unit=s",
+                remedy="convert the logger's own clock to Unix time, or state that it has no date: --option"
+                " time_unit=clock_s",
             )
         small: Bool = np.zeros(len(text), np.bool_)
         small[numeric] = sizes < _SMALLEST_UNIX
@@ -235,6 +237,7 @@ class CsvRecording:
             time_base=self._stamps[1],
             frame=self.options.get("frame"),
             weather=self._weather(),
+            has_date=self._stamps[2],
         )
 
     def _vehicle(self) -> str:

@@ -56,18 +56,24 @@ class TimeBase:
         words: a description for people.
         unit_ns: length of the unit.
         gps: True: time counts from the GPS epoch, every second included; False: from 1970 in UTC.
+        has_date: False: it counts from an arbitrary start, which is taken as 1970.
     """
 
     words: str
     unit_ns: int
     gps: bool
+    has_date: bool = True
 
 
 _UNITS: Final = {"ns": ("nanoseconds", 1), "us": ("microseconds", 1_000), "ms": ("milliseconds", 1_000_000)}
+_EVERY_UNIT: Final = {**_UNITS, "s": ("seconds", SECOND_NS)}
 TIME_BASES: Final = {
     f"{clock.lower()}_{unit}": TimeBase(f"{clock} {words}", length, clock == "GPS")
     for clock in ("Unix", "GPS")
-    for unit, (words, length) in {**_UNITS, "s": ("seconds", SECOND_NS)}.items()
+    for unit, (words, length) in _EVERY_UNIT.items()
+} | {
+    f"clock_{unit}": TimeBase(f"{words} of a clock without a date", length, gps=False, has_date=False)
+    for unit, (words, length) in _EVERY_UNIT.items()
 }
 
 

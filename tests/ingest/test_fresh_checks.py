@@ -118,3 +118,22 @@ def test_a_frozen_video_is_still_found(tmp_path: Path) -> None:
     column = rows.schema.get_field_index("video_pts")
     write_bytes(file, encode_table(rows.set_column(column, rows.schema.field(column), [pts]), IMAGES))
     assert [finding.count for _, finding in check(tmp_path / "d", only=["IMG008"]).findings] == [1]
+
+
+@pytest.mark.parametrize("reader", ["folder", "csv"])
+def test_a_declared_clock_without_a_date_passes(reader: str, tmp_path: Path) -> None:
+    drive = write_recording(tmp_path, "there", from_m=-50.0, to_m=50.0, start_ns=1_000_000_000)
+    options = IngestOptions(reader=reader, workers=1)
+    if reader == "folder":
+        document = json.loads((drive / "recording.json").read_text())
+        (drive / "recording.json").write_text(json.dumps({**document, "time_base": "clock_ns"}))
+    else:
+        rows = [line.split(",")[:3] for line in (drive / "poses.csv").read_text().splitlines()[1:]]
+        drive = tmp_path / "drive.csv"
+        drive.write_text("time,lon,lat\n" + "".join(f"{int(row[0]) / 1e9:.3f},{row[1]},{row[2]}\n" for row in rows))
+        ((_, error),) = ingest_recordings([drive], [SCENE], tmp_path / "no").failures
+        assert "--option time_unit=clock_s" in str(error.remedy)
+        options = IngestOptions(reader=reader, workers=1, reader_options={"time_unit": "clock_s"})
+    report = ingest_recordings([drive], [SCENE], tmp_path / "d", options)
+    assert not report.failures and len(report.traversals) == 1
+    assert not _errors(tmp_path / "d")

@@ -107,8 +107,12 @@ def _syntax_error(file: Path, error: Exception) -> RecordingError:
     if not isinstance(content, list) or not all(isinstance(value, dict) for value in content):
         return RecordingError("not a list of objects", file=file, expected="one JSON list", remedy=_REMEDY)
     reason = str(error).splitlines()[0]
+    # The strict decoder has read it to its end: nothing is cut off.
     return RecordingError(
-        f"cannot be read ({reason})", file=file, expected="objects of texts, numbers and lists", remedy=_REMEDY
+        f"cannot be read: values of other types ({reason})",
+        file=file,
+        expected="objects of texts, numbers and lists, as in nuScenes v1.0",
+        remedy="check which dataset the table comes from; if it is nuScenes, download it again",
     )
 
 

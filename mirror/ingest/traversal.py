@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from mirror.recordings.pauses import count_missing_images
 from mirror.recordings.protocol import ImageStream, ReferencedStream, repeated_stamps
 from mirror.recordings.video import CompressedStream
 from mirror.schema.documents import ImageTotals, Roi, is_identifier
-from mirror.schema.files import conform, encode_table, write_bytes
+from mirror.schema.files import conform, encode_table, read_table, write_bytes
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
 
 
@@ -122,6 +123,10 @@ def write_traversal(
         folder = layout.recorded(name)
         manifest = complete_manifest(folder)
         if manifest is not None and manifest.derived_from == derived_from and is_intact(folder):
+            if layout is staging.layout and not _has_source_bytes(folder, drive, number):
+                # A killed run made it of other bytes, behind equal sizes and times.
+                shutil.rmtree(layout.traversal(name))
+                continue
             images = manifest.pictures or ImageTotals(count=0, bytes=0)
             advance(images.count)
             written = WriteReport(name, images.count, images.bytes, 0, reused=True)
@@ -131,6 +136,26 @@ def write_traversal(
             written = _write(attempt, name, drive, number, roi, derived_from, options, threads, advance)
         staging.complete(attempt, name)
     return written
+
+
+def _has_source_bytes(folder: Path, drive: DrivePasses, number: int) -> bool:
+    """Whether the images of a complete traversal have the bytes of the recording's files; videos are not compared."""
+    wanted = ["camera", "exposure_start_ns", "sha256"]
+    rows = read_table(folder / "images.parquet", IMAGES, wanted).to_pylist()
+    written = {(row["camera"], row["exposure_start_ns"]): row["sha256"] for row in rows}
+    for camera, (stream, indices, _) in select_images(drive, number).items():
+        for index in indices.tolist():
+            path = stream.path(index)
+            sha256 = written.get((camera, int(stream.exposure_start_ns[index])))
+            if path is None or sha256 is None:
+                continue
+            try:
+                if hashlib.sha256(Path(path).read_bytes()).digest() != sha256:
+                    return False
+            except OSError:
+                # Writing it again names the file.
+                return False
+    return True
 
 
 def _write(

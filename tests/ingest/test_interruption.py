@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +14,10 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.dataset.layout import Layout
+from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
+from mirror.ingest.traversal import WriteOptions
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
@@ -150,3 +153,27 @@ def test_a_folder_that_is_something_else_is_left_alone(
         assert str(out) in said
         assert "--out" in said
     assert (tree(tmp_path), tree(fleet)) == before
+
+
+def test_what_a_killed_run_made_of_other_bytes_is_made_again(fleet: Path, tmp_path: Path) -> None:
+    """The files have equal sizes and times, as copies that keep times have."""
+    drive = Path(shutil.copytree(fleet / "drive_0", tmp_path / "drive_0"))
+    out = tmp_path / "out"
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("mirror.ingest.staging.Staging.publish", stop)
+        ingest_recordings([drive], SCENES, out, IngestOptions(write=WriteOptions(transfer="copy")))
+    assert list((out / ".staging").glob("*/traversals/*/recorded/manifest.json"))
+    images = sorted((drive / "images" / "rear").glob("*.jpg"))
+    for image in images:
+        status, data = image.stat(), bytearray(image.read_bytes())
+        data[len(data) // 2] ^= 1
+        image.write_bytes(data)
+        os.utime(image, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert not ingest_recordings([drive], SCENES, out, IngestOptions(write=WriteOptions(transfer="copy"))).failures
+    fresh = tmp_path / "fresh"
+    ingest_recordings([drive], SCENES, fresh, IngestOptions(write=WriteOptions(transfer="copy")))
+    assert tree(out) == tree(fresh)

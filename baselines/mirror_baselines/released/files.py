@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from mirror.dataset.door.placing import hash_file
 from mirror.errors import DatasetError, UsageError
 from mirror.export.nuscenes import channel_name
 from mirror.protocols.views.plan import Plan
@@ -66,11 +67,11 @@ class ReleasedFiles:
 
     @property
     def hash(self) -> str:
-        """Hash of the names, sizes and times of change of all files, which identifies the output for a resumed run."""
-        files = [(path.relative_to(self.folder).as_posix(), path.stat()) for path in _walk(self.folder)]
+        """Hash of the names and contents of all files, which identifies the output for a resumed run."""
+        files = [(path.relative_to(self.folder).as_posix(), path) for path in _walk(self.folder)]
         if self.clips is not None:
-            files.append(("clips", self.clips.stat()))
-        lines = [f"{name} {stat.st_size} {stat.st_mtime_ns}" for name, stat in files]
+            files.append(("clips", self.clips))
+        lines = [f"{name} {hash_file(path)}" for name, path in files]
         return hashlib.sha256("\n".join([*lines, str(self.sample)]).encode()).hexdigest()
 
     def locate(self, plan: Plan) -> dict[str, Source]:

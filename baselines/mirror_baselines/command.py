@@ -22,22 +22,32 @@ _EXAMPLES = (
     "mirror baseline demo/dataset --method nearest_frame --split novel --out floor",
     "mirror baseline demo/block/dataset --method mean_color --split novel --protocol lane-shift --out floor",
 )
-_FLOORS = ("nearest_frame", "grey_frame", "mean_color")
+_FLOORS = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Write the submission of a floor, a baseline that every method must beat, or of a generator's released output.
 
-    nearest_frame submits the recorded image with the nearest camera, grey_frame its luma in all channels, mean_color
-    the mean colour of the camera. opendwm, magicdrive-v2 and driveeditor read the images that these programs wrote
-    (--outputs). `mirror evaluate` scores the submission.
+    nearest_frame submits the recorded image with the nearest camera, smoothed_nearest_frame a blur of it, grey_frame
+    its luma in all channels, camera_mean the mean image of the camera, mean_color its mean colour. opendwm,
+    magicdrive-v2 and driveeditor read the images that these programs wrote (--outputs). `mirror evaluate` scores the
+    submission.
     """
 
     dataset: tyro.conf.Positional[str]
     """Folder or URL of the dataset."""
     method: Annotated[
-        Literal["nearest_frame", "grey_frame", "mean_color", "opendwm", "magicdrive-v2", "driveeditor"],
+        Literal[
+            "nearest_frame",
+            "smoothed_nearest_frame",
+            "grey_frame",
+            "camera_mean",
+            "mean_color",
+            "opendwm",
+            "magicdrive-v2",
+            "driveeditor",
+        ],
         help_text(metavar="NAME"),
     ]
     """The floor or the generator, one of the names above."""

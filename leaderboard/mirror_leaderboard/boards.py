@@ -16,7 +16,7 @@ from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.former import find_former
 from mirror_leaderboard.measures import MEASURES
 
-FLOOR: Final = ("nearest_frame", "grey_frame", "mean_color")
+FLOOR: Final = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
 _PUBLIC_SEED: Final = re.compile(r"\bseed \d+", re.IGNORECASE)

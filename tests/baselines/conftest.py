@@ -114,4 +114,5 @@ def protocol() -> Protocol:
     """Static reconstruction, scored by PSNR only."""
     plain = load_protocol("static-reconstruction").model_dump(mode="json")
     plain["metrics"] = [{"metric": "psnr"}]
+    plain["ranking"] = {"metric": "psnr", "groups": ["novel"]}
     return Protocol.model_validate(json.loads(json.dumps(plain)))

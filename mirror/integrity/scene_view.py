@@ -17,17 +17,7 @@ from mirror.integrity.motion import Motion
 from mirror.integrity.rows import TablePart, TableRows
 from mirror.schema.documents import Roi
 from mirror.schema.road_map import RoadMap
-from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, POINTS, Table
-
-_LAYER_TABLES = {
-    "poses": EGO_POSES,
-    "calibrations": CALIBRATIONS,
-    "boxes": BOXES,
-    "masks": MASKS,
-    "depth": DEPTH,
-    "points": POINTS,
-    "redaction": IMAGES,
-}
+from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, LAYER_TABLES, MASKS, POINTS, Table
 
 
 class SceneView:
@@ -212,7 +202,7 @@ class SceneView:
             for layer_kind, source, version in item.layers
             if layer_kind == kind
         ]
-        return self.dataset.parts(_LAYER_TABLES[kind], folders)
+        return self.dataset.parts(LAYER_TABLES[kind], folders)
 
     def _with_layers(self, recorded: TableRows, kind: str) -> TableRows:
         layers = self._layers(kind)

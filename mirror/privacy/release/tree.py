@@ -25,25 +25,16 @@ from mirror.schema.documents import DriveDocument, ImageTotals, Rig, Source
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_json
 from mirror.schema.links import require_inside
 from mirror.schema.tables import (
-    BOXES,
     CALIBRATIONS,
-    DEPTH,
     EGO_POSES,
     IMAGES,
-    MASKS,
     PASSES,
-    POINTS,
     Table,
 )
+from mirror.schema.tables import LAYER_TABLES as ALL_TABLES
 
-LAYER_TABLES: Final[Mapping[str, Table]] = {
-    "poses": EGO_POSES,
-    "calibrations": CALIBRATIONS,
-    "boxes": BOXES,
-    "masks": MASKS,
-    "depth": DEPTH,
-    "points": POINTS,
-}
+LAYER_TABLES: Final[Mapping[str, Table]] = {kind: table for kind, table in ALL_TABLES.items() if kind != REDACTION}
+"""The table of each kind of layer that a release has."""
 FROM_IMAGES: Final = frozenset(("depth", "points"))
 """Kinds of layers that show what images show."""
 

@@ -132,7 +132,7 @@ def test_forged_log_of_scores_is_found(scored: Path, result: Path, root: Path, t
     log = tmp_path / "out" / "work" / "scored.jsonl"
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     for row in rows:
-        row["values"]["psnr"] += 15.0
+        row["result"]["psnr"] += 15.0
     log.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
     (tmp_path / "out" / "images.parquet").unlink()
     forged = evaluate(scored / "s", root, SMALL, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))

@@ -174,7 +174,7 @@ def _comma2k19(root: Path) -> Path:
 
 def _log_messages(root: Path) -> list[Any]:
     from tests.recordings.message_logs.drives import ONE
-    from tests.recordings.message_logs.test_video import VIDEO, packets, video_messages
+    from tests.recordings.message_logs.films import VIDEO, packets, video_messages
     from tests.recordings.message_logs.writer import TOPICS, messages
 
     root.mkdir(parents=True)

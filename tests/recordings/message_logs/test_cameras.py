@@ -17,7 +17,7 @@ from mirror.recordings.readers.message_logs.contents import read_contents
 from mirror.recordings.summary import summarise
 from tests.ingest.recordings import LAT, LON
 from tests.recordings.message_logs.drives import ONE, opened
-from tests.recordings.message_logs.test_video import VIDEO, packets, video_messages
+from tests.recordings.message_logs.films import VIDEO, packets, video_messages
 from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
 
 

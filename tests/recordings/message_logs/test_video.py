@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import av
 import cv2
@@ -14,21 +13,9 @@ from mirror.errors import RecordingError
 from mirror.recordings.readers.message_logs.images import MessageVideo
 from mirror.recordings.video_frames import JPEG_QUALITY
 from tests.recordings.message_logs.drives import ONE, opened
-from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
-from tests.recordings.videos import GROUP, write_video
-
-VIDEO = """
-[cameras.rear]
-images = "/rear/video"
-"""
-
-
-def packets(folder: Path, codec: str) -> list[bytes]:
-    """The packets of a raw video, one per frame."""
-    name, encoder = ("v.h264", "libx264") if codec == "h264" else ("v.hevc", "libx265")
-    file = write_video(folder / name, codec=encoder, b_frames=0)
-    with av.open(str(file)) as container:
-        return [bytes(packet) for packet in container.demux(video=0) if packet.size]
+from tests.recordings.message_logs.films import VIDEO, packets, video_messages
+from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
+from tests.recordings.videos import GROUP
 
 
 def frames_of(data: list[bytes], codec: str, folder: Path) -> list[bytes]:
@@ -40,16 +27,6 @@ def frames_of(data: list[bytes], codec: str, folder: Path) -> list[bytes]:
         for frame in container.decode(video=0):
             image = frame.to_ndarray(format="bgr24")
             out.append(cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
-    return out
-
-
-def video_messages(data: list[bytes], codec: str) -> list[Out]:
-    """A packet at every pose."""
-    out = []
-    for stamp, packet in zip(ONE.stamps.tolist(), data):
-        header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="rear")
-        value = SimpleNamespace(timestamp=header.stamp, header=header, frame_id="rear", data=packet, format=codec)
-        out.append(Out("/rear/video", "foxglove_msgs/msg/CompressedVideo", stamp, value))
     return out
 
 

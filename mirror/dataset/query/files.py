@@ -64,8 +64,10 @@ class TableFiles:
         name = self.store.full_path(path)
         try:
             # The file is opened once, so that the compared file is also the one that is read.
+            before = self._identify(path)
             file = self.store.open(path)
-            if path.startswith(_INDEX) and not self._is_in_manifest(path, file):
+            identity = before if before == self._identify(path) else None
+            if path.startswith(_INDEX) and not self._is_in_manifest(path, file, identity):
                 file.close()
                 raise self._changed_error(path)
             parquet = pq.ParquetFile(file)
@@ -85,19 +87,25 @@ class TableFiles:
             require_readable(version.decode(), name)
         return parquet
 
-    def _is_in_manifest(self, path: str, file: pa.NativeFile) -> bool:
+    def _identify(self, path: str) -> _Identity | None:
+        """The identity of a local file's state; None for a remote file."""
+        if self.store.folder is None:
+            return None
+        status = self.store.read_stable(path, os.stat)
+        return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+    def _is_in_manifest(self, path: str, file: pa.NativeFile, identity: _Identity | None) -> bool:
         entry = self._entries.get(path.removeprefix(_INDEX))
         if entry is None or file.size() != entry.bytes:
             return False
         if not isinstance(file, pa.OSFile):
             return True
         # A file that is opened again and has not changed is not hashed again.
-        status = os.fstat(file.fileno())
-        identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
-        if self._hashed.get(path) != identity:
+        if identity is None or self._hashed.get(path) != identity:
             if _sha256(file) != entry.sha256:
                 return False
-            self._hashed[path] = identity
+            if identity is not None:
+                self._hashed[path] = identity
         return True
 
     def _changed_error(self, path: str) -> DatasetError:

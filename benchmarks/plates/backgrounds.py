@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from mirror.arrays import UInt8
+from mirror.arrays import AnyArray, Float64, UInt8
 
 WIDTH_PX: Final = 1280
 HEIGHT_PX: Final = 720
 _CONDITIONS: Final = (("day", "clear"), ("night", "clear"), ("dusk", "clear"), ("day", "rain"))
 _PLACE: Final = (8.41694, 49.01252)
 _PHOTOS: Final = (
-    "astronaut",
-    "brick",
-    "coffee",
-    "chelsea",
-    "grass",
-    "gravel",
-    "rocket",
-    "camera",
-    "coins",
-    "page",
-    "text",
-)
+    "astronaut.png", "brick.png", "coffee.png", "chelsea.png", "grass.png", "gravel.png", "rocket.jpg", "camera.png",
+    "coins.png", "page.png", "text.png",
+)  # fmt: skip
+_IN_VIEW: Final = 0.85
 
 
-def render_streets(count: int, seed: int) -> Iterator[UInt8]:
-    """Yield images (720, 1280, 3), RGB, of synthetic streets, whose own plates are painted over.
+@dataclass(frozen=True, eq=False)
+class Background:
+    """An image without plates.
+
+    Attributes:
+        image: (H, W, 3) RGB.
+        places_px: (N, 4) left, top, right and bottom of where vehicles bear a plate, in full view; it is painted over.
+    """
+
+    image: UInt8
+    places_px: Float64
+
+
+def render_streets(count: int, seed: int) -> Iterator[Background]:
+    """Yield images (720, 1280, 3) of synthetic streets, whose own plates are painted over.
 
     Args:
         count: number of images; a street serves eight of them.
@@ -49,36 +55,47 @@ def render_streets(count: int, seed: int) -> Iterator[UInt8]:
         world = build_world(roi, 24.0, seed + first)
         for number in range(first, min(first + 8, count)):
             condition = make_condition(*_CONDITIONS[number % len(_CONDITIONS)])
-            images = render_crowds(
-                world, condition, 2, WIDTH_PX, seed + number, people=(3, 1), cars=(3, 5), left_out={0}
-            )
-            image = next(images if number % 8 else render_crowds(world, condition, 1, WIDTH_PX, seed + number))
+            # One image of eight shows a crowd; the others show people and cars.
+            placed: dict[str, Any] = {} if number % 8 == 0 else {"people": (3, 3), "cars": (5, 5)}
+            image = next(render_crowds(world, condition, 1, WIDTH_PX, seed + number, **placed))
             hidden = np.zeros(image.bgr.shape[:2], np.uint8)
             for plate in image.plates:
                 left, top, right, bottom = (plate.box_px + np.array([-3, -3, 3, 3])).round().astype(int)
                 hidden[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
-            clean = cv2.inpaint(image.bgr, hidden, 3, cv2.INPAINT_TELEA)
-            yield np.ascontiguousarray(clean[..., ::-1])
+            clean = np.asarray(cv2.inpaint(image.bgr, hidden, 3, cv2.INPAINT_TELEA), np.uint8)
+            places = [plate.box_px for plate in image.plates if plate.seen > _IN_VIEW]
+            yield Background(np.ascontiguousarray(clean[..., ::-1]), np.array(places, np.float64).reshape(-1, 4))
 
 
-def photographs() -> list[UInt8]:
-    """Photographs (H, W, 3), RGB, that are parts of scikit-image; none shows a plate."""
+def photographs() -> list[Background]:
+    """Photographs that are parts of scikit-image; none shows a plate."""
     import skimage.data
 
     folder = Path(str(skimage.data.__file__)).parent
-    images = [cv2.imread(str(folder / f"{name}.png")) for name in _PHOTOS if (folder / f"{name}.png").is_file()]
-    images.append(cv2.imread(str(folder / "rocket.jpg")))
-    return [np.ascontiguousarray(image[..., ::-1]) for image in images if image is not None]
+    files = [folder / name for name in _PHOTOS]
+    images = [cv2.imread(str(file)) for file in files if file.is_file()]
+    return [
+        Background(np.ascontiguousarray(image[..., ::-1], np.uint8), np.zeros((0, 4)))
+        for image in images
+        if image is not None
+    ]
 
 
-def save_backgrounds(path: Path, images: Sequence[UInt8]) -> None:
-    """Write images to a file, as JPEG."""
-    coded = [cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])[1] for image in images]
-    np.savez(path, **{f"{number:04d}": one for number, one in enumerate(coded)})  # type: ignore[arg-type]
+def save_backgrounds(path: Path, backgrounds: Sequence[Background], quality: int = 92) -> None:
+    """Write images to a file, as JPEG, with the places of plates."""
+    stored: dict[str, AnyArray] = {}
+    for number, one in enumerate(backgrounds):
+        coded = np.asarray(cv2.imencode(".jpg", one.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+        stored |= {f"image{number:04d}": coded, f"places{number:04d}": one.places_px}
+    np.savez(path, **stored)  # type: ignore[arg-type]
 
 
-def load_backgrounds(path: Path) -> list[UInt8]:
-    """Read images (H, W, 3), RGB, from a file."""
+def load_backgrounds(path: Path) -> list[Background]:
+    """Read images from a file."""
+    found = []
     with np.load(path) as stored:
-        images = [np.asarray(cv2.imdecode(stored[key], cv2.IMREAD_COLOR)) for key in sorted(stored.files)]
-    return [np.ascontiguousarray(image[..., ::-1], np.uint8) for image in images]
+        for name in sorted(name for name in stored.files if name.startswith("image")):
+            image = np.asarray(cv2.imdecode(stored[name], cv2.IMREAD_COLOR))
+            places = stored[name.replace("image", "places")]
+            found.append(Background(np.ascontiguousarray(image[..., ::-1], np.uint8), places))
+    return found

@@ -18,8 +18,8 @@ def draw_clutter(glyphs: Glyphs, high: int, rng: np.random.Generator) -> Panel:
         high: height in pixels.
         rng: draws what it is.
     """
-    kinds = (_banner, _poster, _round_sign, _direction_sign, _windows, _grille, _stripes, _blank)
-    chances = np.array([0.2, 0.16, 0.12, 0.12, 0.12, 0.1, 0.1, 0.08])
+    kinds = (_banner, _poster, _round_sign, _direction_sign, _street_sign, _windows, _grille, _stripes, _blank)
+    chances = np.array([0.16, 0.14, 0.1, 0.1, 0.16, 0.1, 0.08, 0.08, 0.08])
     return kinds[int(rng.choice(len(kinds), p=chances))](glyphs, high, rng)
 
 
@@ -110,6 +110,55 @@ def _direction_sign(glyphs: Glyphs, high: int, rng: np.random.Generator) -> Pane
         ends = (round(0.8 * wide), round(top + 0.5 * size)), (round(0.93 * wide), round(top + 0.5 * size))
         cv2.arrowedLine(image, *ends, ink, line, tipLength=0.4)
     return _whole(image)
+
+
+def _street_sign(glyphs: Glyphs, high: int, rng: np.random.Generator) -> Panel:
+    """The name of a street or a shop in small letters."""
+    wide = round(high * rng.uniform(2.2, 6.0))
+    ground = ((20, 60, 150), (25, 100, 65), (235, 235, 230), (90, 60, 40), (30, 30, 34))[int(rng.integers(5))]
+    ink = (240, 240, 240) if ground[0] < 100 else (20, 20, 20)
+    image = np.full((high, wide, 3), ground, np.uint8)
+    if rng.random() < 0.6:
+        line = max(high // 30, 1)
+        cv2.rectangle(image, (line, line), (wide - 1 - line, high - 1 - line), ink, line)
+    words = [_text(rng, 1, 2) + _text(rng, 2, 11, "abcdefghiklmnoprstuvw") for _ in range(int(rng.integers(1, 3)))]
+    rows = [" ".join(words)] if rng.random() < 0.7 else words
+    size = rng.uniform(0.45, 0.7) * high / len(rows)
+    for number, text in enumerate(rows):
+        top = (number + 0.5) * high / len(rows) - 0.5 * size
+        write_row(image, text, glyphs, _font(glyphs, rng), (0.05 * wide, 0.95 * wide), top, size, ink, 0.92, rng)
+    return _whole(image)
+
+
+def draw_foliage(image: UInt8, rng: np.random.Generator) -> None:
+    """Draw leaves against the sky or a shade into a part of an image (H, W, 3), which is changed."""
+    high, wide = (int(rng.integers(side // 5, side)) for side in image.shape[:2])
+    v, u = int(rng.integers(0, image.shape[0] - high + 1)), int(rng.integers(0, image.shape[1] - wide + 1))
+    field = np.zeros((high, wide), np.float32)
+    for octave in range(3, 8):
+        cells = (max(2**octave * high // 640, 2), max(2**octave * wide // 640, 2))
+        noise = rng.random(cells, np.float32) - 0.5
+        field += cv2.resize(noise, (wide, high), interpolation=cv2.INTER_CUBIC) * rng.uniform(0.5, 1.2)
+    shares = np.clip(0.5 + field * rng.uniform(1.0, 6.0), 0.0, 1.0)[..., None]
+    dark = rng.uniform(0.0, 70.0) * np.array([rng.uniform(0.5, 1.0), 1.0, rng.uniform(0.3, 1.0)])
+    light = rng.uniform(90.0, 255.0) * np.array([rng.uniform(0.5, 1.0), 1.0, rng.uniform(0.3, 1.1)])
+    leaves = np.clip(dark * (1.0 - shares) + light * shares, 0, 255)
+    edge = cv2.resize(rng.random((5, 5), np.float32), (wide, high), interpolation=cv2.INTER_CUBIC)
+    cover = np.clip((edge - 0.35) * 5.0, 0.0, 1.0)[..., None]
+    part = image[v : v + high, u : u + wide]
+    part[:] = (part * (1.0 - cover) + leaves * cover).astype(np.uint8)
+
+
+def draw_specks(image: UInt8, rng: np.random.Generator) -> None:
+    """Draw small marks as on roads and walls: leaves, cracks, stones and lights; the image (H, W, 3) is changed."""
+    side = image.shape[0]
+    for _ in range(int(rng.integers(3, 30))):
+        place = (int(rng.integers(0, side)), int(rng.integers(0, side)))
+        axes = (max(round(float(rng.exponential(7.0))), 1), max(round(float(rng.exponential(2.5))), 1))
+        local = image[min(place[1], side - 1), min(place[0], side - 1)].astype(float)
+        tone = np.clip(local + rng.normal(0.0, 60.0) + rng.normal(0.0, 12.0, 3), 0, 255)
+        colour = tuple(int(one) for one in tone)
+        cv2.ellipse(image, place, axes, float(rng.normal(0.0, 30.0)), 0, 360, colour, -1, cv2.LINE_AA)
 
 
 def _windows(glyphs: Glyphs, high: int, rng: np.random.Generator) -> Panel:

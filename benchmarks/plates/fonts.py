@@ -16,6 +16,8 @@ import numpy as np
 from mirror.arrays import UInt8
 
 LATIN: Final = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-."
+SMALL: Final = "abcdefghijklmnopqrstuvwxyz"
+"""Characters of signs that no plate has."""
 CHINESE: Final = "京津沪渝冀晋辽吉黑苏浙皖闽赣鲁豫鄂湘粤琼川贵云陕甘青学警港澳"
 KANA: Final = "あいうえおかきくけこさすせそたちつてとなにぬねの"
 ARABIC: Final = "١٢٣٤٥٦٧٨٩أبدرسطكلمنه"
@@ -66,11 +68,11 @@ def draw_glyphs(fonts: Mapping[str, Draw], *, more: bool = True) -> Glyphs:
 
     Args:
         fonts: the typefaces.
-        more: Chinese and Japanese characters too, from the typeface in OpenCV, and Arabic ones from DejaVu.
+        more: small letters too, and Chinese, Japanese (of the typeface in OpenCV) and Arabic characters (of DejaVu).
     """
     glyphs: dict[str, dict[str, UInt8]] = {}
     for name, draw in fonts.items():
-        glyphs[name] = _masks(draw, LATIN)
+        glyphs[name] = _masks(draw, LATIN + SMALL if more else LATIN)
     if more:
         glyphs["chinese"], glyphs["kana"] = (_masks(_opencv("uni"), signs, each=True) for signs in (CHINESE, KANA))
     if "DejaVuSans-Bold" in fonts:
@@ -97,8 +99,10 @@ def load_glyphs(path: Path) -> Glyphs:
 
 @cache
 def held_out_glyphs() -> Glyphs:
-    """The masks of the typefaces that no training has seen."""
-    return draw_glyphs(held_out_fonts(), more=False)
+    """The masks of typefaces that no training has seen; Chinese and Japanese characters are bolder than there."""
+    glyphs = draw_glyphs(held_out_fonts(), more=False)
+    bold = _opencv("uni", 850)
+    return {**glyphs, "chinese": _masks(bold, CHINESE, each=True), "kana": _masks(bold, KANA, each=True)}
 
 
 def _masks(draw: Draw, signs: str, *, each: bool = False) -> dict[str, UInt8]:
@@ -147,14 +151,14 @@ def _strokes(sign: str) -> UInt8:
     return np.asarray(board[..., 0], np.uint8)
 
 
-def _opencv(name: str) -> Draw:
-    """A typeface that is a part of OpenCV 5."""
+def _opencv(name: str, weight: int = 600) -> Draw:
+    """A typeface that is a part of OpenCV 5, 100 thin to 900 black."""
     font = cv2.FontFace(name)
 
     def draw(sign: str) -> UInt8:
         board = np.zeros((3 * _DRAWN_PX, 3 * _DRAWN_PX, 3), np.uint8)
         place = (_DRAWN_PX, 2 * _DRAWN_PX)
-        cv2.putText(board, sign, place, (255, 255, 255), font, _DRAWN_PX, 600)
+        cv2.putText(board, sign, place, (255, 255, 255), font, _DRAWN_PX, weight)
         return np.asarray(board[..., 0], np.uint8)
 
     return draw

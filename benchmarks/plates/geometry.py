@@ -69,6 +69,7 @@ def paste(image: UInt8, panel: Panel, corners: Float64, gain: Float32, lit_gain:
     Returns:
         Left, top, right and bottom of the pixels that may have changed.
     """
+    panel = _shrunk(panel, float(np.ptp(corners[:, 0])))
     left, top, right, bottom = panel.box_px
     source = np.array([[left, top], [right, top], [right, bottom], [left, bottom]], np.float32)
     matrix = cv2.getPerspectiveTransform(source, corners.astype(np.float32))
@@ -92,6 +93,19 @@ def paste(image: UInt8, panel: Panel, corners: Float64, gain: Float32, lit_gain:
     part = image[y0:y1, x0:x1]
     part[:] = cv2.blendLinear(np.ascontiguousarray(part), colour, 1.0 - cover, cover)
     return x0, y0, x1, y1
+
+
+def _shrunk(panel: Panel, width_px: float) -> Panel:
+    """A panel at about the scale of the image: a smaller one stays smooth, as a camera's lens makes it."""
+    left, top, right, bottom = panel.box_px
+    share = 1.2 * width_px / (right - left)
+    if share > 0.8:
+        return panel
+    high, wide = panel.alpha.shape
+    size = (max(round(share * wide), 2), max(round(share * high), 2))
+    image, alpha = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (panel.image, panel.alpha))
+    u, v = size[0] / wide, size[1] / high
+    return Panel(np.asarray(image, np.uint8), np.asarray(alpha, np.uint8), (u * left, v * top, u * right, v * bottom))
 
 
 def _scaled(image: UInt8, gain: Float32) -> UInt8:

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.plates.backgrounds import HEIGHT_PX, WIDTH_PX
+from benchmarks.plates.backgrounds import HEIGHT_PX, WIDTH_PX, Background
 from benchmarks.plates.camera import blur, make_night, record, shade, splash
-from benchmarks.plates.designs import HELD_OUT
+from benchmarks.plates.designs import HELD_OUT, Design
 from benchmarks.plates.drawing import draw_panel, draw_plate
 from benchmarks.plates.fonts import Glyphs
 from benchmarks.plates.geometry import FOCAL, Stance, bounds, paste, place_corners
@@ -46,49 +46,57 @@ class HeldOutImage:
 
 
 def draw_held_out(
-    count: int, backgrounds: Sequence[UInt8], glyphs: Glyphs, *, seed: int = SEED, left_out: Container[int] = ()
+    count: int,
+    backgrounds: Sequence[Background],
+    glyphs: Glyphs,
+    *,
+    designs: Sequence[Design] = HELD_OUT,
+    edges_px: Sequence[float] = EDGES_PX,
+    seed: int = SEED,
+    left_out: Container[int] = (),
 ) -> Iterator[HeldOutImage]:
-    """Yield images with one to three plates of 20 to 500 px, each span of `EDGES_PX` as often as the others.
+    """Yield images with one to three plates of 20 to 500 px, each span of widths as often as the others.
 
     Args:
         count: number of images.
-        backgrounds: images (720, 1280, 3) without plates.
+        backgrounds: images of 1280 x 720 pixels without plates.
         glyphs: masks of the characters.
+        designs: the designs.
+        edges_px: the limits of the spans of widths.
         seed: seed of all that is drawn.
         left_out: indices of images that are not drawn; the others stay the same.
     """
     for number in (number for number in range(count) if number not in left_out):
         rng = np.random.default_rng([seed, number])
-        image = backgrounds[number % len(backgrounds)].copy()
+        image = backgrounds[number % len(backgrounds)].image.copy()
         if rng.random() < 0.5:
             image = np.ascontiguousarray(image[:, ::-1])
         is_night = number % 4 == 3
         image = make_night(image, rng) if is_night else image
         boxes: list[Float64] = []
-        corners, designs = [], []
+        corners, names = [], []
         for place in range(int(rng.integers(1, 4))):
-            span = (2 * number + 3 * place) % (len(EDGES_PX) - 1)
-            width = float(np.exp(rng.uniform(*np.log(EDGES_PX[span : span + 2]))))
-            design = HELD_OUT[int(rng.integers(len(HELD_OUT)))]
-            found = _paste(image, design.name, width, glyphs, rng, boxes, is_night)
+            span = (2 * number + 3 * place) % (len(edges_px) - 1)
+            width = float(np.exp(rng.uniform(*np.log(edges_px[span : span + 2]))))
+            design = designs[int(rng.integers(len(designs)))]
+            found = _paste(image, design, width, glyphs, rng, boxes, is_night)
             if found is not None:
                 corners.append(found)
-                designs.append(design.name)
+                names.append(design.name)
         image = shade(image, rng)
         if rng.random() < 0.5:
             least = min((float(np.ptp(one[:, 1])) for one in corners), default=30.0)
             image = blur(image, rng, float(np.clip(0.05 * least, 0.35, 2.5)))
         image = record(image, rng, rng.uniform(0.5, 5.0), int(rng.integers(55, 96)))
         shown = np.array(corners, np.float64).reshape(-1, 4, 2)
-        yield HeldOutImage(number, image, shown, tuple(designs), "night" if is_night else "day")
+        yield HeldOutImage(number, image, shown, tuple(names), "night" if is_night else "day")
 
 
 def _paste(
-    image: UInt8, name: str, width: float, glyphs: Glyphs, rng: np.random.Generator, boxes: list[Float64],
+    image: UInt8, design: Design, width: float, glyphs: Glyphs, rng: np.random.Generator, boxes: list[Float64],
     is_night: bool,
 ) -> Float64 | None:  # fmt: skip
     """Paste a plate where none is; return its corners, or None without room."""
-    design = next(one for one in HELD_OUT if one.name == name)
     plate = draw_plate(design, glyphs, max(1.1 * width, 80.0) / design.size_mm[0], rng, strict=True)
     if rng.random() < 0.35:
         plate = splash(plate, rng, int(rng.integers(5, 40)))

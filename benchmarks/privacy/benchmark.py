@@ -7,8 +7,8 @@ at 4.5 to 11 m, for the recall of plates only. Recall is by image: nothing is pr
 fallback, which use the vehicles' exact 3D boxes; ``boxes`` disturbs these boxes, in the images of all chosen lights.
 What detectors found is appended to ``benchmarks/out/privacy_recall_*.jsonl``; an interrupted run goes on there, and
 larger numbers add images to it. After a change of the synthetic street, delete these files. YuNet is in the folder of
-real recordings (``MIRROR_REAL_DATA``); `mirror weights fetch clp_det` gets the other. Each section, and each light of
-the first, has a report of its own.
+real recordings (``MIRROR_REAL_DATA``); plates are found by ``world_plates``. `mirror weights fetch clp_det` gets the
+detector that is timed beside them. Each section, and each light of the first, has a report of its own.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from mirror.errors import ExitCode
 from mirror.privacy.detectors.faces import YuNet
 from mirror.privacy.detectors.plates import ChinesePlates
 from mirror.privacy.detectors.protocol import Detector, DetectorOptions
+from mirror.privacy.detectors.world_plates import WorldPlates
 from mirror.privacy.operators import Redaction
 from mirror.synth.light.condition import Condition
 from mirror.synth.street.world import World
@@ -50,6 +51,7 @@ _ATTACK_PX: Final = 64
 _ATTACK_MARGIN: Final = 0.05
 _CONTROL: Final = 0.5
 _YUNET_MS: Final = 50.0
+_WORLD_PLATES_MS: Final = 120.0
 
 
 def search_lights(
@@ -135,10 +137,14 @@ def time_rows(faces: Path) -> Iterator[Row]:
     rgb, size = np.ascontiguousarray(image.bgr[..., ::-1]), f"{_WIDTH_PX} x {_WIDTH_PX * 9 // 16}, one thread"
     options = DetectorOptions(faces)
     single, tiled = YuNet(options, tiled=False), YuNet(options)
-    plates = ChinesePlates(DetectorOptions())
+    chinese, plates = ChinesePlates(DetectorOptions()), WorldPlates(DetectorOptions())
     yield Row("YuNet, image only (ms)", size, _processor_ms(lambda: single(rgb), 15), bar=_YUNET_MS)
     yield Row("YuNet, image and tiles at 2 x (ms)", size, _processor_ms(lambda: tiled(rgb), 5))
-    yield Row("clp_det, image and tiles at 2 x and 3 x (ms)", size, _processor_ms(lambda: plates(rgb), 3))
+    yield Row("world_plates, image and 0.4 of it (ms)", size, _processor_ms(lambda: plates(rgb), 15))
+    yield Row("clp_det, image, half of it, and tiles at 2 x and 3 x (ms)", size, _processor_ms(lambda: chinese(rgb), 3))
+    large = np.asarray(cv2.resize(rgb, (1280, 720), interpolation=cv2.INTER_CUBIC), np.uint8)
+    of_large = _processor_ms(lambda: plates(large), 15)
+    yield Row("world_plates, image and 0.4 of it (ms)", "1280 x 720, one thread", of_large, bar=_WORLD_PLATES_MS)
 
 
 def _processor_ms(call: Callable[[], object], repeats: int) -> float:
@@ -177,7 +183,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _report_images(options: argparse.Namespace) -> int:
     """Search what is missing, and report the sections that count regions of images."""
-    plates = ChinesePlates(DetectorOptions())
+    plates = WorldPlates(DetectorOptions())
     detectors: dict[str, list[Detector]] = {
         "street": [YuNet(DetectorOptions(options.faces)), plates],
         # Cars that stand so close are there for their plates.

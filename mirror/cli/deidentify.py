@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _LISTED_FAILURES = 20
 _EXAMPLES = (
     "mirror deidentify demo/dataset --plate-region CN",
-    "mirror deidentify demo/dataset --detector yunet=yunet_n_dynamic.onnx --detector clp_det --plate-region CN",
+    "mirror deidentify demo/dataset --detector yunet=yunet_n_dynamic.onnx --detector world_plates --plate-region EU",
 )
 
 
@@ -38,11 +38,12 @@ class Arguments:
     dataset: tyro.conf.Positional[Path]
     """Folder of the dataset."""
     plate_region: Annotated[str | None, help_text(metavar="REGION", default="must be stated")] = None
-    """Region of the number plates, such as CN or EU. A chosen plate detector must cover it."""
+    """Region of the number plates, such as CN or EU. A chosen plate detector must cover it. ANY: from anywhere;
+    a release then needs a review."""
     detector: Annotated[
         tuple[str, ...],
         tyro.conf.UseAppendAction,
-        help_text(metavar="NAME[=FILE][@REGIONS]", default="centerface and clp_det"),
+        help_text(metavar="NAME[=FILE][@REGIONS]", default="centerface and world_plates; for CN clp_det too"),
     ] = ()
     """A detector, its weights, and the regions of its plates. Several of a kind are joined; see --list-detectors."""
     list_detectors: bool = False
@@ -107,13 +108,13 @@ def main(argv: Sequence[str]) -> int:
 
 def _options(arguments: Arguments) -> DeidentifyOptions:
     from mirror.dataset.images.decoding import usable_cores
-    from mirror.privacy.detectors.registry import DEFAULT, parse_choice
+    from mirror.privacy.detectors.registry import default_choices, parse_choice
     from mirror.privacy.operators import Redaction
     from mirror.privacy.options import DeidentifyOptions, Propagation, SkipRules
     from mirror.privacy.propagation.vehicles import StripOptions
 
     return DeidentifyOptions(
-        detectors=[parse_choice(text) for text in arguments.detector or DEFAULT],
+        detectors=[parse_choice(text) for text in arguments.detector] or default_choices(arguments.plate_region),
         plate_region=arguments.plate_region,
         version=arguments.version,
         redaction=Redaction(face=arguments.faces, grow=arguments.grow),

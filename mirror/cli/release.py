@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _LISTED: Final = 5
 _CHECK: Final = (
     "mirror release check release",
-    "mirror release check release --detector centerface --detector clp_det --originals demo/dataset",
+    "mirror release check release --detector centerface --detector world_plates --originals demo/dataset",
 )
 _REVIEW: Final = (
     "mirror release review demo/dataset --reviewer anna",

@@ -125,7 +125,7 @@ def deidentify(
 
     Example:
         >>> from mirror.privacy import DeidentifyOptions, deidentify, parse_choice  # doctest: +SKIP
-        >>> chosen = [parse_choice("centerface"), parse_choice("clp_det")]
+        >>> chosen = [parse_choice("centerface"), parse_choice("world_plates")]
         >>> options = DeidentifyOptions(detectors=chosen, plate_region="CN")
         >>> deidentify("dataset", options).exit_code()  # doctest: +SKIP
     """

@@ -17,7 +17,9 @@ from mirror.privacy.log import DetectorRecord
 from mirror.privacy.regions import KINDS
 
 GROUP: Final = "mirror.detectors"
-DEFAULT: Final = ("centerface", "clp_det")
+DEFAULT: Final = ("centerface", "world_plates")
+DEFAULT_BY_REGION: Final = {"CN": ("centerface", "world_plates", "clp_det")}
+"""Defaults for the plates of some regions: one more detector that was trained on real plates of theirs."""
 _FORM: Final = re.compile(r"(?P<name>[\w\-]+)(=(?P<file>[^@]+))?(@(?P<regions>[\w,\-]+))?")
 
 
@@ -46,6 +48,12 @@ class DetectorChoice:
             DetectorError: a package is missing, or the weights cannot be read.
         """
         return find_detector(self.name).make(DetectorOptions(self.weights, self.threshold))
+
+
+def default_choices(plate_region: str | None) -> tuple[DetectorChoice, ...]:
+    """The detectors that are used for the number plates of a region if none are chosen."""
+    names = DEFAULT if plate_region is None else DEFAULT_BY_REGION.get(plate_region.upper(), DEFAULT)
+    return tuple(DetectorChoice(name) for name in names)
 
 
 def parse_choice(text: str) -> DetectorChoice:
@@ -119,7 +127,7 @@ def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None
             f"no chosen detector covers number plates of {plate_region}: nothing was written", place="--plate-region",
             expected=f"a detector of these plates ({listed})",
             remedy="name one by path, and state what it covers: --detector yolo_plates=FILE@"
-            f"{region}; a statement for a built-in detector (clp_det@{region}) is yours",
+            f"{region}; a statement for a built-in detector (world_plates@{region}) is yours",
         )  # fmt: skip
     return region
 

@@ -14,8 +14,9 @@ from mirror.dataset.images.metadata import list_metadata
 from mirror.errors import MirrorError
 from mirror.methods.model_document import DOCUMENT as MODEL
 from mirror.methods.model_document import Reconstruction, read_reconstruction
-from mirror.privacy.release.document import DATASHEET, LICENCE
-from mirror.privacy.release.sample import choose_sample
+from mirror.privacy.detectors.recall import ANY
+from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE
+from mirror.privacy.release.sample import DEFAULT_SAMPLE, choose_sample
 from mirror.privacy.release.texts import NO_REIDENTIFICATION
 from mirror.privacy.release.tree import FROM_IMAGES
 from mirror.privacy.release.view import ReleaseView
@@ -166,6 +167,11 @@ def _identifying_text(view: ReleaseView) -> Iterator[Found]:
 
 def _review(view: ReleaseView) -> Iterator[Found]:
     sample = choose_sample(view.records, view.release.sample)
+    stated = (view.release.plate_region or "").upper().split(", ")
+    if ANY in stated and len(sample) < (least := min(DEFAULT_SAMPLE, len(view.records))):
+        yield Found(
+            DOCUMENT, f"number plates of any region, and a sample of {len(sample)} images for review; at least {least}"
+        )
     waiting = [record for record in sample if record.review is None]
     if waiting:
         yield Found(
@@ -240,8 +246,9 @@ RULES: Final = (
     ),
     ReleaseRule(
         "REL009",
-        "The sample for human review is incomplete, or has a miss.",
-        "`mirror release review DATASET`; after a miss, de-identify again under another version",
+        "The sample for human review is incomplete, too small for number plates of any region, or has a miss.",
+        "`mirror release review DATASET`, and build without a smaller --sample; after a miss, de-identify again under"
+        " another version",
         _review,
     ),
     ReleaseRule("REL010", "The datasheet or licence is missing or incomplete.", "build the release again", _texts),

@@ -23,6 +23,7 @@ _EXAMPLES = (
     "mirror baseline demo/block/dataset --method mean_color --split novel --protocol lane-shift --out floor",
 )
 _FLOORS = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
+_EDITS = ("unmoved_recording", "erased_vehicle", "flat_patch", "moved_cutout")
 
 
 @dataclass(frozen=True)
@@ -30,9 +31,11 @@ class Arguments:
     """Write the submission of a floor, a baseline that every method must beat, or of a generator's released output.
 
     nearest_frame submits the recorded image with the nearest camera, smoothed_nearest_frame a blur of it, grey_frame
-    its luma in all channels, camera_mean the mean image of the camera, mean_color its mean colour. opendwm,
-    magicdrive-v2 and driveeditor read the images that these programs wrote (--outputs). `mirror evaluate` scores the
-    submission.
+    its luma in all channels, camera_mean the mean image of the camera, mean_color its mean colour. Where a protocol
+    edits vehicles, unmoved_recording submits the recorded image, erased_vehicle that image without the vehicles,
+    flat_patch a patch of the vehicle's colour at its target, and moved_cutout, which is no floor, the vehicle's pixels
+    there. opendwm, magicdrive-v2 and driveeditor read the images that these programs wrote (--outputs). `mirror
+    evaluate` scores the submission.
     """
 
     dataset: tyro.conf.Positional[str]
@@ -44,6 +47,10 @@ class Arguments:
             "grey_frame",
             "camera_mean",
             "mean_color",
+            "unmoved_recording",
+            "erased_vehicle",
+            "flat_patch",
+            "moved_cutout",
             "opendwm",
             "magicdrive-v2",
             "driveeditor",
@@ -92,7 +99,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, str]:
     """Return the renderer, what the manifest states of it, and a hash of what it reads besides the dataset."""
-    if arguments.method in _FLOORS:
+    if arguments.method in (*_FLOORS, *_EDITS):
         for option, given in (("--outputs", arguments.outputs), ("--clips", arguments.clips)):
             if given is not None:
                 raise UsageError(
@@ -100,6 +107,11 @@ def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, 
                     place=option,
                     expected=f"--method {' or '.join(_takers(option))}",
                 )
+        if arguments.method in _EDITS:
+            from mirror_baselines.edited_recordings import APPEARANCE, EDITED_RECORDINGS
+
+            edited = EDITED_RECORDINGS[arguments.method]
+            return edited.render, edited.method, APPEARANCE, ""
         floor = import_module(f"mirror_baselines.{arguments.method}")
         return floor.render, floor.METHOD, floor.APPEARANCE, ""
 

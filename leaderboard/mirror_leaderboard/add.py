@@ -11,6 +11,7 @@ from typing import Final
 from pydantic import TypeAdapter, ValidationError
 
 from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.extractors import DEFAULT_EXTRACTOR
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
@@ -101,8 +102,10 @@ def add_result(
     elif sources is not None and sources.submission is not None:
         result = rescore(result, path, sources, progress)
         entry = make_entry(result, dataset, file=path, setting=setting)
-        # Of the costs, only what was measured here is more than the submission's word.
-        is_verified = result.protocol.task != "runtime" or sources.measured is not None
+        # Of the costs, only what was measured here is more than the submission's word; regions that another extractor
+        # finds do not follow from the renders alone.
+        is_runtime = result.protocol.task == "runtime"
+        is_verified = sources.measured is not None if is_runtime else sources.extractor in (None, DEFAULT_EXTRACTOR)
         entry = entry.model_copy(update={"verified": is_verified})
     else:
         require_recomputed_means(result, path)

@@ -19,6 +19,9 @@ from mirror_leaderboard.measures import MEASURES
 FLOOR: Final = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
 
+FLOOR_OF_EDITS: Final = ("unmoved_recording", "erased_vehicle", "flat_patch")
+"""Baselines that show no edit, for protocols that edit vehicles."""
+
 _PUBLIC_SEED: Final = re.compile(r"\bseed \d+", re.IGNORECASE)
 
 UNVERIFIED: Final = "unverified:"
@@ -28,6 +31,7 @@ STATED: Final = "stated:"
 _OF_RENDERS: Final = {UNVERIFIED: "the renders were not scored again"}
 _UNVERIFIED: Final = {
     "safety": {UNVERIFIED: "the controls were not driven again"},
+    "editing-accuracy": {UNVERIFIED: "the regions are not those of the built-in extractor"},
     "runtime": {STATED: "by the submissions, not measured here"},
 }
 
@@ -97,7 +101,12 @@ class Board:
         return _select_rank_column(_find_ranking(self.protocol, self.hashes), self.columns, self.entries)
 
     def best(self, column: Column) -> float | None:
-        """Return the best value of a column; None if fewer than two entries have a value."""
+        """Return the best value of a column; None if fewer than two entries have a value.
+
+        A figure that can be forged has none where another figure ranks.
+        """
+        if MEASURES[column[1]].forgeable and not MEASURES[self.ranked_by[1]].forgeable:
+            return None
         values = [value for entry in self.entries if (value := find_value(entry, column)) is not None]
         if len(values) < 2:
             return None

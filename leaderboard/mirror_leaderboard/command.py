@@ -75,6 +75,8 @@ class Add:
     """Score the renders of this submission again. Without it, the row stands in a table of unverified ones."""
     hidden: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Folder of the hidden truth, for protocols that use it."""
+    extractor: Annotated[str | None, help_text(default="diff-grabcut", metavar="NAME")] = None
+    """Extractor of edited regions, as of `mirror evaluate`. With another than diff-grabcut, the row is unverified."""
     features: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
     measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
@@ -157,6 +159,8 @@ def _add(argv: Sequence[str]) -> int:
 
     if arguments.submission is None and arguments.hidden is not None:
         raise UsageError("--hidden requires --submission", expected="both, or neither")
+    if arguments.submission is None and arguments.extractor is not None:
+        raise UsageError("--extractor requires --submission", expected="both, or neither")
     if bool(arguments.street) != (arguments.scenarios is not None):
         raise UsageError("only one of --street and --scenarios", expected="both, or neither")
     plan = None
@@ -171,7 +175,13 @@ def _add(argv: Sequence[str]) -> int:
             raise UsageError(repr(arguments.measure), place="--measure", expected="METHOD=MODEL, and --submission")
         measured = name, Path(model)
     sources = Sources(
-        arguments.dataset, arguments.submission, arguments.hidden, arguments.features, plan=plan, measured=measured
+        arguments.dataset,
+        arguments.submission,
+        arguments.hidden,
+        arguments.features,
+        extractor=arguments.extractor,
+        plan=plan,
+        measured=measured,
     )
     with progress_bar(quiet=False) as bar:
         entry = add_result(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 
@@ -20,6 +20,7 @@ class Measure:
         high: largest possible value.
         unit: unit of the shown values.
         scale: factor by which values are multiplied before they are shown.
+        forgeable: whether renders that show no edit, or a copy of the recording, can reach the best value.
     """
 
     title: str
@@ -30,6 +31,7 @@ class Measure:
     high: float = math.inf
     unit: str = ""
     scale: float = 1.0
+    forgeable: bool = False
 
     def format(self, value: float) -> str:
         """Format a value for a table."""
@@ -46,7 +48,15 @@ class Measure:
         return "↑" if self.better == "higher" else "↓"
 
 
-MEASURES: Final = {
+_PARTS: Final = {"least": "least part", "new": "new hull", "old": "old hull", "outside": "outside"}
+_ABOUT: Final = {
+    "least": "the least of new hulls, old hulls and outside, against the exact edit",
+    "new": "in the hulls of the moved vehicles, against the exact edit",
+    "old": "in the hulls where the vehicles were, against the exact edit",
+    "outside": "outside the hulls of the vehicles, against the exact edit",
+}
+
+_OF_IMAGES: Final = {
     "psnr": Measure("PSNR", "peak signal-to-noise ratio of the scored pixels", "higher", 2, unit="dB"),
     "ms_structure": Measure(
         "Structure", "share of the truth's local structure that the render explains", "higher", 3, low=-1.0, high=1.0
@@ -55,22 +65,42 @@ MEASURES: Final = {
     "psnr_affine": Measure("PSNR aff.", "PSNR after a gain and an offset of each channel", "higher", 2, unit="dB"),
     "psnr_cc": Measure("PSNR*", "PSNR after MTGS's quadratic colour correction", "higher", 2, unit="dB"),
     "ssim": Measure("SSIM", "structural similarity", "higher", 3, low=-1.0, high=1.0),
+}
+
+MEASURES: Final = {
+    **_OF_IMAGES,
+    **{
+        f"{name}_{part}": replace(measure, title=f"{measure.title}, {title}", about=f"{measure.about}; {_ABOUT[part]}")
+        for name, measure in _OF_IMAGES.items()
+        for part, title in _PARTS.items()
+    },
     "lpips": Measure("LPIPS", "learned perceptual distance, network not stated", "lower", 3),
     "lpips_alex": Measure("LPIPS alex", "learned perceptual distance, AlexNet", "lower", 3),
     "lpips_vgg": Measure("LPIPS vgg", "learned perceptual distance, VGG", "lower", 3),
     "lpips_squeeze": Measure("LPIPS squeeze", "learned perceptual distance, SqueezeNet", "lower", 3),
     "st_lpips_alex": Measure("ST-LPIPS alex", "shift-tolerant learned perceptual distance, AlexNet", "lower", 3),
     "st_lpips_vgg": Measure("ST-LPIPS vgg", "shift-tolerant learned perceptual distance, VGG", "lower", 3),
-    "fid": Measure("FID", "Fréchet distance of Inception features", "lower", 2),
+    "fid": Measure("FID", "Fréchet distance of Inception features", "lower", 2, forgeable=True),
     "kid": Measure(
-        "KID", "kernel distance of Inception features, unbiased", "lower", 2, low=-1.0, unit="10⁻³", scale=1e3
+        "KID",
+        "kernel distance of Inception features, unbiased",
+        "lower",
+        2,
+        low=-1.0,
+        unit="10⁻³",
+        scale=1e3,
+        forgeable=True,
     ),
-    "fvd": Measure("FVD", "Fréchet distance of I3D features of clips", "lower", 2),
-    "edit_iou": Measure("IoU", "edited region with its target box, variant not stated", "higher", 2, high=1.0),
-    "edit_iou_hull": Measure("IoU hull", "edited mask with the target box's convex hull", "higher", 3, high=1.0),
-    "edit_iou_box": Measure("IoU box", "tight rectangles of both", "higher", 3, high=1.0),
+    "fvd": Measure("FVD", "Fréchet distance of I3D features of clips", "lower", 2, forgeable=True),
+    "edit_iou": Measure(
+        "IoU", "edited region with its target box, variant not stated", "higher", 2, high=1.0, forgeable=True
+    ),
+    "edit_iou_hull": Measure(
+        "IoU hull", "edited mask with the target box's convex hull", "higher", 3, high=1.0, forgeable=True
+    ),
+    "edit_iou_box": Measure("IoU box", "tight rectangles of both", "higher", 3, high=1.0, forgeable=True),
     "edit_iou_ceiling": Measure(
-        "IoU of ceiling", "share of the best that an exact mask reaches", "higher", 3, high=1.0
+        "IoU of ceiling", "share of the best that an exact mask reaches", "higher", 3, high=1.0, forgeable=True
     ),
     "mean_ap": Measure("mAP", "average precision over classes and distances (nuScenes)", "higher", 3, high=1.0),
     "nds": Measure("NDS", "nuScenes detection score", "higher", 3, high=1.0),

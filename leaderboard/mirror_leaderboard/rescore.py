@@ -64,6 +64,7 @@ class Sources:
         hidden: folder of hidden truth, for protocols that use it.
         features: folder of cached features of the truth, by hash; None: none are kept.
         workers: number of worker processes.
+        extractor: extractor of edited regions; None: the built-in one. What a result states is never taken.
         plan: for the protocol safety, what was asked to be driven; None: controls are not driven again.
         measured: for the protocol runtime, an installed method and its model, whose speed is measured here; None: all
             figures are those that the submission states.
@@ -74,6 +75,7 @@ class Sources:
     hidden: Path | None = None
     features: Path | None = None
     workers: int = 2
+    extractor: str | None = None
     plan: RolloutPlan | None = None
     measured: tuple[str, Path] | None = None
 
@@ -99,7 +101,7 @@ def rescore(result: Result, path: Path, sources: Sources, progress: ProgressRepo
             hidden=sources.hidden,
             stand_ins=stand_ins,
             workers=sources.workers,
-            extractor=result.options.get("extractor"),
+            extractor=sources.extractor,
             features=sources.features,
             measured=sources.measured,
         )
@@ -115,6 +117,7 @@ def rescore(result: Result, path: Path, sources: Sources, progress: ProgressRepo
     require_equal("submission", result.submission, done.result.submission, path)
     require_equal("unavailable", sorted(result.unavailable), sorted(done.result.unavailable), path)
     require_equal("weights", result.weights, done.result.weights, path)
+    require_equal("options", result.options, done.result.options, path)
     require_equal("warnings", result.warnings, done.result.warnings, path)
     # Two measurements differ: the one that was taken here counts.
     groups = () if sources.measured is None else (MEASURED_HERE,)
@@ -146,6 +149,8 @@ def require_plan(result: Result, path: Path, dataset: str) -> None:
             expected="the renders that they were computed from",
             remedy="mirror leaderboard add ... --submission SUBMISSION",
         )
+    # Each option has a table of its own, which a result must not open by stating one.
+    require_equal("options", result.options, {}, path)
     opened = mirror.open(dataset)
     plan = plan_views(opened, result.protocol, result.dataset.split)
     require_equal("dataset.dataset_hash", result.dataset.dataset_hash, plan.dataset_hash, path)

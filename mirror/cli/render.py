@@ -174,7 +174,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), "views": count, "method": name}))
     else:
-        more = " --hidden FOLDER" if load_scorer(protocol.task).needs_hidden(plan) else ""
+        more = " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(plan) != "unused" else ""
         print(f"{count} renders by {name}: {arguments.out}")
         print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{more}")
     return ExitCode.DONE

@@ -16,9 +16,10 @@ import pyarrow.parquet as pq
 import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
-from mirror.evaluation.extractors import make_extractor
+from mirror.evaluation.extractors import DEFAULT_EXTRACTOR, make_extractor
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers import load_scorer
+from mirror.evaluation.scorers.edit_fidelity import fidelity_metrics
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob
 from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
@@ -29,6 +30,7 @@ from mirror.evaluation.workers import ScoreLog, score_jobs
 from mirror.installation import install_command
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
+from mirror.protocols.metrics import metric_name
 from mirror.protocols.truth.hidden import require_hidden_truth
 from mirror.protocols.views import Plan, plan_views
 from mirror.schema.files import write_bytes, write_json
@@ -37,8 +39,10 @@ from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver
 
 WORK: Final = "work"
-DEFAULT_EXTRACTOR: Final = "diff-grabcut"
 _EDITING: Final = "editing-accuracy"
+_WITHOUT_TRUTH: Final = (
+    "needs the exact truth of the edits (--hidden); `mirror submission hidden` renders that of a synthetic street"
+)
 _SCORES_HASH: Final = b"mirror_scores_hash"
 """Key of the metadata of the table of images: `ScoringOutcome.hash` of its rows."""
 
@@ -154,8 +158,7 @@ def evaluate(
     scorer = load_scorer(protocol.task)
     has_metrics = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
     jobs = scorer.jobs(plan, inputs) if has_metrics else []
-    if options.hidden is None:
-        _require_recorded_images(dataset, jobs)
+    _require_recorded_images(dataset, [job for job in jobs if options.hidden is None or job.recorded])
     progress.start("scoring", len(jobs))
     outcome = score_jobs(
         jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
@@ -179,7 +182,7 @@ def evaluate(
         unavailable=unavailable,
         weights=available.weights,
         versions=list_versions(),
-        options={"extractor": inputs.extractor} if protocol.task == _EDITING else {},
+        options={"extractor": make_extractor(inputs.extractor).identity} if protocol.task == _EDITING else {},
         warnings=tuple(list_warnings(plan, check.manifest, available.stand_ins)),
     )
     if _read_scores_hash(out / IMAGES) != outcome.hash:
@@ -200,6 +203,8 @@ class _Availability:
 def _find_availability(plan: Plan, manifest: SubmissionManifest, options: EvaluationOptions) -> _Availability:
     scorer = load_scorer(plan.protocol.task)
     unavailable = dict(scorer.unavailable(plan, manifest))
+    if options.hidden is None:
+        unavailable.update({metric_name(metric): _WITHOUT_TRUTH for metric in fidelity_metrics(plan.protocol)})
     without_data = set(unavailable)
     weights: dict[str, str] = {}
     stand_ins: list[str] = []
@@ -227,15 +232,15 @@ def _find_availability(plan: Plan, manifest: SubmissionManifest, options: Evalua
 
 def _require_matching_options(plan: Plan, options: EvaluationOptions) -> None:
     """Check that hidden truth and extractor are given exactly if the protocol uses them."""
-    name, needed = plan.protocol.name, load_scorer(plan.protocol.task).needs_hidden(plan)
-    if needed and options.hidden is None:
+    name, use = plan.protocol.name, load_scorer(plan.protocol.task).hidden_use(plan)
+    if use == "required" and options.hidden is None:
         raise UsageError(
             f"protocol {name} scores images of moved cameras, which nobody recorded",
             place="--hidden",
             expected="the folder of the organiser's true images",
             remedy="for a synthetic street, `mirror submission hidden` renders them",
         )
-    if not needed and options.hidden is not None:
+    if use == "unused" and options.hidden is not None:
         raise UsageError(
             f"protocol {name} is scored against recorded images and uses no hidden truth",
             place="--hidden",

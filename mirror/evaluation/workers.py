@@ -121,7 +121,7 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         [inputs.layers.get(view.traversal_id, ()) for view in job.views],
         [_traversal_key(view.traversal_id, inputs) for view in job.views],
         [inputs.hashes.get(path) for path in job.reads],
-        [inputs.truth.image_hash(view) for view in job.views] if job.truth else [],
+        [(inputs.recorded if job.recorded else inputs.truth).image_hash(view) for view in job.views if job.truth],
         job.fingerprint,
     ]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

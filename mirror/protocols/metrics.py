@@ -92,6 +92,26 @@ class EditIou(Document):
     variant: Literal["hull", "box", "ceiling"]
 
 
+Part = Literal["old", "new", "outside", "least"]
+
+
+class EditFidelity(Document):
+    """A full-reference figure of a part of an image that edits vehicles, against the exact truth of the edit.
+
+    ``old`` and ``new``: the hulls of the vehicles' recorded and target boxes, grown by 20 %. ``outside``: the rest.
+    ``least``: the least of the three. Groups whose vehicles stay have no value, nor have images without a target.
+
+    Attributes:
+        metric: always ``edit_fidelity``.
+        part: part of the image.
+        figure: the figure.
+    """
+
+    metric: Literal["edit_fidelity"]
+    part: Part
+    figure: Annotated[MsStructure | Psnr | PsnrInvariant | Ssim, Field(discriminator="metric")]
+
+
 class Detection(Document):
     """nuScenes detection metrics: AP over centre distances, true-positive errors, NDS.
 
@@ -160,6 +180,7 @@ Metric = Annotated[
     | Kid
     | Fvd
     | EditIou
+    | EditFidelity
     | Detection
     | ReportedFigure
     | SafetyFigure
@@ -173,6 +194,8 @@ def metric_name(metric: Metric) -> str:
     """The name of a metric's figure: the metric, with its variant or network if it has several."""
     if isinstance(metric, EditIou):
         return f"edit_iou_{metric.variant}"
+    if isinstance(metric, EditFidelity):
+        return f"{metric.figure.metric}_{metric.part}"
     if isinstance(metric, Lpips):
         return f"lpips_{metric.net}"
     return metric.metric

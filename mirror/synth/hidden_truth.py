@@ -129,8 +129,11 @@ def render_view(view: RenderView, group: Group | None, preset: str, seed: int, d
     shift_m = 0.0 if group is None else group.ego_shift_m
     edits = () if group is None else tuple((edit.track_id, group.vehicle_shift_m) for edit in view.edits)
     instant = _instant(preset, seed, drive_id, true_ns, shift_m, edits)
+    # Other noise than the recorded image has: who copies that image has not seen the noise of the truth either.
+    noise_seed = derive_hash_seed(f"shifted {view.camera}", drive.seed, true_ns, public=true_ns % (1 << 31))
     if shift_m == 0.0:
-        rendered = drive.render(view.camera, true_ns, instant)
+        is_recorded = all(left_m == 0.0 for _, left_m in edits)
+        rendered = drive.render(view.camera, true_ns, instant, noise_seed=None if is_recorded else noise_seed)
     else:
         world_SE3_ego = drive.world_SE3_ego(np.array([true_ns])) @ _aside(shift_m)
         rendered = drive.stage.render(
@@ -138,7 +141,7 @@ def render_view(view: RenderView, group: Group | None, preset: str, seed: int, d
             drive.lenses[view.camera],
             world_SE3_ego @ drive.vehicle.ego_SE3_camera[view.camera],
             response=drive.camera_responses[view.camera],
-            seed=derive_hash_seed(f"shifted {view.camera}", drive.seed, true_ns, public=true_ns % (1 << 31)),
+            seed=noise_seed,
             drops=drive.drops.get(view.camera),
         )
     return np.ascontiguousarray(rendered.bgr[..., ::-1])

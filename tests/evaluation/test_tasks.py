@@ -24,7 +24,7 @@ from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import split_into_clips
-from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy, target_hull
+from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.geometry.box_projection import project_boxes
@@ -36,6 +36,7 @@ from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.hidden import HIDDEN, HiddenDocument, make_hidden_document
 from mirror.protocols.views import RenderView, plan_views
+from mirror.protocols.views.edited_region import target_hull
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth

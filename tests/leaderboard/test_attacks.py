@@ -23,8 +23,11 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import make_manifest, write_manifest
+from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.png import encode_png
 from mirror.protocols.views import RenderView, plan_views
+from mirror.protocols.views.edited_region import target_hull
 from mirror.schema.files import write_json
 from mirror_leaderboard import add as add_module
 from mirror_leaderboard.add import add_result
@@ -483,3 +486,46 @@ def test_the_key_is_the_first_figure_and_no_colour_fit() -> None:
         protocol = load_protocol(name)
         assert protocol.ranking is not None and protocol.ranking.metric == "ms_structure"
         assert protocol.metric_names[:4] == ("ms_structure", "psnr", "psnr_invariant", "psnr_affine")
+
+
+def test_the_result_does_not_choose_the_extractor(tiny_dataset: Dataset, tmp_path: Path) -> None:
+    """Before: grey renders and masks of the target boxes had an IoU of 1.0, verified. After: refused, or unverified."""
+    protocol = load_protocol("editing-accuracy-small")
+    root, masks, submission = Path(tiny_dataset.root), tmp_path / "masks", tmp_path / "s"
+    plan = write_renders(tiny_dataset, protocol, submission, lambda view, truth: np.full_like(truth, 128))
+    for view in plan.views:
+        hull = np.empty((0, 2)) if not view.edits else target_hull(view, view.edits[0])
+        file = masks / view.path.removeprefix("renders/")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(encode_png(polygon_mask(hull, view.width_px, view.height_px).astype(np.uint8) * 255))
+    chosen = f"file:{masks}"
+    options = EvaluationOptions(workers=1, extractor=chosen)
+    done = evaluate(submission, root, protocol, SPLIT, tmp_path / "forged", options).result
+    assert done is not None and done.options == {"extractor": "file"}
+    values = {figure.metric: figure.value for figure in done.figures if figure.group == "all"}
+    assert values["edit_iou_hull"] == pytest.approx(1.0)
+    board, result = tmp_path / "board", tmp_path / "forged" / "result.json"
+    built_in = Sources(str(root), submission, workers=1)
+    for stated in ("file", chosen, "diff-grabcut"):
+        edit(result, lambda plain, stated=stated: plain["options"].update(extractor=stated))
+        with pytest.raises(RefusedError, match=r"options|edit_iou"):
+            add_result(result, board, "street", sources=built_in)
+    edit(result, lambda plain: plain["options"].update(extractor="file"))
+    add_result(result, board, "street", sources=replace(built_in, extractor=chosen))
+    (entry,) = load_entries(board / "entries")
+    assert isinstance(entry, Measured) and not entry.verified
+    (table,) = make_boards([entry])
+    assert ("unverified:", "the regions are not those of the built-in extractor") in table.options
+    honest = evaluate(submission, root, protocol, SPLIT, tmp_path / "honest", EvaluationOptions(workers=1)).result
+    assert honest is not None
+    add_result(tmp_path / "honest" / "result.json", board, "street", setting="built-in", sources=built_in)
+    by_setting = {entry.setting: entry for entry in load_entries(board / "entries") if isinstance(entry, Measured)}
+    assert by_setting["built-in"].verified
+    assert len(make_boards(list(by_setting.values()))) == 2
+
+
+def test_an_unverified_result_opens_no_table_by_an_option(result: Path, root: Path, tmp_path: Path) -> None:
+    """Before: any option in `result.json` gave the row a table of its own, where it was the best. After: refused."""
+    edit(result, lambda plain: plain.update(options={"extractor": "mine"}))
+    with pytest.raises(RefusedError, match="options"):
+        add_result(result, tmp_path / "board", "street", sources=Sources(str(root)))

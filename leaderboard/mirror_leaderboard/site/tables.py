@@ -9,7 +9,7 @@ from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
-from mirror_leaderboard.boards import FLOOR, Board, Column, find_figure
+from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.downloads import entry_file
@@ -24,6 +24,9 @@ _GROUPS: Final = {
 }
 
 
+_FORGEABLE: Final = (
+    "not proof against forgery: a copy of the recording has the best distance of sets, a flat patch the best overlap"
+)
 _NO_INTERVAL: Final = "no interval: "
 
 _MAX_COLUMNS: Final = 9
@@ -69,7 +72,7 @@ def _format_table(board: Board, part: Sequence[Column], notes: dict[str, int], *
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table class="board">'
         f'<caption class="hidden">{escape(caption)}; the heads of columns sort the table</caption>'
-        f"<thead>{_format_heads(board, part)}</thead><tbody>{rows}</tbody></table></div>"
+        f"<thead>{_format_heads(board, part, notes)}</thead><tbody>{rows}</tbody></table></div>"
     )
 
 
@@ -81,28 +84,29 @@ def group_title(group: str) -> str:
     return _GROUPS.get(group, group.replace("-", " "))
 
 
-def _format_heads(board: Board, part: Sequence[Column]) -> str:
+def _format_heads(board: Board, part: Sequence[Column], notes: dict[str, int]) -> str:
     spans = [(group, len(list(columns))) for group, columns in groupby(part, key=lambda column: column[0])]
     top = "".join(
         f'<th colspan="{count}" scope="colgroup" class="group">{escape(group_title(group))}</th>'
         for group, count in spans
     )
-    heads = "".join(_format_head(column, board) for column in part)
+    heads = "".join(_format_head(column, board, notes) for column in part)
     return (
         f'<tr><th rowspan="2" scope="col" class="method"><button type="button">Method</button></th>{top}'
         f'<th rowspan="2" scope="col" class="source">Source</th></tr><tr>{heads}</tr>'
     )
 
 
-def _format_head(column: Column, board: Board) -> str:
+def _format_head(column: Column, board: Board, notes: dict[str, int]) -> str:
     measure = MEASURES[column[1]]
     direction = "descending" if measure.better == "higher" else "ascending"
     sort = f' aria-sort="{direction}"' if column == board.ranked_by else ""
     first = " first" if _opens_group(board.columns, column) else ""
+    marks = _format_marks([_FORGEABLE] if measure.forgeable else [], notes)
     return (
         f'<th scope="col" class="n{first}" data-better="{measure.better}"{sort}>'
         f'<button type="button" title="{escape(measure.about)}; {measure.better} is better">'
-        f'{escape(measure.head)} <span aria-hidden="true">{measure.arrow}</span></button></th>'
+        f'{escape(measure.head)} <span aria-hidden="true">{measure.arrow}</span></button>{marks}</th>'
     )
 
 
@@ -112,7 +116,7 @@ def _format_row(
     name = escape(entry.method)
     if entry.link:
         name = f'<a href="{escape(entry.link)}" rel="nofollow noopener">{name}</a>'
-    floor = '<span class="tag floor">floor</span>' if entry.method in FLOOR else ""
+    floor = '<span class="tag floor">floor</span>' if entry.method in (*FLOOR, *FLOOR_OF_EDITS) else ""
     details = ", ".join(_list_variant(entry, board))
     setting = f"<small>{escape(details)}</small>" if details else ""
     # A metric without any value has no column: its notes are shown with the row.

@@ -7,7 +7,10 @@ from typing import Final
 from mirror.errors import UsageError
 from mirror.evaluation.extractors.extractor import Extractor
 
-__all__ = ["EXTRACTORS", "Extractor", "make_extractor"]
+__all__ = ["DEFAULT_EXTRACTOR", "EXTRACTORS", "Extractor", "make_extractor"]
+
+DEFAULT_EXTRACTOR: Final = "diff-grabcut"
+"""The only extractor that comes with the toolkit, and so the only one whose regions can be verified."""
 
 EXTRACTORS: Final = {
     "diff-grabcut": "diff-grabcut, the region that differs from the background, refined by GrabCut; needs no weights",
@@ -24,7 +27,7 @@ def make_extractor(text: str) -> Extractor:
         UsageError: the name is unknown, or the argument is missing or superfluous.
     """
     name, colon, argument = text.partition(":")
-    if name not in EXTRACTORS or bool(colon) == (name == "diff-grabcut"):
+    if name not in EXTRACTORS or bool(colon) == (name == DEFAULT_EXTRACTOR):
         listed = "; ".join(EXTRACTORS.values())
         raise UsageError(f"no extractor {text!r}", place="--extractor", expected=listed)
     if name == "file":

@@ -27,6 +27,8 @@ class DiffGrabCut:
     an image. Connected components smaller than a tenth of the largest are left out.
     """
 
+    identity: Final = "diff-grabcut"
+
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
         """See `Extractor`."""
         difference = _difference(edited, background)

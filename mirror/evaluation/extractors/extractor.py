@@ -8,7 +8,16 @@ from mirror.arrays import Bool, UInt8
 
 
 class Extractor(Protocol):
-    """Finds the region of an edited object in a render, without knowing the requested position of the object."""
+    """Finds the region of an edited object in a render, without knowing the requested position of the object.
+
+    Attributes:
+        identity: name of the extractor, with a hash of its networks if it has any; results state it.
+    """
+
+    @property
+    def identity(self) -> str:
+        """See the class."""
+        ...
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
         """Extract the object's pixels.

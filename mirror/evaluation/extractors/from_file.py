@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ class MaskFiles:
     Raises:
         UsageError: the folder does not exist.
     """
+
+    identity: Final = "file"
 
     def __init__(self, folder: str) -> None:
         self._folder = Path(folder)

@@ -12,6 +12,7 @@ import numpy as np
 from mirror.arrays import Bool, Float32, UInt8
 from mirror.errors import UsageError
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
+from mirror.schema.files import sha256_bytes
 from mirror.weights.resolve import file_sha256
 
 _SIDE: Final = 1024
@@ -38,6 +39,7 @@ class OnnxSam:
         files = [Path(folder) / name for name in ("encoder.onnx", "decoder.onnx")]
         self._encoder, self._decoder = map(_open_session, files)
         self._fingerprint = " ".join(map(file_sha256, files))
+        self.identity = f"onnx-sam {sha256_bytes(self._fingerprint.encode())[:12]}"
         self._difference_extractor = DiffGrabCut()
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:

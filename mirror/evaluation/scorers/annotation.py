@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 
 from mirror.evaluation.result import Figure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.check import MAX_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.template import detections_path
@@ -74,9 +74,9 @@ class Annotation:
 
     version = 1
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Return False: the truth is the dataset's boxes."""
-        return False
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Return ``unused``: the truth is the dataset's boxes."""
+        return "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return nothing: no metric has weights."""

@@ -14,8 +14,14 @@ from mirror.arrays import AnyArray, Float32, Int64, UInt8
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks
 from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.scorers.edit_fidelity import (
+    fidelity_figures,
+    fidelity_metrics,
+    has_fidelity,
+    score_fidelity,
+)
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
@@ -38,17 +44,18 @@ _MIN_KID_SAMPLES: Final = 4
 class Distributions:
     """Scores the tasks ``vehicle-translation`` and ``generation``."""
 
-    version = 1
+    version = 2
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Return False: the truth is the set of recorded images."""
-        return False
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Return ``optional`` if edits are scored against their exact truth too: sets need recorded images alone."""
+        return "optional" if fidelity_metrics(plan.protocol) else "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the weights of the networks."""
         return {
             metric_name(metric): ("i3d-torchscript" if isinstance(metric, Fvd) else "inception-fid",)
             for metric in plan.protocol.metrics
+            if isinstance(metric, Fid | Kid | Fvd)
         }
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
@@ -62,18 +69,22 @@ class Distributions:
         return unavailable
 
     def jobs(self, plan: Plan, inputs: ScoringInputs) -> Sequence[Job]:
-        """Return one job for each render, each recorded image (shared by all groups), and each clip of either kind."""
+        """Return one job for each render, each recorded image (shared by all groups), and each clip of either kind.
+
+        The job of a render also scores its edits, where their exact truth is given.
+        """
         jobs: list[Job] = []
         truth_names: set[str] = set()
         needs_images = any(
             isinstance(metric, Fid | Kid) and metric_name(metric) not in inputs.unavailable
             for metric in plan.protocol.metrics
         )
-        for view in plan.views if needs_images else ():
-            jobs.append(Job(view.path, (view,), (view.path,), truth=False))
-            if truth_job_name(view) not in truth_names:
+        for view in plan.views:
+            if needs_images or has_fidelity(view, inputs):
+                jobs.append(Job(view.path, (view,), (view.path,), truth=has_fidelity(view, inputs)))
+            if needs_images and truth_job_name(view) not in truth_names:
                 truth_names.add(truth_job_name(view))
-                jobs.append(Job(truth_job_name(view), (view,), (), in_table=False))
+                jobs.append(Job(truth_job_name(view), (view,), (), recorded=True, in_table=False))
         for metric in plan.protocol.metrics:
             if isinstance(metric, Fvd) and metric_name(metric) not in inputs.unavailable:
                 for clip in split_into_clips(plan.views, metric.frames):
@@ -85,23 +96,25 @@ class Distributions:
         return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Return the cache keys of the job's features; features that are not cached are computed."""
+        """Return the cache keys of the job's features, which are computed if needed, and the fidelity of its edits."""
         is_clip = job.name.startswith(_CLIP)
-        images = [inputs.render(view) if job.reads else inputs.truth.image(view) for view in job.views]
+        images = [inputs.render(view) if job.reads else inputs.recorded.image(view) for view in job.views]
         pixels = np.stack(images) if is_clip else images[0]
         values: dict[str, float | int | str | None] = {}
         for kind, network in load_networks(inputs, clips=is_clip).items():
             values[f"feature.{kind}"] = _cache_feature(pixels, network, inputs)
+        if job.reads and job.truth:
+            values.update(score_fidelity(job.views[0], images[0], inputs))
         return values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """Return one distance for each group, against the recorded images of the same views."""
         by_name = {scored_job.job.name: scored_job for scored_job in scored}
-        figures = []
+        figures = fidelity_figures(plan.protocol, [one for one in scored if one.job.in_table], inputs)
         for group in plan.protocol.groups:
             views = [view for view in plan.views if view.group == group.name]
             for metric in plan.protocol.metrics:
-                if metric_name(metric) not in inputs.unavailable and views:
+                if isinstance(metric, Fid | Kid | Fvd) and metric_name(metric) not in inputs.unavailable and views:
                     figures.append(_compute_figure(plan.protocol, metric, group.name, views, by_name, inputs))
         return figures
 
@@ -136,7 +149,9 @@ def load_networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extract
     """Return the networks of the available metrics by the kind of their features; each process loads them once."""
     networks: dict[str, Extractor] = {}
     for metric in inputs.protocol.metrics:
-        if metric_name(metric) in inputs.unavailable or isinstance(metric, Fvd) != clips:
+        if not isinstance(metric, Fid | Kid | Fvd) or metric_name(metric) in inputs.unavailable:
+            continue
+        if isinstance(metric, Fvd) != clips:
             continue
         kind = _feature_kind(metric)
         if kind not in inputs.made:
@@ -183,7 +198,7 @@ def _cache(inputs: ScoringInputs) -> FeatureCache:
 def _make_clip_job(clip: tuple[RenderView, ...], side: Side) -> Job:
     first, reads = clip[0], tuple(view.path for view in clip) if side == "render" else ()
     name = first.path if side == "render" else truth_job_name(first)
-    return Job(f"{_CLIP}{name}", clip, reads, truth=side == "truth", in_table=False)
+    return Job(f"{_CLIP}{name}", clip, reads, truth=side == "truth", recorded=side == "truth", in_table=False)
 
 
 def _compute_figure(

@@ -8,19 +8,21 @@ from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Bool, Float64
+from mirror.arrays import Bool
 from mirror.evaluation.extractors import Extractor, make_extractor
 from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure
+from mirror.evaluation.scorers.edit_fidelity import fidelity_figures, has_fidelity, score_fidelity
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.reconstruction import find_score
-from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import EditIou, metric_name
+from mirror.protocols.views.edited_region import target_hull
 from mirror.protocols.views.plan import Plan, render_path
 from mirror.protocols.views.view import Edit, RenderView, to_pose
 
@@ -34,11 +36,11 @@ _VARIANTS: Final[Mapping[str, HullVariant]] = {
 class EditingAccuracy:
     """Scores the task ``editing-accuracy``."""
 
-    version = 2
+    version = 3
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Return False: the target boxes are part of the plan."""
-        return False
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Return ``optional``: overlaps need the plan's target boxes alone, other figures the exact truth."""
+        return "optional"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return nothing: no metric has weights; an extractor loads its own."""
@@ -58,19 +60,17 @@ class EditingAccuracy:
             if view.group != background:
                 path = render_path(background, view.traversal_id, view.camera, view.timestamp_ns)
                 files = (view.path, path)
-                jobs.append(
-                    Job(
-                        view.path, (view, views[path]), files, truth=False, fingerprint=extractor.fingerprint(view.path)
-                    )
-                )
+                fingerprint, scores_truth = extractor.fingerprint(view.path), has_fidelity(view, inputs)
+                jobs.append(Job(view.path, (view, views[path]), files, truth=scores_truth, fingerprint=fingerprint))
         return jobs
 
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
-        """Compute all variants of the IoU of one view."""
+        """Compute the figures of one view: all variants of the IoU, and those against the exact truth."""
         view, background = job.views
         edit = view.edits[0]
         scored = inputs.scored_mask(view) & ~_occluder_mask(view, edit, inputs)
-        region = _get_extractor(inputs).extract(inputs.render(view), inputs.render(background), scored, view.path)
+        render = inputs.render(view)
+        region = _get_extractor(inputs).extract(render, inputs.render(background), scored, view.path)
         hull = target_hull(view, edit)
         target_px = int((polygon_mask(hull, view.width_px, view.height_px) & scored).sum())
         values: dict[str, float | int | str | None] = {
@@ -90,7 +90,7 @@ class EditingAccuracy:
                 values[name] = value
                 if reason is not None:
                     values[f"{name}.reason"] = reason
-        return values
+        return {**values, **score_fidelity(view, render, inputs)} if has_fidelity(view, inputs) else values
 
     def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
         """Return the means of each group of shifted vehicles, and the means over the groups that rank."""
@@ -101,15 +101,17 @@ class EditingAccuracy:
             members = [scored_job for scored_job in scored if group == scored_job.job.views[0].group]
             views = [scored_job.job.views[0] for scored_job in members]
             for metric in plan.protocol.metrics:
-                name = metric_name(metric)
-                scores = [find_score(scored_job.values, name) for scored_job in members]
-                figures += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
+                if isinstance(metric, EditIou):
+                    name = metric_name(metric)
+                    scores = [find_score(scored_job.values, name) for scored_job in members]
+                    figures += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
         views = [scored_job.job.views[0] for scored_job in scored]
         for metric in plan.protocol.metrics:
-            name = metric_name(metric)
-            scores = [find_score(scored_job.values, name) for scored_job in scored]
-            figures += compute_overall_figure(plan.protocol, Measure(name, "", "higher"), views, scores)
-        return figures
+            if isinstance(metric, EditIou):
+                name = metric_name(metric)
+                scores = [find_score(scored_job.values, name) for scored_job in scored]
+                figures += compute_overall_figure(plan.protocol, Measure(name, "", "higher"), views, scores)
+        return [*fidelity_figures(plan.protocol, scored, inputs), *figures]
 
 
 def _background_group(protocol: Protocol) -> str:
@@ -121,13 +123,6 @@ def _get_extractor(inputs: ScoringInputs) -> Extractor:
         inputs.made["extractor"] = make_extractor(inputs.extractor)
     extractor: Extractor = inputs.made["extractor"]  # type: ignore[assignment]
     return extractor
-
-
-def target_hull(view: RenderView, edit: Edit) -> Float64:
-    """Return the convex hull (K, 2) of the projected target box, in pixels; empty if the edit has no target."""
-    if edit.world_SE3_target is None:
-        return np.empty((0, 2))
-    return project_boxes(view.lens, view.pose.inverse() @ to_pose(edit.world_SE3_target), [edit.size_m]).hull(0)
 
 
 def _occluder_mask(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:

@@ -59,7 +59,10 @@ class ScoringInputs:
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state without open files and loaded networks: each process opens and loads its own."""
-        return {**{key: value for key, value in vars(self).items() if key not in ("files", "truth")}, "made": {}}
+        return {
+            **{key: value for key, value in vars(self).items() if key not in ("files", "truth", "recorded")},
+            "made": {},
+        }
 
     @cached_property
     def files(self) -> UntrustedFiles:
@@ -70,6 +73,11 @@ class ScoringInputs:
     def truth(self) -> GroundTruth:
         """Truth of the views."""
         return GroundTruth(self.dataset, self.protocol, dict(self.layers), self.hidden)
+
+    @cached_property
+    def recorded(self) -> GroundTruth:
+        """The recorded images of the views, also where hidden truth is given."""
+        return GroundTruth(self.dataset, self.protocol, dict(self.layers))
 
     def render(self, view: RenderView) -> UInt8:
         """Read a render's pixels (H, W, 3), RGB.

@@ -10,7 +10,7 @@ from mirror.arrays import Bool, UInt8
 from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob, Values
+from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.features.lpips import TRUNK_WEIGHTS
 from mirror.metrics.score import EMPTY_MASK, Score
@@ -45,9 +45,9 @@ class Reconstruction:
 
     version = 1
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Whether any group has moved cameras: nobody recorded their images."""
-        return any(group.ego_shift_m for group in plan.protocol.groups)
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Return ``required`` if any group has moved cameras: nobody recorded their images."""
+        return "required" if any(group.ego_shift_m for group in plan.protocol.groups) else "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the weights of LPIPS (trunk and heads) and of ST-LPIPS (one file)."""
@@ -79,7 +79,7 @@ class Reconstruction:
             name = computed_metric_name(metric, inputs)
             if name is None:
                 continue
-            score, more = _score(metric, render, truth, scored, inputs)
+            score, more = score_pixels(metric, render, truth, scored, inputs)
             values[name] = float(score)
             if score.reason is not None:
                 values[f"{name}.reason"] = score.reason
@@ -100,7 +100,7 @@ class Reconstruction:
                 if name is None:
                     continue
                 scores = [find_score(scored_job.values, name) for scored_job in members]
-                for figure in compute_figures(plan.protocol, _find_measure(name), group.name, views, scores):
+                for figure in compute_figures(plan.protocol, find_measure(name), group.name, views, scores):
                     figures.append(_add_rank_note(figure, name, members) if figure.level == "group" else figure)
                 if name == "psnr" and members:
                     figures.append(_compute_pooled_psnr(group.name, members))
@@ -109,11 +109,12 @@ class Reconstruction:
             name = computed_metric_name(metric, inputs)
             if name is not None:
                 scores = [find_score(scored_job.values, name) for scored_job in scored]
-                figures += compute_overall_figure(plan.protocol, _find_measure(name), views, scores)
+                figures += compute_overall_figure(plan.protocol, find_measure(name), views, scores)
         return figures
 
 
-def _find_measure(name: str) -> Measure:
+def find_measure(name: str) -> Measure:
+    """Find the unit and the direction of a metric of single images."""
     return _MEASURES.get(name, Measure(name, "", "lower"))
 
 
@@ -138,9 +139,18 @@ def find_score(values: Values, name: str) -> Score:
     return Score(math.nan if value is None else float(value), None if reason is None else str(reason))
 
 
-def _score(
+def score_pixels(
     metric: Metric, render: UInt8, truth: UInt8, scored: Bool, inputs: ScoringInputs
 ) -> tuple[Score, dict[str, float | int | str | None]]:
+    """Compute one metric of the scored pixels of an image, and values beside it.
+
+    Args:
+        metric: a metric of single images.
+        render: (H, W, 3).
+        truth: (H, W, 3).
+        scored: (H, W) mask of the pixels that are compared; others may affect the windows of structural similarity.
+        inputs: weights and networks.
+    """
     # Imported late: a run that finds every image scored needs no compiled kernel.
     from mirror.metrics.images.affine import psnr_affine
     from mirror.metrics.images.colour_correction import psnr_cc

@@ -9,7 +9,7 @@ from typing import Final
 
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
+from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.scorers.speed import frames_per_second
 from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
@@ -31,9 +31,9 @@ class Runtime:
 
     version = 1
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Return False: the task has no truth."""
-        return False
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Return ``unused``: the task has no truth."""
+        return "unused"
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return nothing: no metric has weights."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias
 
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -13,6 +13,9 @@ from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
 STAND_IN_PREFIX: Final = "st_"
+
+HiddenUse: TypeAlias = Literal["required", "optional", "unused"]
+"""Whether a scorer uses the organiser's hidden truth; without optional one, some metrics are unavailable."""
 
 Values: TypeAlias = Mapping[str, float | int | str | None]
 """Values of a job by name, such as a metric's; the key ``<name>.reason`` states why a value is NaN."""
@@ -26,7 +29,8 @@ class Job:
         name: name of the job, unique within the evaluation.
         views: the views that it scores; the table of images has the keys of the first one.
         reads: files of the submission that it reads.
-        truth: whether it reads the recorded images of its views.
+        truth: whether it reads the truth of its views: hidden truth where that is given, else the recorded images.
+        recorded: whether that truth is the recorded images in any case.
         in_table: whether it is a row of the table of images.
         fingerprint: hash of what else its values depend on, such as a mask of an extractor; a change is scored again.
     """
@@ -35,6 +39,7 @@ class Job:
     views: tuple[RenderView, ...]
     reads: tuple[str, ...]
     truth: bool = True
+    recorded: bool = False
     in_table: bool = True
     fingerprint: str = ""
 
@@ -53,8 +58,8 @@ class Scorer(Protocol):
     version: int
     """Version of the scorer's values: increased when they change, so that stored values are not reused."""
 
-    def needs_hidden(self, plan: Plan) -> bool:
-        """Whether the views have no recorded truth and need the organiser's hidden truth."""
+    def hidden_use(self, plan: Plan) -> HiddenUse:
+        """Whether the views need the organiser's hidden truth because nobody recorded theirs."""
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the names of the weights that each metric needs; metrics without weights may be left out.

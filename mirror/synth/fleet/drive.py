@@ -209,13 +209,16 @@ class SynthDrive:
         stamps = np.array([timestamp_ns])
         return self.stage.at(float(self.seconds(stamps)[0]), self.world_SE3_ego(stamps))
 
-    def render(self, camera: str, timestamp_ns: int, instant: Instant | None = None) -> RenderedImage:
+    def render(
+        self, camera: str, timestamp_ns: int, instant: Instant | None = None, *, noise_seed: int | None = None
+    ) -> RenderedImage:
         """Render the image of a camera.
 
         Args:
             camera: name of the camera.
             timestamp_ns: true mid-exposure time.
             instant: the world at that time, from `at`; default: it is computed.
+            noise_seed: seed of other noise than the recorded image has; None: the recorded noise.
         """
         from mirror.synth.render.scene import Twist
 
@@ -230,7 +233,7 @@ class SynthDrive:
             self.lenses[camera],
             poses[1:2],
             response=self.camera_responses[camera],
-            seed=int(noise >> np.uint64(1)),
+            seed=int(noise >> np.uint64(1)) if noise_seed is None else noise_seed,
             drops=self.drops.get(camera),
             twist=twist,
         )

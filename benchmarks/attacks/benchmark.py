@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import inspect
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -115,11 +116,7 @@ def attack_row(views: Sequence[TrueView], renders: Sequence[UInt8], out: Path | 
 
 def largest_gains(found: Mapping[str, Mapping[str, Means]]) -> dict[str, float]:
     """The largest gain in the key by row, as a part of the gap between the best and the worst trained row."""
-    gap = find_gap(found, KEY)
-    return {
-        row: max(means[KEY] - by_attack[HONEST][KEY] for means in by_attack.values()) / gap
-        for row, by_attack in found.items()
-    }
+    return {row: max(_find_gain(found, row, attack, KEY) for attack in by_attack) for row, by_attack in found.items()}
 
 
 def find_gap(found: Mapping[str, Mapping[str, Means]], metric: str) -> float:
@@ -130,23 +127,28 @@ def find_gap(found: Mapping[str, Mapping[str, Means]], metric: str) -> float:
 
 
 def format_tables(found: Mapping[str, Mapping[str, Means]], nothing: Mapping[str, Means]) -> str:
-    """Format the scores of rows and of renders that show nothing, and the gains of each attack."""
+    """Format the scores of rows and of renders that show nothing, and the largest gain of each attack."""
     lines = [f"| render | {' | '.join(METRICS)} |", f"|---|{'---|' * len(METRICS)}"]
     honest = {row: by_attack[HONEST] for row, by_attack in found.items()}
     lines += [f"| {name} | {_cells(means)} |" for name, means in {**honest, **nothing}.items()]
-    gaps = {metric: find_gap(found, metric) for metric in METRICS}
-    heads = [f"{row}: {metric}" for metric in METRICS for row in found]
-    lines += ["", "Gains as percentages of the gap between the best and the worst trained row:", ""]
+    trained = [row for row in found if row != FLOOR]
+    heads = [f"{metric}: {rows}" for metric in METRICS for rows in ("trained rows", FLOOR)]
+    lines += ["", "Largest gains, as percentages of the gap between the best and the worst trained row:", ""]
     lines += [f"| attack | {' | '.join(heads)} |", f"|---|{'---|' * len(heads)}"]
-    for attack in next(iter(found.values())):
+    for attack in found[FLOOR]:
         if attack != HONEST:
             gains = [
-                100.0 * (by_attack[attack][metric] - by_attack[HONEST][metric]) / gaps[metric]
+                max(_find_gain(found, row, attack, metric) for row in rows) if rows else math.nan
                 for metric in METRICS
-                for by_attack in found.values()
+                for rows in (trained, [FLOOR])
             ]
-            lines.append(f"| {attack} | {' | '.join(f'{gain:+.1f}' for gain in gains)} |")
+            lines.append(f"| {attack} | {' | '.join(f'{100.0 * gain:+.1f}' for gain in gains)} |")
     return "\n".join(lines)
+
+
+def _find_gain(found: Mapping[str, Mapping[str, Means]], row: str, attack: str, metric: str) -> float:
+    """What an attack gains for a row, as a part of the gap."""
+    return (found[row][attack][metric] - found[row][HONEST][metric]) / find_gap(found, metric)
 
 
 def _cells(means: Means) -> str:

@@ -31,7 +31,7 @@ from typing import Final, overload
 import cv2
 import numpy as np
 
-from mirror.arrays import Float64
+from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
 from mirror.metrics.images.pairs import Pair, as_pairs
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
@@ -55,6 +55,7 @@ WEIGHT_VARIANCE: Final = 0.02**2
 ROUNDING_VARIANCE: Final = 1.0 / (12.0 * 255.0**2)
 """Variance of the rounding of values in [0, 1] to 8 bits."""
 
+_LEAST_SHARE: Final = 1e-12
 _REACH: Final = 3.0
 """Half the width of a gaussian window, in standard deviations."""
 
@@ -115,19 +116,37 @@ def _score(pair: Pair) -> Score:
     if pair.empty:
         return EMPTY_MASK
     pair.refuse_non_finite()
-    known = np.ones(pair.render.shape[:2]) if pair.mask is None else pair.mask.astype(np.float64)
-    render, truth = (_luma(image, known, pair.data_range) for image in (pair.render, pair.truth))
+    part = _part(pair)
+    known = np.ones(pair.render[part].shape[:2]) if pair.mask is None else pair.mask[part].astype(np.float64)
+    render, truth = (_luma(image[part], known, pair.data_range) for image in (pair.render, pair.truth))
     scores = [score for score in _scale_scores(render, truth, known) if not math.isnan(score)]
     return Score(math.fsum(scores) / len(scores)) if scores else Score(math.nan, NO_STRUCTURE)
 
 
-def _luma(image: np.ndarray, known: Float64, data_range: float) -> Float64:
+def _part(pair: Pair) -> tuple[slice, slice]:
+    """The rows and columns that hold the mask, from and to places that every scale divides."""
+    if pair.mask is None:
+        return slice(None), slice(None)
+    step = 2 ** (SCALES - 1)
+    found = []
+    for axis in (1, 0):
+        places = np.flatnonzero(pair.mask.any(axis=axis))
+        found.append(slice(int(places[0]) // step * step, (int(places[-1]) // step + 1) * step))
+    return found[0], found[1]
+
+
+def _luma(image: AnyArray, known: Float64, data_range: float) -> Float64:
     """Luma (H, W) of an image (H, W, C) as a part of the data range, centred on the mean; 0 outside the mask."""
-    values = image[..., 0] if image.shape[2] == 1 else image @ np.array(LUMA_WEIGHTS)
+    values = image.astype(np.float64)
     selected = known > 0.0
     # Pixels outside the mask may be NaN.
-    relative = np.where(selected, values, 0.0) / np.float64(data_range)
-    return np.where(selected, relative - relative.sum() / known.sum(), 0.0)
+    if image.dtype.kind == "f":
+        values[~selected] = 0.0
+    luma = values[..., 0] if image.shape[2] == 1 else cv2.transform(values, np.array([LUMA_WEIGHTS]))
+    luma = np.asarray(luma / np.float64(data_range), np.float64)
+    luma -= luma[selected].mean()
+    luma *= known
+    return luma
 
 
 def _scale_scores(render: Float64, truth: Float64, known: Float64) -> Iterator[float]:
@@ -143,15 +162,17 @@ def _scale_scores(render: Float64, truth: Float64, known: Float64) -> Iterator[f
             render, truth, known = _halve(render, truth, known)
         if not known.any():
             return
-        share = np.maximum(_smooth(known, BAND_SIGMA_PX), np.finfo(np.float64).tiny)
+        # Sums of windows hold the mask's share of each, by which means would be divided: the constants get it instead.
+        share = np.maximum(_smooth(known, BAND_SIGMA_PX), _LEAST_SHARE)
         x, y = (known * (image - _smooth(image, BAND_SIGMA_PX) / share) for image in (render, truth))
-        share = np.maximum(_smooth(known, WINDOW_SIGMA_PX), np.finfo(np.float64).tiny)
-        xx, yy, xy = (_smooth(product, WINDOW_SIGMA_PX) / share for product in (x * x, y * y, x * y))
-        correlation = xy / np.sqrt((xx + ROUNDING_VARIANCE) * (yy + ROUNDING_VARIANCE))
+        share = np.maximum(_smooth(known, WINDOW_SIGMA_PX), _LEAST_SHARE)
+        xx, yy, xy = (_smooth(product, WINDOW_SIGMA_PX) for product in (x * x, y * y, x * y))
+        rounding = ROUNDING_VARIANCE * share
         # Less than rounding to 8 bits is no structure.
-        weights = np.where(yy > ROUNDING_VARIANCE, known * yy / (yy + WEIGHT_VARIANCE), 0.0)
+        weights = np.where(yy > rounding, known * yy / (yy + WEIGHT_VARIANCE * share), 0.0)
+        xy /= np.sqrt((xx + rounding) * (yy + rounding))
         total = float(weights.sum())
-        yield float((weights * correlation * np.abs(correlation)).sum()) / total if total > 0.0 else math.nan
+        yield float((weights * xy * np.abs(xy)).sum()) / total if total > 0.0 else math.nan
 
 
 def _halve(render: Float64, truth: Float64, known: Float64) -> tuple[Float64, Float64, Float64]:

@@ -29,7 +29,7 @@ _CHECK_EXAMPLES = (
 )
 _HIDDEN_EXAMPLES = (
     "mirror submission hidden demo/dataset --split novel --recordings demo/recordings --out hidden",
-    "mirror submission hidden street --split novel --recordings recordings --protocol lane-shift --out hidden",
+    "mirror submission hidden street --split novel --recordings recordings --protocol editing-accuracy --out hidden",
 )
 
 

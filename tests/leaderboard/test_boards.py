@@ -13,6 +13,7 @@ from mirror.schema.files import write_json
 from mirror_leaderboard.boards import FLOOR, find_value, make_boards, seconds_per_image
 from mirror_leaderboard.entry import Figure, Measured, Reported, load_entries
 from mirror_leaderboard.measures import MEASURES
+from mirror_leaderboard.site.page import build_site
 from tests.leaderboard.conftest import MEASURED, REPORTED, measured
 
 
@@ -188,3 +189,26 @@ def test_entries_of_different_plans_stand_in_different_tables() -> None:
     rows = [measured("one", 20.0, plan_hash="1" * 64), measured("two", 21.0, plan_hash="2" * 64), measured("old", 19.0)]
     assert [[entry.method for entry in board.entries] for board in make_boards(rows)].count(["one"]) == 1
     assert len({board.id for board in make_boards(rows)}) == 3
+
+
+def test_figures_that_can_be_forged_rank_nothing_beside_exact_ones(tmp_path: Path) -> None:
+    """A flat patch has the best overlap; the exact edit ranks, and overlaps are marked and have no best value."""
+
+    def row(method: str, exact: float | None, overlap: float) -> Measured:
+        known = load_protocol("editing-accuracy")
+        figures = [Figure(group="all", metric="edit_iou_hull", value=overlap)]
+        if exact is not None:
+            figures.append(Figure(group="all", metric="ms_structure_least", value=exact))
+        changes = {"protocol": known.name, "protocol_version": known.version, "protocol_hash": known.hash}
+        return measured(method, 20.0).model_copy(update={**changes, "figures": tuple(figures), "pairs": ()}).sealed()
+
+    (exact,) = make_boards([row("flat_patch", 0.07, 0.95), row("edit", 0.5, 0.6)])
+    assert [entry.method for entry in exact.entries] == ["edit", "flat_patch"]
+    assert exact.ranked_by == ("all", "ms_structure_least")
+    assert exact.best(("all", "edit_iou_hull")) is None and exact.best(exact.ranked_by) == 0.5
+    (recorded,) = make_boards([row("flat_patch", None, 0.95), row("edit", None, 0.6)])
+    assert recorded.ranked_by == ("all", "edit_iou_hull") and recorded.best(recorded.ranked_by) == 0.95
+    for board in (exact, recorded):
+        page = build_site(list(board.entries), [], tmp_path / str(len(board.columns)), draft=True).read_text()
+        assert "not proof against forgery" in page
+        assert ("ordered by" in page) == (board is recorded)

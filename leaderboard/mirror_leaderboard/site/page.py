@@ -141,7 +141,8 @@ def _format_heading(board: Board) -> str:
         codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
         evidence += f" <small>split {escape(board.split)}{codes}{older}</small>"
     ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"
-    download = f' <small>ranked by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
+    word = "ordered" if MEASURES[board.ranked_by[1]].forgeable else "ranked"
+    download = f' <small>{word} by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
     return f"<h3>{escape(board.title)}{evidence}{download}</h3>"
 
 

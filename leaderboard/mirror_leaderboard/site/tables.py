@@ -106,7 +106,7 @@ def _format_head(column: Column, board: Board, notes: dict[str, int]) -> str:
     return (
         f'<th scope="col" class="n{first}" data-better="{measure.better}"{sort}>'
         f'<button type="button" title="{escape(measure.about)}; {measure.better} is better">'
-        f'{escape(measure.head)} <span aria-hidden="true">{measure.arrow}</span></button>{marks}</th>'
+        f'{escape(measure.head)}{marks} <span aria-hidden="true">{measure.arrow}</span></button></th>'
     )
 
 

@@ -34,6 +34,7 @@ import numpy as np
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
 from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.images.structure_kernels import multiply_bands, sum_scores
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
@@ -55,7 +56,6 @@ WEIGHT_VARIANCE: Final = 0.02**2
 ROUNDING_VARIANCE: Final = 1.0 / (12.0 * 255.0**2)
 """Variance of the rounding of values in [0, 1] to 8 bits."""
 
-_LEAST_SHARE: Final = 1e-12
 _REACH: Final = 3.0
 """Half the width of a gaussian window, in standard deviations."""
 
@@ -162,17 +162,14 @@ def _scale_scores(render: Float64, truth: Float64, known: Float64) -> Iterator[f
             render, truth, known = _halve(render, truth, known)
         if not known.any():
             return
-        # Sums of windows hold the mask's share of each, by which means would be divided: the constants get it instead.
-        share = np.maximum(_smooth(known, BAND_SIGMA_PX), _LEAST_SHARE)
-        x, y = (known * (image - _smooth(image, BAND_SIGMA_PX) / share) for image in (render, truth))
-        share = np.maximum(_smooth(known, WINDOW_SIGMA_PX), _LEAST_SHARE)
-        xx, yy, xy = (_smooth(product, WINDOW_SIGMA_PX) for product in (x * x, y * y, x * y))
-        rounding = ROUNDING_VARIANCE * share
-        # Less than rounding to 8 bits is no structure.
-        weights = np.where(yy > rounding, known * yy / (yy + WEIGHT_VARIANCE * share), 0.0)
-        xy /= np.sqrt((xx + rounding) * (yy + rounding))
-        total = float(weights.sum())
-        yield float((weights * xy * np.abs(xy)).sum()) / total if total > 0.0 else math.nan
+        share = _smooth(known, BAND_SIGMA_PX)
+        means = [_smooth(image, BAND_SIGMA_PX) for image in (render, truth)]
+        products = np.empty((3, *known.shape))
+        multiply_bands(render, truth, means[0], means[1], share, known, products[0], products[1], products[2])
+        sums = [_smooth(product, WINDOW_SIGMA_PX) for product in products]
+        share = _smooth(known, WINDOW_SIGMA_PX)
+        score, weight = sum_scores(sums[0], sums[1], sums[2], share, known, ROUNDING_VARIANCE, WEIGHT_VARIANCE)
+        yield score / weight if weight > 0.0 else math.nan
 
 
 def _halve(render: Float64, truth: Float64, known: Float64) -> tuple[Float64, Float64, Float64]:

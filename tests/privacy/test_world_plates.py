@@ -97,7 +97,6 @@ def test_a_dataset_with_plates_from_anywhere_is_released_only_after_a_review(tmp
     given = options("faces", "plates@ANY", plate_region="any")
     assert deidentify(tmp_path / "dataset", given).exit_code() == 0
     command = ["release", "build", str(tmp_path / "dataset"), "--out", str(tmp_path / "release"), *WORDS]
-    assert main([*command, "--sample", "0"]) == 1 and main(command) == 1
     # A small sample does not do, though all of it is reviewed: there are 18 images.
     _review(tmp_path / "dataset", 5)
     assert main([*command, "--sample", "5"]) == 1 and not (tmp_path / "release").exists()

@@ -464,7 +464,9 @@ def test_a_submission_to_the_protocol_of_edits(
     text = (Path(mirror.__file__).parent / "protocols" / "definitions" / "editing-accuracy-small.toml").read_text()
     text, _, rest = text.partition("[frames]")
     begin, *groups = text.split("[[groups]]")
-    rest = "[frames]" + rest.replace("every = 5", "every = 10")
+    ranking = 'groups = ["right-3m", "right-2m", "left-2m", "left-3m"]'
+    assert ranking in rest
+    rest = "[frames]" + rest.replace("every = 5", "every = 10").replace(ranking, 'groups = ["left-2m"]')
     chosen = [group for group in groups if '"background"' in group or '"0m"' in group or '"left-2m"' in group]
     (tmp_path / "edits.toml").write_text(begin + "[[groups]]".join(["", *chosen]) + rest)
     plan = plan_views(tiny_dataset, load_protocol(str(tmp_path / "edits.toml")), "novel")

@@ -86,6 +86,15 @@ def _luma_blur_mean(one: Material) -> UInt8:
     return _channels(luma(one.render), blur(luma(one.render), 2.0), luma(one.mean))
 
 
+def _luma_blue_mean(one: Material) -> UInt8:
+    return _channels(luma(one.render), one.render[..., 2].astype(np.float64), luma(one.mean))
+
+
+def _three_blurs(one: Material) -> UInt8:
+    blue = one.render[..., 2].astype(np.float64)
+    return _channels(blue, blur(blue, 1.0), blur(blue, 4.0))
+
+
 def _with_sky(one: Material) -> UInt8:
     step = 1.0 / (1.0 + np.exp((_ramps(one.render)[1] - 0.45) * 12))
     return to_levels(0.8 * one.render + 55.0 * step[..., None])
@@ -100,6 +109,8 @@ RECOLOURED: Final[Mapping[str, Change]] = {
     "x ramp, y ramp, luma": _ramps_and_luma,
     "luma, B - R, y ramp": _luma_difference_ramp,
     "luma, blurred luma, camera mean": _luma_blur_mean,
+    "luma, blue, camera mean": _luma_blue_mean,
+    "blue, blurred by 0, 1 and 4 px": _three_blurs,
     "luma in all channels": lambda one: luma_image(one.render),
     "red in all channels": _in_all(0),
     "green in all channels": _in_all(1),

@@ -9,22 +9,25 @@ PSNR of every reconstruction (docs/threat-model.md has the figures). This metric
 - Each scale is an octave of its own with equal weight. A blur, a sharpening or any other linear filter scales a whole
   octave, which correlation does not see; within an octave little is left to gain.
 - Windows are weighed by the truth's structure, so that no render chooses where it is scored.
-- Luma has fixed weights. A fit of luma from the channels of a render would compose an image from other images in them.
+- In another light, a channel of a render can be nearer to the truth's luma than its luma is: blue has weaker shadows.
+  Every render gets the best of its luma and its channels, so that sending one channel in all gains nothing. A fit of
+  luma from the channels would compose an image from other images in them.
 
-For the luma of render and truth at one scale, let x and y be what is left after the mean of a gaussian window was
-subtracted, and let ``<.>`` be means of another gaussian window. With the correlation
+At one scale, let x be the luma or one channel of the render and y the luma of the truth, after the mean of a gaussian
+window was subtracted, and let ``<.>`` be means of another gaussian window. With the correlation
 
     r = <x y> / sqrt((<x²> + q) (<y²> + q)),
 
 r² is the share of the truth's variance in the window that the best gain of the render explains. The score of the scale
-is the mean of ``r |r|`` with weights ``<y²> / (<y²> + C)``, and that of the image is the mean over scales. The next
-scale has half the width and height, by means of 2 x 2 pixels. Sums of windows leave out pixels outside the mask.
+is the mean of ``r |r|`` with weights ``<y²> / (<y²> + C)``. That of the image is the mean over scales, of the best of
+luma and channels. The next scale has half the width and height, by means of 2 x 2 pixels. Sums of windows leave out
+pixels outside the mask.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Final, overload
 
@@ -88,7 +91,7 @@ def ms_structure(
     data_range: float | None = None,
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """Mean share of the truth's local structure that the render explains, over four octaves of luma.
+    """Mean share of the local structure of the truth's luma that the render explains, over four octaves.
 
     Args:
         render: (H, W) or (H, W, C) with C of 1 or 3, or as ``layout`` says; an array or a torch tensor on the CPU, of
@@ -118,9 +121,11 @@ def _score(pair: Pair) -> Score:
     pair.refuse_non_finite()
     part = _part(pair)
     known = np.ones(pair.render[part].shape[:2]) if pair.mask is None else pair.mask[part].astype(np.float64)
-    render, truth = (_luma(image[part], known, pair.data_range) for image in (pair.render, pair.truth))
-    scores = [score for score in _scale_scores(render, truth, known) if not math.isnan(score)]
-    return Score(math.fsum(scores) / len(scores)) if scores else Score(math.nan, NO_STRUCTURE)
+    truth = _centred(_luma(pair.truth[part]), known, pair.data_range)
+    image = pair.render[part]
+    shown = [_luma(image)] if image.shape[2] == 1 else [_luma(image), *np.moveaxis(image, 2, 0)]
+    scores = list(_scale_scores([_centred(values, known, pair.data_range) for values in shown], truth, known))
+    return Score(float(np.mean(scores, axis=0).max())) if scores else Score(math.nan, NO_STRUCTURE)
 
 
 def _part(pair: Pair) -> tuple[slice, slice]:
@@ -135,52 +140,59 @@ def _part(pair: Pair) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def _luma(image: AnyArray, known: Float64, data_range: float) -> Float64:
-    """Luma (H, W) of an image (H, W, C) as a part of the data range, centred on the mean; 0 outside the mask."""
-    values = image.astype(np.float64)
+def _luma(image: AnyArray) -> AnyArray:
+    """Luma (H, W) of an image (H, W, C)."""
+    if image.shape[2] == 1:
+        return image[..., 0]
+    return np.asarray(cv2.transform(image.astype(np.float64), np.array([LUMA_WEIGHTS])))
+
+
+def _centred(values: AnyArray, known: Float64, data_range: float) -> Float64:
+    """Values (H, W) as parts of the data range, centred on their mean; 0 outside the mask, where they may be NaN."""
     selected = known > 0.0
-    # Pixels outside the mask may be NaN.
-    if image.dtype.kind == "f":
-        values[~selected] = 0.0
-    luma = values[..., 0] if image.shape[2] == 1 else cv2.transform(values, np.array([LUMA_WEIGHTS]))
-    luma = np.asarray(luma / np.float64(data_range), np.float64)
-    luma -= luma[selected].mean()
-    luma *= known
-    return luma
+    relative = np.where(selected, values, 0.0) / np.float64(data_range)
+    return np.asarray((relative - relative.sum() / known.sum()) * known)
 
 
-def _scale_scores(render: Float64, truth: Float64, known: Float64) -> Iterator[float]:
-    """Yield the score of each octave, the finest first; NaN where the truth has no structure.
+def _scale_scores(renders: Sequence[Float64], truth: Float64, known: Float64) -> Iterator[list[float]]:
+    """Yield the scores of each render in an octave, the finest first; none where the truth has no structure.
 
     Args:
-        render: (H, W) luma, 0 outside the mask.
+        renders: (N,) values (H, W), 0 outside the mask.
         truth: (H, W) luma, 0 outside the mask.
         known: (H, W) 1 in the mask, else 0.
     """
     for scale in range(SCALES):
         if scale:
-            render, truth, known = _halve(render, truth, known)
+            whole = _halve(known) == 1.0
+            truth, known = np.where(whole, _halve(truth), 0.0), whole.astype(np.float64)
+            renders = [np.where(whole, _halve(render), 0.0) for render in renders]
         if not known.any():
             return
-        share = _smooth(known, BAND_SIGMA_PX)
-        means = [_smooth(image, BAND_SIGMA_PX) for image in (render, truth)]
+        band_share, share = _smooth(known, BAND_SIGMA_PX), _smooth(known, WINDOW_SIGMA_PX)
+        smooth_truth = _smooth(truth, BAND_SIGMA_PX)
+        true_squares: Float64 | None = None
         products = np.empty((3, *known.shape))
-        multiply_bands(render, truth, means[0], means[1], share, known, products[0], products[1], products[2])
-        sums = [_smooth(product, WINDOW_SIGMA_PX) for product in products]
-        share = _smooth(known, WINDOW_SIGMA_PX)
-        score, weight = sum_scores(sums[0], sums[1], sums[2], share, known, ROUNDING_VARIANCE, WEIGHT_VARIANCE)
-        yield score / weight if weight > 0.0 else math.nan
+        scores = []
+        for render in renders:
+            smooth_render = _smooth(render, BAND_SIGMA_PX)
+            multiply_bands(
+                render, truth, smooth_render, smooth_truth, band_share, known, products[0], products[1], products[2]
+            )
+            if true_squares is None:
+                true_squares = _smooth(products[1], WINDOW_SIGMA_PX)
+            squares, cross = _smooth(products[0], WINDOW_SIGMA_PX), _smooth(products[2], WINDOW_SIGMA_PX)
+            score, weight = sum_scores(squares, true_squares, cross, share, known, ROUNDING_VARIANCE, WEIGHT_VARIANCE)
+            if weight > 0.0:
+                scores.append(score / weight)
+        if scores:
+            yield scores
 
 
-def _halve(render: Float64, truth: Float64, known: Float64) -> tuple[Float64, Float64, Float64]:
-    """Halve images and mask by means of 2 x 2 pixels, all of which must be in the mask, without an odd last line."""
-    height, width = (2 * (size // 2) for size in known.shape)
-    parts = [
-        image[:height, :width].reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
-        for image in (render, truth, known)
-    ]
-    whole = parts[2] == 1.0
-    return np.where(whole, parts[0], 0.0), np.where(whole, parts[1], 0.0), whole.astype(np.float64)
+def _halve(image: Float64) -> Float64:
+    """Halve an image (H, W) by means of 2 x 2 pixels, without an odd last line."""
+    height, width = (2 * (size // 2) for size in image.shape)
+    return np.asarray(image[:height, :width].reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3)))
 
 
 def _smooth(image: Float64, sigma_px: float) -> Float64:

@@ -1,4 +1,4 @@
-"""``mirror calibrate check DATASET`` and ``mirror calibrate refine DATASET``."""
+"""``mirror calibrate``: ``check DATASET``, ``refine DATASET``, and ``intrinsics FOLDER`` of its own module."""
 
 from __future__ import annotations
 
@@ -117,8 +117,15 @@ def main(argv: Sequence[str]) -> int:
     subcommands = {
         "check": Subcommand("estimate calibration errors from images, with a report page", _check),
         "refine": Subcommand("adjust the calibrations to the images, and write them as a layer", _refine),
+        "intrinsics": Subcommand("estimate the lens of a camera from images of a calibration board", _intrinsics),
     }
     return run_subcommand(argv, "mirror calibrate", subcommands)
+
+
+def _intrinsics(argv: Sequence[str]) -> int:
+    from mirror.cli.calibrate_intrinsics import main as run
+
+    return run(argv)
 
 
 def _check(argv: Sequence[str]) -> int:

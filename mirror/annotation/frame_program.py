@@ -14,12 +14,15 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
 
 from mirror.annotation.detections import AnnotationError
 from mirror.dataset.frames import Frame
 from mirror.errors import UsageError
 from mirror.schema.strict_json import decode_json
+
+_MAX_LINE: Final = 16 << 20
+_POLL_S: Final = 0.1
 
 
 class FrameProgram:
@@ -113,13 +116,25 @@ class _Program:
             raise UsageError(
                 f"the program cannot be started: {error.strerror}", file=command[0], expected="a program that runs"
             ) from error
-        self._lines: queue.Queue[bytes | None] = queue.Queue()
+        # One line is asked for at a time: a program that writes more waits in its pipe.
+        self._lines: queue.Queue[bytes | None] = queue.Queue(maxsize=1)
+        self._is_stopped = threading.Event()
         threading.Thread(target=self._read, args=(self._process.stdout,), daemon=True).start()
 
     def _read(self, pipe: IO[bytes]) -> None:
-        while line := pipe.readline():
-            self._lines.put(line)
-        self._lines.put(None)
+        while line := pipe.readline(_MAX_LINE + 1):
+            self._hand_over(line)
+            if len(line) > _MAX_LINE or self._is_stopped.is_set():
+                return
+        self._hand_over(None)
+
+    def _hand_over(self, line: bytes | None) -> None:
+        while not self._is_stopped.is_set():
+            try:
+                self._lines.put(line, timeout=_POLL_S)
+                return
+            except queue.Full:
+                continue
 
     def ask(self, request: Mapping[str, Any], limit_s: float) -> dict[str, Any]:
         """Send a request and wait for its answer."""
@@ -139,6 +154,11 @@ class _Program:
         if line is None:
             code = self._process.wait()
             raise AnnotationError(f"the program ended with {code} before it answered", place="subprocess")
+        if len(line) > _MAX_LINE:
+            raise AnnotationError(
+                f"the answer {line[:60]!r} has no end after {_MAX_LINE >> 20} MiB", place="subprocess",
+                expected="one line of JSON a frame",
+            )  # fmt: skip
         try:
             answer = decode_json(line)
         except ValueError as error:
@@ -153,6 +173,7 @@ class _Program:
 
     def stop(self) -> None:
         """Kill the process."""
+        self._is_stopped.set()
         self._process.kill()
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):

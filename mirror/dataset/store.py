@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 import pyarrow as pa
 
 from mirror.dataset.generation import Generation
-from mirror.errors import DatasetError, SchemaError, UsageError
+from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.schema.files import Model, parse_json
 from mirror.schema.links import require_inside
 
@@ -23,7 +23,24 @@ _READERS: Final = {"s3": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "abfs": "adlfs",
 """Packages that fsspec needs to read URLs, by scheme."""
 
 _REMOTE_REQUESTS: Final = 16
+_PIECE: Final = 1 << 20
 _REMEDY: Final = "run `mirror index` if the file lies under index/, else restore it or ingest the recording again"
+
+
+class ReadError(Exception):
+    """A file that cannot be read.
+
+    Args:
+        reason: the error of its file system.
+
+    Attributes:
+        is_missing: whether there is no such file.
+    """
+
+    def __init__(self, reason: Exception) -> None:
+        super().__init__(str(reason))
+        self.reason = reason
+        self.is_missing = isinstance(reason, FileNotFoundError | NotADirectoryError)
 
 
 class Store:
@@ -115,16 +132,31 @@ class Store:
             return self.read_stable(path, Path.read_bytes)
         return bytes(self._remote[0].cat_file(self._remote_path(path)))
 
-    def read_or_error(self, path: str) -> bytes | Exception:
-        """Read the bytes of one file; returns the error of the file system, whatever its type, if that fails."""
+    def pieces(self, path: str, limit: int) -> Iterator[bytes]:
+        """Read one file piece by piece, and stop after a number of bytes, however long the file is.
+
+        Raises:
+            ReadError: the file cannot be read, for whatever reason its file system has.
+        """
+        try:
+            with self._open_stream(path) as file:
+                while limit > 0 and (piece := file.read(min(limit, _PIECE))):
+                    limit -= len(piece)
+                    yield bytes(piece)
+        except (GeneratorExit, MirrorError):
+            raise
+        except Exception as error:
+            # Each file system of fsspec has errors of its own, which have no common base.
+            raise ReadError(error) from error
+
+    def _open_stream(self, path: str) -> Any:
         if self.folder is not None:
-            try:
-                return self.read(path)
-            except OSError as error:
-                return error
-        full = self._remote_path(path)
-        result = self._remote[0].cat([full], on_error="return")[full]
-        return result if isinstance(result, Exception) else bytes(result)
+            return self.read_stable(path, lambda place: place.open("rb"))
+        filesystem = self._remote[0]
+        protocols = filesystem.protocol
+        # With blocks, the file system for HTTP asks for ranges, and reads all bytes of a server that ignores them.
+        is_http = bool({"http", "https"} & set((protocols,) if isinstance(protocols, str) else protocols))
+        return filesystem.open(self._remote_path(path), "rb", **({"block_size": 0} if is_http else {}))
 
     def read_many(self, paths: Sequence[str]) -> dict[str, bytes]:
         """Read the bytes of the existing files among some, by path. Remote files are fetched in parallel."""

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mirror.dataset.store import Store
+from mirror.dataset.store import ReadError, Store
 from mirror.errors import DatasetError, MirrorError
 from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import FileEntry
-from mirror.schema.files import parse_json, sha256_bytes, write_bytes
+from mirror.schema.files import TEMPORARY, parse_json, unwritable_error, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
+from mirror.weights.resolve import file_sha256
 
 _THREADS: Final = 8
 _ATTEMPTS: Final = 3
+_MAX_BUNDLE: Final = 128 << 20
 _LAST: Final = "dataset.json"
 """Written after all other files: a folder without it is not a dataset."""
 
@@ -57,7 +61,7 @@ def fetch(url: str, out: Path, *, progress: ProgressReporter | None = None) -> F
     reporter = progress or NullProgress()
     require_output_folder(out, FolderKind.BUNDLE)
     store = Store(url)
-    text = _read_with_retries(store, BUNDLE)
+    text = _read_bundle(store)
     bundle = parse_json(text, Bundle, store.full_path(BUNDLE))
     if (out / BUNDLE).is_file() and (out / BUNDLE).read_bytes() != text:
         raise DatasetError(
@@ -92,32 +96,76 @@ def fetch(url: str, out: Path, *, progress: ProgressReporter | None = None) -> F
 
 def _get(store: Store, name: str, entry: FileEntry, path: Path) -> bool:
     """Fetch a file; returns whether it was fetched, and not there already."""
-    if path.is_file() and path.stat().st_size == entry.bytes and sha256_bytes(path.read_bytes()) == entry.sha256:
+    if path.is_file() and path.stat().st_size == entry.bytes and file_sha256(path) == entry.sha256:
         return False
-    data = _read_with_retries(store, name, lambda data: sha256_bytes(data) == entry.sha256)
-    write_bytes(path, data)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _try_again(store, name, lambda: _stream(store, name, entry, temporary))
+        temporary.replace(path)
+    except OSError as error:
+        raise unwritable_error(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
     return True
 
 
-def _read_with_retries(store: Store, name: str, is_right: Callable[[bytes], bool] = lambda data: True) -> bytes:
-    problem = "the bytes differ from the hash in bundle.json"
+def _stream(store: Store, name: str, entry: FileEntry, path: Path) -> str | None:
+    """Write a file piece by piece; returns what is wrong with it. No more than the stated bytes are read."""
+    digest, count = hashlib.sha256(), 0
+    with path.open("wb") as file:
+        for piece in store.pieces(name, entry.bytes + 1):
+            count += len(piece)
+            digest.update(piece)
+            file.write(piece)
+    if count > entry.bytes:
+        return f"longer than the {entry.bytes} bytes in bundle.json"
+    return None if digest.hexdigest() == entry.sha256 else "the bytes differ from the hash in bundle.json"
+
+
+def _read_bundle(store: Store) -> bytes:
+    pieces: list[bytes] = []
+
+    def read() -> str | None:
+        pieces[:] = store.pieces(BUNDLE, _MAX_BUNDLE + 1)
+        is_long = sum(map(len, pieces)) > _MAX_BUNDLE
+        return f"longer than {_MAX_BUNDLE >> 20} MiB: not a bundle of `mirror dataset publish`" if is_long else None
+
+    _try_again(store, BUNDLE, read)
+    return b"".join(pieces)
+
+
+def _try_again(store: Store, name: str, read: Callable[[], str | None]) -> None:
+    """Read a file until nothing is wrong with it.
+
+    Args:
+        store: the bundle.
+        name: the file.
+        read: reads the file, and returns what is wrong with it.
+
+    Raises:
+        DatasetError: the file is missing, or each attempt failed.
+    """
+    problem: str | None = None
     for _ in range(_ATTEMPTS):
-        data = store.read_or_error(name)
-        if isinstance(data, FileNotFoundError | NotADirectoryError):
+        try:
+            problem = read()
+        except ReadError as error:
+            if not error.is_missing:
+                problem = f"cannot be read: {error.reason}"
+                continue
             if name == BUNDLE:
                 raise DatasetError(
                     f"not a published dataset: {BUNDLE} is missing",
                     file=store.root,
                     expected="the folder or URL of a bundle that `mirror dataset publish` wrote",
                     remedy="check the address",
-                )
+                ) from error
             raise DatasetError(
                 "missing", file=store.full_path(name), expected="a file of a bundle that `mirror dataset publish` wrote"
-            )
-        if isinstance(data, Exception):
-            problem = f"cannot be read: {data}"
-        elif is_right(data):
-            return data
+            ) from error
+        if problem is None:
+            return
     raise DatasetError(
-        problem, file=store.full_path(name), remedy="run the same command again: it resumes where it stopped"
+        str(problem), file=store.full_path(name), remedy="run the same command again: it resumes where it stopped"
     )

@@ -12,6 +12,7 @@ from mirror.dataset.store import Store
 from mirror.errors import RecordingError
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.staging import Staging
+from mirror.recordings.raster import is_decodable
 from mirror.recordings.weather import classify_weather
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
@@ -53,7 +54,7 @@ def _decode(store: Store, uri: str, byte_length: int) -> UInt8:
         data = store.read_range(uri, 0, byte_length)
     except OSError as error:
         raise _broken(store, uri, f"cannot be read: {error}") from error
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if data else None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB) if is_decodable(data) else None
     if image is None:
         raise _broken(store, uri, "cannot be decoded")
     return np.asarray(image, np.uint8)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,6 +17,7 @@ from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
 from mirror.schema.problems import describe_problem
+from mirror.schema.strict_toml import TomlError, decode_toml
 
 ScoringTask = Literal[
     "reconstruction",
@@ -268,8 +268,8 @@ def parse_protocol(data: bytes, file: str) -> Protocol:
         SchemaError: the data is not TOML, or a key is invalid; the message names the key.
     """
     try:
-        return Protocol.model_validate(tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return Protocol.model_validate(decode_toml(data))
+    except TomlError as error:
         raise SchemaError(f"not TOML ({error})", file=file, expected="a protocol") from error
     except ValidationError as error:
         first = error.errors()[0]

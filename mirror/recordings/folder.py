@@ -28,6 +28,7 @@ from mirror.recordings.folder_images import image_stream
 from mirror.recordings.opening import find_file, read_file, require_file
 from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.raster import MAX_PIXELS, is_decodable
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.tabular import RecordingRows, read_rows
 from mirror.recordings.time import TIME_BASES
@@ -107,11 +108,11 @@ class FolderRecording:
 
         require_inside(self.path, name, file=self.path / DOCUMENT_NAME, place=f"cameras.{camera}.static_mask")
         file = find_file(self.path, name)
-        data = np.frombuffer(read_file(file), np.uint8) if file is not None else np.empty(0, np.uint8)
-        mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        data = read_file(file) if file is not None else b""
+        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if is_decodable(data) else None
         if mask is None:
             raise RecordingError(
-                "the mask is missing" if file is None else "the mask is not an image",
+                "the mask is missing" if file is None else f"the mask is no image of at most {MAX_PIXELS} pixels",
                 file=self.path / name,
                 place=f"camera {camera}",
                 expected="a PNG of the camera's raster",

@@ -20,6 +20,9 @@ from mirror.errors import RecordingError
 TAIL_BYTES: Final = 4096
 """Largest distance of the end marker from the end of an image's bytes: cameras add padding after it."""
 
+MAX_PIXELS: Final = 1 << 28
+"""Images with more pixels are not decoded; cameras have up to 1.5 * 10^8."""
+
 _STARTS: Final = {"jpeg": b"\xff\xd8", "png": b"\x89PNG\r\n\x1a\n"}
 _ENDS: Final = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
 _SOI, _EOI, _SOS, _TEM = 0xD8, 0xD9, 0xDA, 0x01
@@ -48,6 +51,15 @@ def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
         RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.
     """
     return _check_structure(data, file, complete=False)
+
+
+def is_decodable(data: bytes) -> bool:
+    """Whether the header of a JPEG or PNG states a size that a camera can have: a small file can hold 10^9 pixels."""
+    try:
+        width, height = read_raster_size(data, "image")
+    except RecordingError:
+        return False
+    return 0 < width * height <= MAX_PIXELS
 
 
 def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from mirror.schema.links import is_file_name
 from mirror.schema.version import SCHEMA_VERSION
 
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$"
@@ -27,8 +28,10 @@ def require_inner_path(name: str) -> str:
     """Require that a path leads to a file below its folder; a validator of documents.
 
     Raises:
-        ValueError: it is absolute, goes up, or is not in its shortest form.
+        ValueError: it is absolute, goes up, is not in its shortest form, or no file system has such a name.
     """
+    if not is_file_name(name):
+        raise ValueError(f"the path {name[:40]!r}... is no name of a file")
     path = PurePosixPath(name)
     if not path.parts or path.is_absolute() or ".." in path.parts or "\\" in name or str(path) != name:
         raise ValueError(f"the path {name!r} leads out of its folder")

@@ -9,8 +9,12 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
+from typing import Final
 
 from mirror.errors import DatasetError
+
+_MAX_PART: Final = 255
+_MAX_PATH: Final = 4095
 
 
 def require_inside(root: Path, path: str | Path) -> Path:
@@ -24,8 +28,14 @@ def require_inside(root: Path, path: str | Path) -> Path:
         The path below the folder.
 
     Raises:
-        DatasetError: the path leads out of the folder, by a link or by ``..``.
+        DatasetError: the path leads out of the folder, by a link or by ``..``, or no file system has such a name.
     """
+    if not is_file_name(path):
+        raise DatasetError(
+            f"{str(path)[:40]!r}... is no name of a file",
+            file=root,
+            expected=f"a path without NUL, of at most {_MAX_PART} bytes in a part and {_MAX_PATH} in all",
+        )
     place = root / path
     if not _has_link(root, path):
         return place
@@ -33,6 +43,12 @@ def require_inside(root: Path, path: str | Path) -> Path:
     if not _is_below(target, os.path.realpath(root)):
         raise _leads_out_error(place, target)
     return place
+
+
+def is_file_name(path: str | Path) -> bool:
+    """Whether a file system can have a path: no NUL, at most 255 bytes in a part and 4095 in all."""
+    data = os.fsencode(path)
+    return b"\0" not in data and len(data) <= _MAX_PATH and max(map(len, data.split(b"/"))) <= _MAX_PART
 
 
 def refuse_links_out(root: Path) -> None:

@@ -7,7 +7,6 @@ is in `mirror.schema.behaviours`.
 from __future__ import annotations
 
 import json
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -19,6 +18,7 @@ from mirror.schema.behaviours import Behaviour, CrossingPedestrian, Idm, Replay,
 from mirror.schema.documents import Document, Identifier
 from mirror.schema.files import write_bytes
 from mirror.schema.problems import describe_problem
+from mirror.schema.strict_toml import TomlError, decode_toml
 
 SCENARIO_VERSION: Final = "1.0"
 """Version of the format of a scenario document."""
@@ -227,8 +227,8 @@ def parse_scenario(data: bytes, file: str) -> Scenario:
         SchemaError: the data is not TOML, or does not follow the schema; the message names the key.
     """
     try:
-        return Scenario.model_validate(tomllib.loads(data.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return Scenario.model_validate(decode_toml(data))
+    except TomlError as error:
         raise SchemaError(f"not TOML ({error})", file=file, expected="a scenario") from error
     except ValidationError as error:
         first = error.errors()[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import resource
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -288,3 +289,54 @@ def test_a_published_bundle_is_trained_on_and_its_submission_is_scored(
     write_manifest(out, make_manifest(plan, Method(name="one layer"), Appearance(policy="none"), None))
     result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1)).result
     assert {figure.metric for figure in result.figures} >= {"psnr", "ssim"}
+
+
+class _Endless(SimpleHTTPRequestHandler):
+    """Answers one path with a body that does not end, without a length."""
+
+    endless = "bundle.json"
+    sent = 0
+
+    def do_GET(self) -> None:
+        if self.path.lstrip("/") != type(self).endless:
+            super().do_GET()
+            return
+        self.send_response(200)
+        self.end_headers()
+        block = b" " * (1 << 20)
+        try:
+            while type(self).sent < 4 << 30:
+                self.wfile.write(block)
+                type(self).sent += len(block)
+        except OSError:
+            return
+
+    def do_HEAD(self) -> None:
+        self.do_GET() if self.path.lstrip("/") == type(self).endless else super().do_HEAD()
+
+    def log_message(self, *arguments: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("endless", ["bundle.json", "LICENSE"])
+def test_an_endless_body_is_not_read_to_its_end(bundle: Path, tmp_path: Path, endless: str) -> None:
+    pytest.importorskip("aiohttp")
+    _Endless.endless, _Endless.sent = endless, 0
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Endless, directory=str(bundle)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    url = f"http://127.0.0.1:{server.server_port}"
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    try:
+        if endless == "bundle.json":
+            with pytest.raises(DatasetError, match="longer than 128 MiB"):
+                fetch(url, tmp_path / "out")
+        else:
+            report = fetch(url, tmp_path / "out")
+            assert [name for name, _ in report.failed] == [endless]
+            assert "longer than" in report.failed[0][1]
+    finally:
+        server.shutdown()
+    # Three attempts of 128 MiB, and what the sockets hold.
+    assert _Endless.sent < 600 << 20
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 600 << 10
+    assert not list(tmp_path.rglob("*.tmp"))

@@ -14,14 +14,22 @@ from functools import cache
 import numpy as np
 
 from mirror.arrays import UInt8
-from mirror.recordings.raster import has_end_marker
+from mirror.recordings.raster import has_end_marker, is_decodable
 
 
 def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
-    """Decode a JPEG or PNG to pixels (H, W, 3), RGB, ignoring its EXIF orientation; None: broken or cut short."""
+    """Decode a JPEG or PNG to pixels (H, W, 3), RGB, ignoring its EXIF orientation.
+
+    Args:
+        data: the encoded bytes.
+        codec: ``jpeg`` or ``png``.
+
+    Returns:
+        The pixels; None: broken, cut short, or larger than any camera's raster.
+    """
     import cv2
 
-    if not data or not has_end_marker(data, codec):
+    if not is_decodable(data) or not has_end_marker(data, codec):
         return None
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -29,10 +37,12 @@ def decode_rgb(data: bytes, codec: str) -> UInt8 | None:
 
 
 def decode_grey(data: bytes) -> UInt8 | None:
-    """Decode a one-channel PNG to pixels (H, W); None: broken."""
+    """Decode a one-channel PNG to pixels (H, W); None: broken, or larger than any camera's raster."""
     import cv2
 
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    if not is_decodable(data):
+        return None
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     return None if pixels is None else np.asarray(pixels, np.uint8)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Float32
 from mirror.errors import UsageError
+from mirror.recordings.raster import is_decodable
 
 NEAREST_M: Final = 0.1
 FARTHEST_M: Final = 10_000.0
@@ -45,7 +46,7 @@ def decode_depth(data: bytes) -> Float32 | None:
     """Decode depths (H, W) along the camera's z axis in metres, NaN where unknown; None: no 16-bit PNG, or broken."""
     import cv2
 
-    steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    steps = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_decodable(data) else None
     if steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
         return None
     return _DEPTH_OF_STEP[steps]

@@ -10,6 +10,7 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.errors import DatasetError, UsageError
+from mirror.recordings.raster import is_decodable
 from mirror.weights.resolve import file_sha256
 
 
@@ -38,7 +39,7 @@ class MaskFiles:
         """
         file = self._file(name)
         data = file.read_bytes() if file.is_file() else b""
-        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if is_decodable(data) else None
         if mask is None or mask.shape != counted.shape:
             height, width = counted.shape
             raise DatasetError(

@@ -13,6 +13,7 @@ import numpy as np
 from ncore.data.v4 import CameraSensorComponent, MasksComponent
 
 from mirror.arrays import UInt8
+from mirror.recordings.raster import is_decodable
 
 _FORMATS: Final = {"jpeg": "jpeg", "jpg": "jpeg", "png": "png"}
 _EGO: Final = "ego"
@@ -46,7 +47,7 @@ class MaskReader(MasksComponent.Reader):
         if camera not in self._group["cameras"] or _EGO not in self.get_camera_mask_names(camera):
             return None
         data = _stored_bytes(self._group["cameras"][camera][_EGO], store)
-        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if is_decodable(data) else None
         if mask is None:
             raise ValueError(f"the mask {_EGO} of {camera} cannot be decoded")
         return mask  # type: ignore[return-value]

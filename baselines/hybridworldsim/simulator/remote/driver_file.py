@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Final, Literal
 
@@ -12,6 +11,7 @@ from hybridworldsim.simulator.remote.lenses import Lens
 from mirror.errors import SchemaError, UsageError
 from mirror.schema.documents import Document
 from mirror.schema.problems import describe_problem
+from mirror.schema.strict_toml import TomlError, decode_toml
 
 FRONT_WIDE: Final = "camera_front_wide_120fov"
 
@@ -45,10 +45,10 @@ def read_driver_file(path: Path) -> DriverFile:
         SchemaError: the file is not TOML, or a key is unknown or wrong.
     """
     try:
-        return DriverFile.model_validate(tomllib.loads(path.read_bytes().decode()))
+        return DriverFile.model_validate(decode_toml(path.read_bytes()))
     except OSError as error:
         raise UsageError(f"cannot be read: {error.strerror}", file=path, expected="the TOML of a driver") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except TomlError as error:
         raise SchemaError(f"not TOML ({error})", file=path, expected="the TOML of a driver") from error
     except ValidationError as error:
         first = error.errors()[0]

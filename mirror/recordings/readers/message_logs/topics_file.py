@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -17,6 +16,7 @@ from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.decoding import RAW_IMAGES, kind_of
 from mirror.schema.documents import Document, Identifier
 from mirror.schema.problems import describe_problem
+from mirror.schema.strict_toml import TomlError, decode_toml
 
 CANONICAL: Final = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
 _STRICT: Final = "a topics file as docs/recordings.md describes it"
@@ -105,8 +105,8 @@ def read_topics_file(file: Path) -> TopicsFile:
         RecordingError: it is missing, not TOML, or a key is not as specified; the key is named.
     """
     try:
-        return TopicsFile.model_validate(tomllib.loads(read_file(file).decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return TopicsFile.model_validate(decode_toml(read_file(file)))
+    except TomlError as error:
         raise RecordingError(f"is not TOML ({error})", file=file, expected=_STRICT, remedy="correct it") from error
     except ValidationError as error:
         first = error.errors()[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from collections.abc import Callable
@@ -151,6 +152,8 @@ def _try_again(store: Store, name: str, read: Callable[[], str | None]) -> None:
         try:
             problem = read()
         except ReadError as error:
+            if getattr(error.reason, "errno", None) == errno.ENAMETOOLONG:
+                raise error.reason from None
             if not error.is_missing:
                 problem = f"cannot be read: {error.reason}"
                 continue

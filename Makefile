@@ -5,7 +5,7 @@ STAMP := $(VENV)/.installed
 # Without bytecode each of the hundreds of processes of the tests compiles every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test fuzz peers lint mutants wheel clean
+.PHONY: demo test fuzz peers processors lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
@@ -27,6 +27,10 @@ fuzz: $(STAMP)
 # Environments of other toolkits in build/peers; what they read of our files is written to tests/peers.
 peers: $(STAMP)
 	$(BIN)/python -m tests.peers
+
+# The numerical rooms once more, with the BLAS kernels and the instruction sets of other processors.
+processors: $(STAMP)
+	$(BIN)/python -m tests.processors
 
 # The wheel, and `mirror demo --quick` from it without the packages of any extra.
 wheel: $(STAMP)

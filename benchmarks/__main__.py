@@ -13,7 +13,7 @@ from mirror.errors import ExitCode
 from mirror.stops import run_process
 
 _HERE: Final = Path(__file__).parent
-_NO_BENCHMARKS: Final = ("__main__", "report", "studies")
+_NO_BENCHMARKS: Final = ("__main__", "processors", "report", "studies")
 _STUDIES: Final = "studies"
 FORMER_NAMES: Final = {"reconstruction": "static_reconstruction", "colour_attacks": "attacks"}
 """Names that are still accepted, and what they are called now."""

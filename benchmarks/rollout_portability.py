@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks._processors import INSTRUCTION_SETS, restricted
+from benchmarks.processors import INSTRUCTION_SETS, restricted
 from benchmarks.report import Row, report
 
 _COLUMNS: Final = ("x_m", "y_m", "yaw_rad", "vx_mps", "vy_mps")

@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks._processors import INSTRUCTION_SETS, restricted
+from benchmarks.processors import INSTRUCTION_SETS, restricted
 from benchmarks.report import Row, report
 
 

@@ -12,7 +12,7 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks._processors import INSTRUCTION_SETS
+from benchmarks.processors import INSTRUCTION_SETS
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (

@@ -26,7 +26,6 @@ _BUILD_EXAMPLES = (
     "mirror leaderboard build --board demo/board --unsigned --out site",
 )
 _ADD_EXAMPLES = (
-    "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street' --board board",
     "mirror leaderboard add demo/results/mean_color/result.json demo/dataset --dataset-name 'my street'"
     " --submission demo/submissions/mean_color --board board",
     "mirror leaderboard add scores/result.json rollouts --dataset-name 'my street' --street synth:block"

@@ -27,8 +27,8 @@ from mirror.protocols.views import RenderView, plan_views
 from mirror.protocols.views.view import to_pose
 from mirror.synth.hidden_truth import write_hidden_truth
 from mirror_baselines.edited_recordings import EDITED_RECORDINGS
+from tests.evaluation.colours import Colours
 from tests.evaluation.submissions import SPLIT, write_renders
-from tests.evaluation.test_tasks import Colours
 
 MOVED = ("left-1m", "left-2m")
 SSIM = Ssim(metric="ssim", preset="gaussian11", mask="map")

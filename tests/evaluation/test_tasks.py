@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mirror.arrays import Float32, UInt8
+from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.evaluation.extractors import make_extractor
@@ -40,6 +40,7 @@ from mirror.protocols.views.edited_region import target_hull
 from mirror.schema.files import read_json, write_json
 from mirror.synth import hidden_truth as synthetic
 from mirror.synth.hidden_truth import write_hidden_truth
+from tests.evaluation.colours import Colours
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
 ALONE = EvaluationOptions(workers=1)
@@ -131,25 +132,6 @@ def test_hidden_truth_is_required_and_its_errors_are_not_the_submissions(
         scored("plain", small(), hidden=hidden)
     with pytest.raises(UsageError, match="extracts no regions"):
         scored("plain", small(), extractor="file:/nope")
-
-
-class Colours:
-    """An extractor with simple features: the mean colours of four quarters."""
-
-    name = identity = "colours"
-    batch, computed = 4, 0
-
-    def prepare(self, pixels: UInt8):
-        import torch
-
-        while pixels.ndim > 3:
-            pixels = pixels.mean(axis=0)
-        middle = pixels.shape[0] // 2, pixels.shape[1] // 2
-        parts = [part for half in np.split(pixels, middle[:1], axis=0) for part in np.split(half, middle[1:], axis=1)]
-        return torch.tensor(np.concatenate([part.reshape(-1, 3).mean(axis=0) for part in parts]).astype(np.float32))
-
-    def run(self, prepared) -> Float32:
-        return prepared.numpy()
 
 
 FID = '[[metrics]]\nmetric = "fid"\nmode = "clean"\n[[metrics]]\nmetric = "kid"\nmode = "clean"\n'

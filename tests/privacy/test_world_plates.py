@@ -24,7 +24,6 @@ from mirror.privacy.release.review import ReviewSession
 from mirror.privacy.run import deidentify
 from mirror.weights.errors import WeightsUnavailableError
 from tests.privacy.conftest import make_dataset, options
-from tests.privacy.test_release import WORDS
 
 FULL = RegionRecall(plates=50, covered=50, near_plates=20, near_covered=20)
 
@@ -96,7 +95,8 @@ def test_a_dataset_with_plates_from_anywhere_is_released_only_after_a_review(tmp
     make_dataset(tmp_path / "dataset")
     given = options("faces", "plates@ANY", plate_region="any")
     assert deidentify(tmp_path / "dataset", given).exit_code() == 0
-    command = ["release", "build", str(tmp_path / "dataset"), "--out", str(tmp_path / "release"), *WORDS]
+    about = ("--name", "street", "--licence", "CC-BY-4.0", "--contact", "privacy@example.org")
+    command = ["release", "build", str(tmp_path / "dataset"), "--out", str(tmp_path / "release"), *about]
     # A small sample does not do, though all of it is reviewed: there are 18 images.
     _review(tmp_path / "dataset", 5)
     assert main([*command, "--sample", "5"]) == 1 and not (tmp_path / "release").exists()

@@ -19,7 +19,8 @@ from mirror.cli.verbs import all_commands
 from mirror.installation import NAME, install_command, upgrade_command
 
 ROOT = Path(__file__).parents[1]
-OF_THEIR_OWN = ("annotate", "calibrate", "export", "generate", "release", "rois", "submission", "leaderboard")
+_NESTED = "annotate calibrate export generate leaderboard protocols release rois submission"
+OF_THEIR_OWN = frozenset(re.findall("[a-z]+", _NESTED))
 """Verbs that have verbs of their own."""
 
 

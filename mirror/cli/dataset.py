@@ -52,6 +52,8 @@ class Publish:
         tuple[str, ...], tyro.conf.UseAppendAction, help_text(default="static-reconstruction", metavar="NAME")
     ] = ()
     """Protocol whose images are withheld too, or path of its .toml file."""
+    masks: bool = True
+    """--no-masks: road users are scored, by the protocol NAME-unmasked, for recordings without boxes and masks."""
     name: Annotated[str | None, help_text(default="the folder's name", metavar="TITLE")] = None
     """Title of the dataset."""
     licence: Annotated[str | None, help_text(default="that of the dataset", metavar="SPDX")] = None
@@ -118,7 +120,9 @@ def _publish(argv: Sequence[str]) -> int:
 
     options = PublishOptions(
         split=arguments.split,
-        protocols=tuple(load_protocol(name) for name in arguments.protocol or ("static-reconstruction",)),
+        protocols=tuple(
+            load_protocol(name, masked=arguments.masks) for name in arguments.protocol or ("static-reconstruction",)
+        ),
         name=arguments.name or arguments.dataset.resolve().name,
         licence=arguments.licence,
         contact=arguments.contact,

@@ -7,7 +7,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -136,6 +136,8 @@ def main(argv: Sequence[str]) -> int:
     if arguments.out is None and not arguments.dry_run:
         raise UsageError("no dataset folder given", place="--out", expected="--out DATASET, or --dry-run")
 
+    from mirror.dataset.dataset import open as open_dataset
+    from mirror.dataset.missing import find_missing
     from mirror.ingest.request import IngestOptions
     from mirror.ingest.rois import parse_roi, read_rois
     from mirror.ingest.run import ingest_recordings
@@ -171,11 +173,15 @@ def main(argv: Sequence[str]) -> int:
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
         report = ingest_recordings(search.recordings, rois, out, options, bar)
+    missing = [] if arguments.dry_run or not report.traversals else find_missing(open_dataset(out))
     if arguments.json:
         passed_over = [str(path) for path in search.passed_over]
-        print(json.dumps({**_plain(report, out), "passed_over": passed_over}))
+        plain = {**_plain(report, out), "passed_over": passed_over, "missing": [asdict(one) for one in missing]}
+        print(json.dumps(plain))
     else:
         _print(report, out, dry_run=arguments.dry_run)
+        for one in missing:
+            print(one)
         print_failures(report.failures, search.passed_over)
     if not report.failures:
         return ExitCode.DONE

@@ -50,6 +50,8 @@ class Arguments:
     """Wider images are scaled down to this width."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "static-reconstruction"
     """Protocol that gives the raster and the masks: a name, or the path of a .toml file."""
+    masks: bool = True
+    """--no-masks: road users are trained on, by the protocol NAME-unmasked, for recordings without boxes and masks."""
     hold_out: bool = False
     """Leave out the images of training traversals that the protocol asks for: neither colours nor depth are used.
     It makes a test possible where no traversal is held out."""
@@ -102,7 +104,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.protocols.document import load_protocol
 
     dataset = open_to_write(arguments.dataset).with_layers(calibrations=arguments.calibrations)
-    protocol = load_protocol(arguments.protocol)
+    protocol = load_protocol(arguments.protocol, masked=arguments.masks)
     scaled = protocol.model_copy(
         update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}
     )
@@ -163,4 +165,11 @@ def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> No
     if result.undone:
         print(f"not trained yet: {', '.join(result.undone)}; when they are, run the same command without --blocks")
         return
-    print(f"next: mirror render {arguments.dataset} {result.folder} --split {arguments.split} --out SUBMISSION")
+    split = f"--split {arguments.split}{_protocol_options(arguments)}"
+    print(f"next: mirror render {arguments.dataset} {result.folder} {split} --out SUBMISSION")
+
+
+def _protocol_options(arguments: Arguments) -> str:
+    """The options that choose the same protocol again, with a space before each."""
+    named = "" if arguments.protocol == Arguments.protocol else f" --protocol {arguments.protocol}"
+    return named if arguments.masks else f"{named} --no-masks"

@@ -55,6 +55,8 @@ class Arguments:
     """Split to write a submission for. Excludes --trajectory."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "static-reconstruction"
     """Name of a protocol, or path of its .toml file."""
+    masks: bool = True
+    """--no-masks: road users are scored, by the protocol NAME-unmasked, for recordings without boxes and masks."""
     trajectory: Annotated[str | None, help_text(default="none")] = None
     """A traversal, lane-shift:METRES to its left, forward:METRES ahead of it, or a CSV or Parquet file of poses
     (qw qx qy qz tx_m ty_m tz_m in the world frame of the scene; timestamp_ns, or else --hz). Excludes --split."""
@@ -132,7 +134,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
     name, models = _models(arguments.model)
-    split, protocol = str(arguments.split), load_protocol(arguments.protocol)
+    split, protocol = str(arguments.split), load_protocol(arguments.protocol, masked=arguments.masks)
     documents = {scene: read_reconstruction(model) for scene, model in models.items()}
     for document in documents.values():
         require_matching_split(dataset, split, document)

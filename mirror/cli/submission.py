@@ -45,6 +45,8 @@ class New:
     """Name of the split."""
     out: Annotated[Path, help_text(metavar="FOLDER")]
     """A new or empty folder, or the folder of an interrupted run with the same options."""
+    masks: bool = True
+    """--no-masks: road users are scored, by the protocol NAME-unmasked, for recordings without boxes and masks."""
     blind: bool = False
     """Leave out the paths of recorded images, for participants who do not have the dataset."""
     json: bool = False
@@ -110,7 +112,7 @@ def _new(argv: Sequence[str]) -> int:
     from mirror.protocols.truth.source import GroundTruth
     from mirror.protocols.views import plan_views
 
-    dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol)
+    dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol, masked=arguments.masks)
     plan = plan_views(dataset, protocol, arguments.split)
     truth = GroundTruth(dataset, protocol, plan.layers)
     with progress_bar(quiet=arguments.json) as bar:

@@ -36,6 +36,7 @@ _OWN: Final[dict[str, tuple[Group, str]]] = {
     "reconstruct": ("reconstruction", "train a static model of a scene from its training traversals"),
     "render": ("reconstruction", "render a model: a submission, or a new trajectory as video"),
     "export-ply": ("reconstruction", "write a model as the PLY of 3D Gaussian Splatting, for viewers"),
+    "protocols": ("benchmark", "list the protocols, or print one as TOML"),
     "submission": ("benchmark", "write the template of a submission, or check one"),
     "evaluate": ("benchmark", "score a submission by a protocol"),
     "compare": ("benchmark", "compare results, with paired significance"),

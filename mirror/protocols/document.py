@@ -6,7 +6,7 @@ import hashlib
 import json
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -29,6 +29,7 @@ ScoringTask = Literal[
     "runtime",
     "safety",
 ]
+_UNMASKED: Final = "-unmasked"
 Slug = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.\-]{0,39}$")]
 
 
@@ -229,11 +230,29 @@ def protocol_names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
-def load_protocol(name: str) -> Protocol:
-    """Load a protocol by its name, or from a path that ends in ``.toml``.
+def read_definition(name: str) -> bytes:
+    """Read the TOML of a protocol that comes with the toolkit.
 
     Raises:
-        UsageError: no protocol has that name, or the file cannot be read.
+        UsageError: no protocol has that name.
+    """
+    known = protocol_names()
+    if name not in known:
+        raise UsageError(
+            f"no protocol {name!r}", expected=f"one of {', '.join(known)}, or the path of a protocol's .toml"
+        )
+    return files("mirror.protocols").joinpath("definitions", f"{name}.toml").read_bytes()
+
+
+def load_protocol(name: str, *, masked: bool = True) -> Protocol:
+    """Load a protocol by its name, or from a path that ends in ``.toml``.
+
+    Args:
+        name: name or path.
+        masked: False: load the protocol that does not mask road users and agrees with this one in everything else.
+
+    Raises:
+        UsageError: no protocol has that name, none agrees with it without masks, or the file cannot be read.
         SchemaError: the file is invalid; the message names the key.
 
     Example:
@@ -244,17 +263,24 @@ def load_protocol(name: str) -> Protocol:
     if name.endswith(".toml"):
         path = Path(name)
         try:
-            return parse_protocol(path.read_bytes(), str(path))
+            protocol = parse_protocol(path.read_bytes(), str(path))
         except OSError as error:
             raise UsageError(f"cannot be read: {error.strerror}", file=path, expected="a protocol's TOML") from error
-    known = protocol_names()
-    if name not in known:
+    else:
+        protocol = parse_protocol(read_definition(name), f"{name}.toml")
+    if masked or not protocol.masks.dynamic:
+        return protocol
+    sibling = f"{name}{_UNMASKED}"
+    if sibling not in protocol_names():
+        shown = name if name in protocol_names() else f"static-reconstruction{_UNMASKED}"
         raise UsageError(
-            f"no protocol {name!r}", expected=f"one of {', '.join(known)}, or the path of a protocol's .toml"
+            f"protocol {name} masks road users, and no protocol of the toolkit is the same without masks",
+            place="--no-masks",
+            expected=" or ".join(one.removesuffix(_UNMASKED) for one in protocol_names() if one.endswith(_UNMASKED)),
+            remedy=f"`mirror protocols show {shown} > mine.toml`, write dynamic = [] under [masks] and another name, "
+            "and give --protocol mine.toml",
         )
-    return parse_protocol(
-        files("mirror.protocols").joinpath("definitions", f"{name}.toml").read_bytes(), f"{name}.toml"
-    )
+    return load_protocol(sibling)
 
 
 def parse_protocol(data: bytes, file: str) -> Protocol:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 
 from mirror.errors import SchemaError, UsageError
 from mirror.evaluation.scorers import TASKS, load_scorer
-from mirror.protocols.document import Protocol, load_protocol, parse_protocol, protocol_names
+from mirror.protocols.document import Protocol, load_protocol, parse_protocol, protocol_names, read_definition
 from tests.evaluation.submissions import small
 
 
@@ -84,5 +85,26 @@ def test_hashes_of_shipped_protocols_are_unchanged() -> None:
         ("safety", 2): "e345a3ae",
         ("static-reconstruction", 3): "7066fd9b",
         ("static-reconstruction-omnire", 2): "abfb52d3",
+        ("static-reconstruction-unmasked", 1): "023bfb6c",
         ("vehicle-translation", 2): "03c094f8",
     }
+
+
+def test_the_unmasked_protocol_differs_in_nothing_else() -> None:
+    masked, unmasked = load_protocol("static-reconstruction"), load_protocol("static-reconstruction", masked=False)
+    changed = {name for name in Protocol.model_fields if getattr(masked, name) != getattr(unmasked, name)}
+    assert changed == {"name", "version", "description", "masks"}
+    assert unmasked.masks == masked.masks.model_copy(update={"dynamic": ()})
+    assert load_protocol("generation", masked=False) == load_protocol("generation")
+
+
+@pytest.mark.parametrize("name", ["lane-shift", "mine.toml"])
+def test_a_protocol_without_an_unmasked_twin_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_bytes(read_definition("static-reconstruction"))
+    with pytest.raises(UsageError) as caught:
+        load_protocol(name, masked=False)
+    assert caught.value.place == "--no-masks"
+    assert name in str(caught.value) and "dynamic = []" in str(caught.value.remedy)

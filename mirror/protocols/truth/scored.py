@@ -79,7 +79,7 @@ def choose_dynamic_source(masks: Masks, layers: tuple[str, ...], *, moved: bool,
     raise DatasetError(
         f"traversal {traversal_id} has no layer to mask road users with",
         expected="a layer of boxes" if moved else f"a layer of {' or '.join(masks.dynamic)}",
-        remedy="annotate it, or choose another protocol",
+        remedy="annotate it, or give a --protocol with dynamic = [] under [masks]: `mirror protocols list`",
     )
 
 

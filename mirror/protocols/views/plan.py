@@ -19,7 +19,7 @@ from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses, to_pose_numbers
-from mirror.protocols.document import Frames, Group, Protocol
+from mirror.protocols.document import Frames, Group, Protocol, protocol_names
 from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.view import RenderView
@@ -217,9 +217,17 @@ def _require_maskable(dataset: Dataset, protocol: Protocol, layers: dict[str, tu
             f"{count_of(len(without), 'traversal')} with no layer to mask road users with, such as {without[0]}",
             file=dataset.root,
             expected=f"layers of kind {' or '.join(sorted(kinds))}",
-            remedy="annotate them, or score everything with a protocol of your own: --protocol FILE.toml with "
-            "dynamic = [] under [masks] (its figures are comparable only with its own)",
+            remedy="annotate them: `mirror annotate DATASET --annotator NAME`; or train on road users and score them: "
+            f"{_how_to_unmask(protocol)} (figures are comparable only with those of the same protocol)",
         )
+
+
+def _how_to_unmask(protocol: Protocol) -> str:
+    """The options that choose a protocol without masks."""
+    unmasked = f"{protocol.name}-unmasked"
+    if unmasked in protocol_names():
+        return f"--protocol {unmasked}"
+    return "--protocol FILE.toml with dynamic = [] under [masks], as `mirror protocols show` prints one"
 
 
 def find_group(protocol: Protocol, name: str) -> Group:

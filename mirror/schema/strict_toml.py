@@ -8,6 +8,8 @@ from typing import Any, Final
 _MAX_DEPTH: Final = 64
 """Documents of MIRROR have at most five levels."""
 
+_MAX_DOTS: Final = 1000
+
 
 class TomlError(ValueError):
     """Bytes that are not TOML, or tables that are nested too deep."""
@@ -19,6 +21,9 @@ def decode_toml(data: bytes) -> dict[str, Any]:
     Raises:
         TomlError: the bytes are not UTF-8 or not TOML, or tables or arrays are nested too deep.
     """
+    # The parser needs time in the square of the parts of a key.
+    if max((line.partition(b"=")[0].count(b".") for line in data.splitlines()), default=0) > _MAX_DOTS:
+        raise TomlError(f"a key of more than {_MAX_DOTS} parts")
     try:
         document = tomllib.loads(data.decode())
     except RecursionError as error:

@@ -208,6 +208,8 @@ for line in sys.stdin:
         sys.exit(3)
     if mode == "hang" and key[1] == 1:
         time.sleep(60)
+    while mode == "endless":
+        sys.stdout.write("x" * 65536)
     if mode == "noise":
         print("loading ...", flush=True)
     box = {"centre_m": [8.0, 2.0, 0.8], "rotation": [1, 0, 0, 0], "size_m": [4, 2, 1.5]}
@@ -238,7 +240,12 @@ def test_a_program_that_crashes_is_started_again(root: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("mode", "limit_s", "message"),
-    [("hang", 0.6, "no answer within"), ("noise", 20.0, "not JSON"), ("nan", 20.0, "centre_m")],
+    [
+        ("hang", 0.6, "no answer within"),
+        ("noise", 20.0, "not JSON"),
+        ("nan", 20.0, "centre_m"),
+        ("endless", 60.0, "has no end after 16 MiB"),
+    ],
 )
 def test_a_program_that_hangs_or_talks_nonsense_fails_by_frame(
     root: Path, tmp_path: Path, mode: str, limit_s: float, message: str

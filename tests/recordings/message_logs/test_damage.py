@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mirror.cli.main import main
 from mirror.errors import MirrorError, RecordingError
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.readers.message_logs.mcap_file import McapFile
@@ -32,6 +33,20 @@ def test_what_precedes_a_cut_is_read(tmp_path: Path, chunked: bool, share: float
     stream = recording.images()["front_wide"]
     count = len(stream.exposure_start_ns)
     assert dict(stream.read(range(count))) == dict(enumerate(ONE.images[:count]))
+
+
+@pytest.mark.parametrize("cut", [0, 4, 8, 9, 20, 40])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_log_cut_before_its_first_topic_is_truncated_and_not_empty(
+    tmp_path: Path, cut: int, chunked: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write_mcap(tmp_path / "log.mcap", messages(ONE), chunked=chunked)
+    file.write_bytes(file.read_bytes()[:cut])
+    with pytest.raises(RecordingError, match=f"truncated at byte {cut}"):
+        McapFile(file).topics()
+    assert main(["info", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert f"truncated at byte {cut}" in said and "log.mcap" in said
 
 
 def test_a_damaged_chunk_costs_only_its_own_messages(tmp_path: Path) -> None:
@@ -78,7 +93,7 @@ def test_messages_that_do_not_follow_their_definition_are_counted(tmp_path: Path
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(b"", "is not an MCAP file"), (b"RIFF" * 100, "is not an MCAP file"), (b"\x89MCAP0\r\n", "no topic '/fix'")],
+    [(b"", "truncated at byte 0"), (b"RIFF" * 100, "is not an MCAP file"), (b"\x89MCAP0\r\n", "truncated at byte 8")],
 )
 def test_files_that_are_no_log(tmp_path: Path, content: bytes, words: str) -> None:
     (tmp_path / "log.mcap").write_bytes(content)

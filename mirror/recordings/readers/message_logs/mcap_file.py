@@ -85,6 +85,8 @@ class McapFile:
                 found: dict[int, Topic] = {}
                 for _ in self._pass(frozenset(), found):
                     pass
+                if not found and self._damage:
+                    raise self._damage[0]
                 self._topics = found
         named: dict[str, Topic] = {}
         for topic in self._topics.values():
@@ -144,10 +146,12 @@ class McapFile:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             file.close()
             raise not_a_file_error(self._path)
-        if file.read(len(_MAGIC)) != _MAGIC:
+        begin = file.read(len(_MAGIC))
+        if begin != _MAGIC:
             file.close()
+            is_cut = len(begin) < len(_MAGIC) and _MAGIC.startswith(begin)
             raise RecordingError(
-                "is not an MCAP file",
+                f"truncated at byte {len(begin)}" if is_cut else "is not an MCAP file",
                 file=self._path,
                 place="byte 0",
                 expected="the MCAP magic bytes",
@@ -171,12 +175,12 @@ class McapFile:
                 file.seek(offset)
                 frame = file.read(_FRAME.size)
                 if len(frame) < _FRAME.size:
-                    self._note("ends without a footer: it was truncated", f"byte {size}")
+                    self._note(f"truncated at byte {size}: it ends without a footer", f"byte {size}")
                     return
                 opcode, length = _FRAME.unpack(frame)
                 start, offset = offset, offset + _FRAME.size + length
                 if offset > size:
-                    self._note(f"ends within a record of {length} bytes: it was truncated", f"byte {start}")
+                    self._note(f"truncated at byte {size}: it ends within a record of {length} bytes", f"byte {start}")
                     return
                 if opcode in (_FOOTER, _DATA_END):
                     return

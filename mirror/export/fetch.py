@@ -16,7 +16,7 @@ from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.bundle import BUNDLE, Bundle
 from mirror.schema.documents import FileEntry
-from mirror.schema.files import TEMPORARY, parse_json, unwritable_error, write_bytes
+from mirror.schema.files import TEMPORARY, parse_json, remove_temporaries, unwritable_error, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
 from mirror.weights.resolve import file_sha256
@@ -71,6 +71,7 @@ def fetch(url: str, out: Path, *, progress: ProgressReporter | None = None) -> F
             expected=f"the bundle.json of {url}",
             remedy="fetch into a new folder",
         )
+    remove_temporaries(out)
     write_bytes(out / BUNDLE, text)
     names = [name for name in bundle.files if name != _LAST]
     reporter.start("fetching", len(bundle.files))

@@ -24,7 +24,7 @@ from mirror.pools import thread_pool
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.csv_files import Cell, encode_csv
 from mirror.schema.documents import FileEntry
-from mirror.schema.files import read_json, write_bytes, write_json
+from mirror.schema.files import read_json, remove_temporaries, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
 
@@ -103,6 +103,7 @@ def export(
         complete = _continued(out, request)
         if complete is not None and complete.sources_sha256 == _hash_sources(scene, reporter):
             return complete
+        remove_temporaries(out)
     require_lenses(layout, scene.images, form.lens_of)
     if form.require is not None:
         form.require(scene)

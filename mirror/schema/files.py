@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -32,6 +33,7 @@ Model = TypeVar("Model", bound=BaseModel)
 TEMPORARY = ".tmp"
 """Suffix of the names of unfinished files."""
 
+_UNFINISHED = re.compile(r"\..+\.[0-9]+\.tmp", re.DOTALL)
 _VERSION_KEY = b"mirror_schema_version"
 _TABLE_KEY = b"mirror_table"
 
@@ -54,6 +56,17 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise unwritable_error(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove what killed writers left in a folder and below: files under the temporary names of `write_bytes`.
+
+    Links to folders are not followed. No other process may be writing there.
+    """
+    for place, _, names in os.walk(folder):
+        for name in names:
+            if _UNFINISHED.fullmatch(name):
+                Path(place, name).unlink(missing_ok=True)
 
 
 def unwritable_error(path: Path, error: OSError) -> DatasetError:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.errors import UsageError
-from mirror.schema.files import write_bytes
+from mirror.schema.files import remove_temporaries, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 
 UNFINISHED_MARK: Final = ".rendering"
@@ -55,6 +55,7 @@ def start_render_folder(
             place="--out",
             remedy="name a new one with --out",
         )
+    remove_temporaries(out)
 
 
 def finish_render_folder(out: Path, kind: FolderKind = FolderKind.SUBMISSION) -> None:

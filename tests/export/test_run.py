@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -79,7 +80,15 @@ def test_an_interrupted_export_continues(street: Dataset, tmp_path: Path, steps:
     assert (out / UNFINISHED).is_file()
     with pytest.raises(UsageError, match="another split"):
         export(street, "nerfstudio", out, ExportOptions(undistort=True))
+    # What a process leaves behind that is killed while it writes; other hidden files are not its own.
+    left = [out / ".images.csv.77.tmp", out / "deep" / "folder" / ".a.jpg.123456.tmp"]
+    for file in left:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"half")
+    (out / "deep" / ".mine.tmp").write_bytes(b"mine")
     written = export(street, "nerfstudio", out, options)
+    assert not any(file.exists() for file in left) and (out / "deep" / ".mine.tmp").exists()
+    shutil.rmtree(out / "deep")
     whole = export(street, "nerfstudio", tmp_path / "whole", options)
     assert written == whole
     assert files_of(out) == files_of(tmp_path / "whole")

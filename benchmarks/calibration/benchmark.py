@@ -1,7 +1,8 @@
 """Calibration checking and refinement on the synthetic street, compared with injected errors.
 
-``python -m benchmarks calibration [check|refine|gain] [--draws N]``; for ``refine`` see
-`benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`.
+``python -m benchmarks calibration [check|refine|gain|scales] [--draws N]``; for ``refine`` see
+`benchmarks.calibration.refinement`, for ``gain`` `benchmarks.calibration.gain`, for ``scales``
+`benchmarks.calibration.scales`.
 Check: drives of three vehicle types by day and by night: 20 frames of 7 cameras on a turn, stored as JPEG, tracked
 once. Then rotation errors of 0.05 to 1.0 degrees are injected into every mounting, and poses, lenses and mounting
 positions get recorded errors, many times. Figures are total angles of the remaining error; the column ``error`` has the
@@ -28,6 +29,7 @@ from benchmarks.calibration.recording import (
     track_drive,
 )
 from benchmarks.calibration.refinement import refine_rows
+from benchmarks.calibration.scales import scale_rows
 from benchmarks.report import OUT, Row, report
 from mirror.arrays import Bool, Float64
 from mirror.calibration.estimate import estimate_rotations
@@ -118,7 +120,9 @@ def straight_rows(draws: int) -> Iterator[Row]:
 
 def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks calibration")
-    parser.add_argument("what", nargs="?", choices=("check", "refine", "gain"), default="check", help="default: check")
+    parser.add_argument(
+        "what", nargs="?", choices=("check", "refine", "gain", "scales"), default="check", help="default: check"
+    )
     parser.add_argument("--vehicles", default=",".join(VEHICLES), help="rigs of the refinement, separated by commas")
     parser.add_argument("--lights", default=",".join(LIGHTS), help="light of the refinement, separated by commas")
     parser.add_argument("--draws", type=int, default=20, help="number of draws of the recorded errors for each drive")
@@ -129,6 +133,8 @@ def main(argv: Sequence[str]) -> int:
     options = parser.parse_args(argv)
     if options.what == "gain":
         return report("calibration_gain", {"gain": gain_rows(options.data, options.steps)})
+    if options.what == "scales":
+        return report("calibration_scales", {"scales": scale_rows(options.draws)}, errors="half width")
     if options.what == "refine":
         rows = refine_rows(
             options.draws, options.vehicles.split(","), options.lights.split(","),

@@ -86,7 +86,7 @@ def track_drive(drive: SynthDrive, instants_ns: Int64) -> DriveTracks:
         name: drive.world_SE3_ego(instants_ns) @ mounting for name, mounting in drive.vehicle.ego_SE3_camera.items()
     }
     start = time.process_time()
-    pairs, _ = track_rig(load, drive.vehicle.cameras, poses, len(instants_ns))
+    pairs = track_rig(load, drive.vehicle.cameras, poses, len(instants_ns)).pairs
     return DriveTracks(drive, instants_ns, pairs, time.process_time() - start)
 
 

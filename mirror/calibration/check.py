@@ -14,7 +14,7 @@ import numpy as np
 from mirror.calibration.estimate import AXES, CameraEstimate, estimate_rotations, explain
 from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.localisation import LENGTHS_M, compute_drift
-from mirror.calibration.rig import PosePrior
+from mirror.calibration.rig import PosePrior, ScalePrior
 from mirror.calibration.sampling import choose_frames, track_traversal
 from mirror.calibration.stages import StageHistory, compare_stages
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics, compute_fleet_statistics, require_scipy
@@ -28,7 +28,7 @@ from mirror.schema.files import write_bytes
 from mirror.schema.finished_work import hash_values
 from mirror.schema.strict_json import decode_json
 
-METHOD: Final = "joint epipolar estimate, 1"
+METHOD: Final = "joint epipolar estimate, 2"
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,10 @@ class CameraCheck:
         reason: why an axis is unobservable; None: all are.
         tracks: number of tracks.
         residual_px: median distance from the epipolar lines; None without tracks.
+        focal_error_percent: by how much the recorded focal length is too large.
+        focal_sigma_percent: its standard deviation.
+        source: largest source of the variance of roll, pitch and yaw.
+        source_share: its share of that variance, 0 to 1.
     """
 
     camera: str
@@ -58,6 +62,10 @@ class CameraCheck:
     reason: str | None
     tracks: int
     residual_px: float | None
+    focal_error_percent: float
+    focal_sigma_percent: float
+    source: tuple[str, str, str]
+    source_share: tuple[float, float, float]
 
     def unobservable_axes(self) -> list[str]:
         """Names of the axes about which the error is unknown."""
@@ -79,6 +87,8 @@ class TraversalCheck:
         frames: number of frames used.
         driven_m: way over these frames.
         turned_deg: change of course over these frames.
+        way_error_percent: by how much the recorded way is too long; None: it was not checked.
+        way_sigma_percent: its standard deviation.
         cameras: the estimates.
         unread: messages of images that could not be read.
         drift_percent: drift against the reference poses, by length in metres: median percent; empty without reference.
@@ -94,6 +104,8 @@ class TraversalCheck:
     frames: int = 0
     driven_m: float = 0.0
     turned_deg: float = 0.0
+    way_error_percent: float | None = None
+    way_sigma_percent: float | None = None
     cameras: tuple[CameraCheck, ...] = ()
     unread: tuple[str, ...] = ()
     drift_percent: Mapping[str, float] = field(default_factory=dict)
@@ -144,6 +156,7 @@ def check_calibration(
     *,
     choice: FrameChoice | None = None,
     prior: PosePrior | None = None,
+    scales: ScalePrior | None = None,
     options: TrackingOptions | None = None,
     reference_poses: str | None = None,
     work: Path | None = None,
@@ -155,6 +168,7 @@ def check_calibration(
         dataset: the dataset, or a view of it; its layers choose poses, calibrations, stage and boxes.
         choice: which frames of a traversal are used.
         prior: errors that the recorded poses may have.
+        scales: errors that the recorded focal lengths and the length of the recorded way may have.
         options: settings of the tracker.
         reference_poses: a layer of better poses, to measure the drift of the chosen ones; None: no drift.
         work: folder for the finished traversals, so that an interrupted check continues; None: none.
@@ -164,13 +178,14 @@ def check_calibration(
         UsageError: no traversal has images, the layer of reference poses does not exist, or scipy is not installed.
     """
     require_scipy()
-    chosen, weights, tracker = choice or FrameChoice(), prior or PosePrior(), options or TrackingOptions()
+    chosen, tracker = choice or FrameChoice(), options or TrackingOptions()
+    priors = prior or PosePrior(), scales or ScalePrior()
     rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]
     if not rows:
         raise UsageError("no traversal has images", expected="images to check the calibration with")
     reference = None if reference_poses is None else dataset.with_layers(poses=reference_poses)
     settings = json.dumps([METHOD, dataset.index_sha256, asdict(dataset.layers), reference_poses,
-                           *(asdict(one) for one in (chosen, weights, tracker))])  # fmt: skip
+                           *(asdict(one) for one in (chosen, *priors, tracker))])  # fmt: skip
     hashes = ContentHashes(dataset.store)
     reporter = progress or NullProgress()
     reporter.start("traversals", len(rows))
@@ -186,7 +201,7 @@ def check_calibration(
             checks.append(_from_plain(decode_json(file.read_text())))
         else:
             other = None if reference is None else reference.where(traversal=row["traversal_id"])
-            checks.append(_check_traversal(one, row, chosen, weights, tracker, other))
+            checks.append(_check_traversal(one, row, chosen, priors, tracker, other))
             # What could not be read is tried again by the next run.
             if file is not None and checks[-1].status != "failed" and not checks[-1].unread:
                 write_bytes(file, json.dumps(asdict(checks[-1])).encode())
@@ -207,7 +222,7 @@ def _check_traversal(
     dataset: Dataset,
     row: Mapping[str, Any],
     choice: FrameChoice,
-    prior: PosePrior,
+    priors: tuple[PosePrior, ScalePrior],
     options: TrackingOptions,
     reference: Dataset | None,
 ) -> TraversalCheck:
@@ -217,7 +232,7 @@ def _check_traversal(
     try:
         frames = choose_frames(dataset, choice)
         tracked = track_traversal(dataset, frames, unread, options)
-        estimates = estimate_rotations(tracked.rig, prior)
+        estimates = estimate_rotations(tracked.rig, *priors)
         drift = {} if reference is None else _drift(dataset, reference)
     except UsageError as error:
         status = "failed" if unread else "not checked"
@@ -230,7 +245,8 @@ def _check_traversal(
     ]
     return TraversalCheck(
         **about, status="checked", frames=tracked.frames, driven_m=tracked.conditions.driven_m,
-        turned_deg=tracked.conditions.turned_deg, cameras=tuple(cameras), unread=tuple(unread),
+        turned_deg=tracked.conditions.turned_deg, way_error_percent=estimates[0].way.error_percent,
+        way_sigma_percent=estimates[0].way.sigma_percent, cameras=tuple(cameras), unread=tuple(unread),
         drift_percent=drift,
     )  # fmt: skip
 
@@ -249,7 +265,8 @@ def _camera_check(one: CameraEstimate, stage: str, reason: str | None) -> Camera
     error, sigma = one.error_deg.tolist(), one.sigma_deg.tolist()
     return CameraCheck(
         one.camera, stage, tuple(error), tuple(sigma), tuple(one.observable.tolist()), one.angle_deg if known else None,
-        status, reason, one.tracks, one.residual_px if one.tracks else None,
+        status, reason, one.tracks, one.residual_px if one.tracks else None, one.focal.error_percent,
+        one.focal.sigma_percent, *zip(*one.main_sources, strict=True),
     )  # fmt: skip
 
 

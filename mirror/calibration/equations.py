@@ -2,9 +2,10 @@
 
 Every track between two images of a camera gives one equation: both rays and the motion of the camera lie in a plane.
 The unknowns are the rotation of every camera relative to the given mounting (3 numbers each), small corrections of the
-camera positions, and corrections of the vehicle's pose in every frame; the corrections have priors, the rotations
-practically none. The residual is Sampson's distance in pixels (R. Hartley, A. Zisserman, "Multiple View Geometry",
-2004, section 11.4) with Cauchy's loss; Gauss-Newton steps with Levenberg's damping.
+camera positions, corrections of the vehicle's pose in every frame, a scale of every focal length, and a scale of the
+way between the poses; the corrections and scales have priors, the rotations practically none. The residual is Sampson's
+distance in pixels (R. Hartley, A. Zisserman, "Multiple View Geometry", 2004, section 11.4) with Cauchy's loss;
+Gauss-Newton steps with Levenberg's damping.
 """
 
 from __future__ import annotations
@@ -16,18 +17,22 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.calibration.rig import PosePrior, TrackedRig
+from mirror.calibration.rig import PosePrior, ScalePrior, TrackedRig
 from mirror.calibration.tracking import PairTracks
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 
 _POSE: Final = 6
+_COLUMNS: Final = 3 * _POSE + 2
+"""Unknowns of one pair of images: two poses, the mounting, the scales of the focal length and of the way."""
 _ITERATIONS: Final = 30
 _LEAST_STEP_RAD: Final = 1e-7
 _SHORTEST_M: Final = 0.05
 _UNKNOWN_DEG: Final = 5.0
 """1-sigma of the prior of the rotations: it only keeps the equations solvable where a rotation is unobservable."""
+_SCALE_STEP: Final = 0.01
+"""Rays are interpolated between focal lengths that differ by this share; the error is below 0.001 px."""
 
 
 class JointProblem:
@@ -35,31 +40,45 @@ class JointProblem:
 
     Args:
         rig: the rig with its tracks.
-        prior: errors of poses and mountings.
+        prior: errors of poses and mountings; None: the defaults.
+        scales: errors of focal lengths and of the length of the way; None: the defaults.
         loss_px: scale of Cauchy's loss.
 
     Raises:
         UsageError: no pair of images has tracks and motion.
     """
 
-    def __init__(self, rig: TrackedRig, prior: PosePrior | None = None, loss_px: float = 0.25) -> None:
+    def __init__(
+        self,
+        rig: TrackedRig,
+        prior: PosePrior | None = None,
+        scales: ScalePrior | None = None,
+        *,
+        loss_px: float = 0.25,
+    ) -> None:
         self.rig = rig
         self.prior = prior or PosePrior()
+        self.scales = scales or ScalePrior()
         self.loss_px = loss_px
         names = rig.names
         self.pairs = [pair for pair in rig.pairs if len(pair) and self._baseline_m(pair) > _SHORTEST_M]
         if not self.pairs:
+            longest = max((self._baseline_m(pair) for pair in rig.pairs), default=0.0)
             raise UsageError(
-                "no tracks between images that were taken at different places", expected="at least one pair of images",
-                remedy="choose frames in which the vehicle moves",
-            )  # fmt: skip
+                f"no tracks between images that were taken at different places: {len(rig.pairs)} pairs of images have "
+                f"tracks, the longest way between two is {longest:.3f} m",
+                expected=f"at least one pair with tracks and a way above {_SHORTEST_M:g} m",
+                remedy="choose frames in which the vehicle moves"
+                if rig.pairs
+                else "choose images that show the same points",
+            )
         self.camera = np.array([names.index(pair.camera) for pair in self.pairs])
         self.first = np.array([pair.first for pair in self.pairs])
         self.second = np.array([pair.second for pair in self.pairs])
         self.counts = np.array([len(pair) for pair in self.pairs])
         self.rows = np.repeat(np.arange(len(self.pairs)), self.counts)
-        self.rays = [np.empty((len(self.rows), 3)) for _ in range(2)]
-        self.slopes = [np.empty((len(self.rows), 3, 2)) for _ in range(2)]
+        self.rays = [np.empty((len(self.rows), 3, 3)) for _ in range(2)]
+        self.slopes = [np.empty((len(self.rows), 3, 3, 2)) for _ in range(2)]
         for number, name in enumerate(names):
             own = self.camera[self.rows] == number
             for side in range(2):
@@ -76,8 +95,7 @@ class JointProblem:
     def prior_information(self) -> Float64:
         """Information matrix (P, P) of the priors of all unknowns; those of the rotations are nearly zero."""
         frames, count = len(self.rig.time_s), len(self.rig.cameras)
-        size = _POSE * (frames + count)
-        matrix = np.zeros((size, size))
+        matrix = np.zeros((self.size, self.size))
         positions = self.prior.position_information(self.rig.time_s)
         for axis in range(3):
             at = _POSE * np.arange(frames) + 3 + axis
@@ -88,7 +106,20 @@ class JointProblem:
         for axis in range(3):
             matrix[mount + axis, mount + axis] = np.radians(_UNKNOWN_DEG) ** -2
             matrix[mount + 3 + axis, mount + 3 + axis] = self.prior.mounting_m**-2
+        focal = self.scale_column + np.arange(count)
+        matrix[focal, focal] = (0.01 * self.scales.focal_percent) ** -2
+        matrix[-1, -1] = (0.01 * self.scales.way_percent) ** -2
         return matrix
+
+    @property
+    def scale_column(self) -> int:
+        """Position of the first focal length's scale among the unknowns; that of the way is the last unknown."""
+        return _POSE * (len(self.rig.time_s) + len(self.rig.cameras))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns P."""
+        return self.scale_column + len(self.rig.cameras) + 1
 
     def solve(self, ego_R_camera: Float64 | None = None) -> Solution:
         """Estimate the unknowns.
@@ -97,8 +128,8 @@ class JointProblem:
             ego_R_camera: (C, 3, 3) mountings to start from; None: the recorded ones.
         """
         start = self.mountings if ego_R_camera is None else ego_R_camera
-        frames, count = len(self.rig.time_s), len(self.rig.cameras)
-        unknowns = np.zeros(_POSE * (frames + count))
+        mount = slice(_POSE * len(self.rig.time_s), self.scale_column)
+        unknowns = np.zeros(self.size)
         damping, state = 1e-6, self._linearise(start, unknowns)
         for _ in range(_ITERATIONS):
             while damping < 1e6:
@@ -111,7 +142,7 @@ class JointProblem:
             else:
                 break
             unknowns, state, damping = unknowns + step, trial, max(0.1 * damping, 1e-9)
-            if np.abs(step[_POSE * frames :].reshape(-1, _POSE)[:, :3]).max() < _LEAST_STEP_RAD:
+            if np.abs(step[mount].reshape(-1, _POSE)[:, :3]).max() < _LEAST_STEP_RAD:
                 break
         return Solution(self, start, unknowns, state)
 
@@ -124,13 +155,22 @@ class JointProblem:
         """Mountings: rotations (C, 3, 3) and positions (C, 3); the vehicle's: rotations (C, F, 3, 3), positions."""
         rig, frames = self.rig, len(self.rig.time_s)
         poses = unknowns[: _POSE * frames].reshape(-1, _POSE)
-        mount = unknowns[_POSE * frames :].reshape(-1, _POSE)
+        mount = unknowns[_POSE * frames : self.scale_column].reshape(-1, _POSE)
         ego_R_camera = start @ exp_rotations(mount[:, :3])
         ego_t_camera = np.concatenate([one.translation for one in rig.ego_SE3_camera.values()]) + mount[:, 3:]
         recorded = [rig.world_SE3_ego[name] for name in rig.names]
         turns = np.stack([matrix_from_quaternion(one.rotation) for one in recorded]) @ exp_rotations(poses[:, :3])
         places = np.stack([one.translation for one in recorded])
-        return ego_R_camera, ego_t_camera, turns, places - places[:, :1] + poses[:, 3:]
+        way = np.exp(unknowns[-1]) * (places - places[:, :1])
+        return ego_R_camera, ego_t_camera, turns, way + poses[:, 3:]
+
+    def _at_focal(self, values: Float64, unknowns: Float64) -> tuple[Float64, Float64]:
+        """Values (M, ...) at the focal lengths, and their derivatives by its logarithm, from values (M, 3, ...)."""
+        shape = (-1,) + (1,) * (values.ndim - 2)
+        scale = unknowns[self.scale_column : -1][self.camera][self.rows].reshape(shape) / _SCALE_STEP
+        smaller, given, larger = np.moveaxis(values, 1, 0)
+        slope, bend = 0.5 * (larger - smaller), larger - 2.0 * given + smaller
+        return given + scale * (slope + 0.5 * scale * bend), (slope + scale * bend) / _SCALE_STEP
 
     def _linearise(self, start: Float64, unknowns: Float64) -> Linearised:
         rows = self.rows
@@ -138,12 +178,18 @@ class JointProblem:
         ego_R_camera, ego_t_camera, turns, places = self._poses(start, unknowns)
         arm = ego_t_camera[self.camera]
         in_ego, world, slopes, turn_of = [], [], [], []
+        rays, world_by_focal, slopes_by_focal = [], [], []
         for side, frame in enumerate((self.first, self.second)):
             turn = turns[self.camera, frame]
-            in_ego.append(np.einsum("mij,mj->mi", ego_R_camera[self.camera][rows], self.rays[side]))
+            ray, ray_by_focal = self._at_focal(self.rays[side], unknowns)
+            slope, slope_by_focal = self._at_focal(self.slopes[side], unknowns)
+            rays.append(ray)
+            in_ego.append(np.einsum("mij,mj->mi", ego_R_camera[self.camera][rows], ray))
             whole = (turn @ ego_R_camera[self.camera])[rows]
-            world.append(np.einsum("mij,mj->mi", whole, self.rays[side]))
-            slopes.append(whole @ self.slopes[side])
+            world.append(np.einsum("mij,mj->mi", whole, ray))
+            world_by_focal.append(np.einsum("mij,mj->mi", whole, ray_by_focal))
+            slopes.append(whole @ slope)
+            slopes_by_focal.append(whole @ slope_by_focal)
             turn_of.append(turn)
         at = [
             places[self.camera, frame] + np.einsum("kij,kj->ki", turn, arm)
@@ -161,7 +207,7 @@ class JointProblem:
         residual = error / scale
         # The motion's direction: its derivative by the camera's position is perpendicular to it.
         by_base = (normal - error[:, None] * b) / length[rows][:, None]
-        jacobian = np.empty((len(rows), 18))
+        jacobian = np.empty((len(rows), _COLUMNS))
         for side, sign in enumerate((-1.0, 1.0)):
             turn = turn_of[side][rows]
             back = np.einsum("mji,mj->mi", turn, by_world[side])
@@ -174,10 +220,22 @@ class JointProblem:
         turned = ego_R_camera[self.camera][rows]
         jacobian[:, 12:15] = sum(
             np.cross(ray, np.einsum("mji,mj->mi", turned, np.einsum("mji,mj->mi", turn[rows], one)))
-            for ray, turn, one in zip(self.rays, turn_of, by_world)
+            for ray, turn, one in zip(rays, turn_of, by_world)
         )
         jacobian[:, 15:18] = np.einsum("mji,mj->mi", turn_of[1][rows] - turn_of[0][rows], by_base)
+        jacobian[:, 18] = sum((one * other).sum(axis=1) for one, other in zip(by_world, world_by_focal))
+        moved = unknowns[: _POSE * frames].reshape(-1, _POSE)[:, 3:]
+        way = np.diff([places[self.camera, at] - moved[at] for at in (self.first, self.second)], axis=0)[0]
+        jacobian[:, 19] = (way[rows] * by_base).sum(axis=1)
         jacobian /= scale[:, None]
+        # A larger focal length makes all angles smaller: without this term all lenses would seem too short.
+        turned_by_focal = [np.cross(world_by_focal[1], b), np.cross(b, world_by_focal[0])]
+        pixel_by_focal = [
+            np.einsum("mi,mij->mj", a, slope) + np.einsum("mi,mij->mj", one, slope_by)
+            for a, slope, one, slope_by in zip(turned_by_focal, slopes, by_world, slopes_by_focal)
+        ]
+        shrinks = sum((one * other).sum(axis=1) for one, other in zip(by_pixel, pixel_by_focal)) / scale**2
+        jacobian[:, 18] -= residual * shrinks
         square = (residual / self.loss_px) ** 2
         weight = 1.0 / (1.0 + square) / self.loss_px**2
         starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
@@ -189,6 +247,8 @@ class JointProblem:
                 _POSE * self.first[:, None] + np.arange(_POSE),
                 _POSE * self.second[:, None] + np.arange(_POSE),
                 _POSE * (frames + self.camera)[:, None] + np.arange(_POSE),
+                self.scale_column + self.camera[:, None],
+                np.full((len(self.pairs), 1), self.size - 1),
             ],
             axis=1,
         )
@@ -207,8 +267,8 @@ class Linearised:
         information: (P, P) matrix of second derivatives, priors included.
         gradient: (P,) derivatives of the cost.
         cost: negative logarithm of the posterior density.
-        gradients: (K, 18) part of the gradient of each of K pairs of images.
-        columns: (K, 18) positions of these parts among the unknowns.
+        gradients: (K, 20) part of the gradient of each of K pairs of images.
+        columns: (K, 20) positions of these parts among the unknowns.
         residual: (M,) distances from the epipolar lines, pixels.
     """
 
@@ -227,7 +287,8 @@ class Solution:
     Attributes:
         problem: what was solved.
         start: (C, 3, 3) mountings at the start.
-        unknowns: (P,) corrections of poses, then of mountings, six numbers each.
+        unknowns: (P,) corrections of poses, then of mountings, six numbers each, then logarithms of the scales of the
+            focal lengths and of the way.
         state: the equations at these values.
     """
 
@@ -249,7 +310,8 @@ class Solution:
         for side, frame in enumerate((problem.first, problem.second)):
             turn = turns[problem.camera, frame]
             whole = (turn @ ego_R_camera[problem.camera])[problem.rows]
-            ways.append(np.einsum("mij,mj->mi", whole, problem.rays[side]))
+            ray, _ = problem._at_focal(problem.rays[side], self.unknowns)
+            ways.append(np.einsum("mij,mj->mi", whole, ray))
             at.append(places[problem.camera, frame] + np.einsum("kij,kj->ki", turn, ego_t_camera[problem.camera]))
         base = (at[1] - at[0])[problem.rows]
         across = np.linalg.norm(np.cross(base, ways[1]), axis=1)
@@ -259,7 +321,7 @@ class Solution:
     @property
     def rotation(self) -> Float64:
         """(C, 3) rotation vectors in the camera frames relative to the mountings at the start."""
-        return self.unknowns[_POSE * self.frames :].reshape(-1, _POSE)[:, :3]
+        return self.unknowns[_POSE * self.frames : self.problem.scale_column].reshape(-1, _POSE)[:, :3]
 
     @property
     def columns(self) -> Int64:
@@ -269,13 +331,30 @@ class Solution:
 
 
 def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
-    """Unit rays (N, 3) of points (N, 2), and their derivatives (N, 3, 2) by the pixel; central differences."""
-    step = 0.25
-    slopes = [
-        (camera.unproject(uv_px + aside).direction - camera.unproject(uv_px - aside).direction) / (2.0 * step)
-        for aside in step * np.eye(2)
-    ]
-    return camera.unproject(uv_px).direction, np.stack(slopes, axis=-1)
+    """Unit rays of points (N, 2), and their derivatives by the pixel, central differences.
+
+    Returns:
+        Rays (N, 3, 3) and derivatives (N, 3, 3, 2): along the second axis with a focal length that is 1 % smaller, as
+        given, and 1 % larger.
+    """
+    step, middle = 0.25, np.array([camera.cx_px, camera.cy_px])
+    given, rays, slopes = camera.unproject(uv_px).direction, [], []
+    for scale in (0.0, -_SCALE_STEP, _SCALE_STEP):
+        shrinks = np.exp(-scale)
+        at = middle + (uv_px - middle) * shrinks
+        sides = [
+            (camera.unproject(at + aside).direction - camera.unproject(at - aside).direction) / (2.0 * step) * shrinks
+            for aside in step * np.eye(2)
+        ]
+        ray, slope = camera.unproject(at).direction, np.stack(sides, axis=-1)
+        if slopes:
+            # A lens may be undefined a few pixels beyond its image.
+            ray = np.where(np.isfinite(ray), ray, given + np.einsum("nij,nj->ni", slopes[0], at - uv_px))
+            slope = np.where(np.isfinite(slope), slope, slopes[0] * shrinks)
+        rays.append(ray)
+        slopes.append(slope)
+    order = [1, 0, 2]
+    return np.stack([rays[one] for one in order], axis=1), np.stack([slopes[one] for one in order], axis=1)
 
 
 def exp_rotations(vectors: Float64) -> Float64:

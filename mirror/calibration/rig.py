@@ -53,6 +53,26 @@ class PosePrior:
         return np.asarray(np.linalg.inv(covariance), np.float64)
 
 
+@dataclass(frozen=True)
+class ScalePrior:
+    """Errors of scale that the recorded lenses and poses may have, 1-sigma.
+
+    In a bend an error of either looks like a rotation of the camera.
+
+    Attributes:
+        focal_percent: focal length of a camera, independent between cameras.
+        way_percent: length of the way between the recorded poses, one scale for all.
+    """
+
+    focal_percent: float = 0.5
+    way_percent: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and 0.0 < value <= 10.0):
+                raise UsageError(f"{value}", place=name, expected="a number above 0 and at most 10")
+
+
 @dataclass(frozen=True, eq=False)
 class TrackedRig:
     """A moving rig with the tracks between its images.

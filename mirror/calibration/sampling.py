@@ -12,6 +12,7 @@ from mirror.arrays import Bool, Float64, UInt8
 from mirror.calibration.estimate import Conditions
 from mirror.calibration.frame_choice import FrameChoice, choose_stretch
 from mirror.calibration.rig import TrackedRig
+from mirror.calibration.spacing import ImageSpacing, untracked_error
 from mirror.calibration.tracking import TrackedImage, TrackingOptions, track_rig
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
@@ -61,8 +62,9 @@ def choose_frames(dataset: Dataset, choice: FrameChoice) -> list[Frame]:
     else:
         chosen = []
     if len(chosen) < _FEWEST_FRAMES:
+        way = f"; all are on a way of {driven_m(poses):.1f} m" if len(frames) else ""
         raise UsageError(
-            f"{len(chosen)} of {len(frames)} frames are {choice.step_m:g} m or {choice.step_deg:g} degrees apart",
+            f"{len(chosen)} of {len(frames)} frames are {choice.step_m:g} m or {choice.step_deg:g} degrees apart{way}",
             expected=f"at least {_FEWEST_FRAMES}: a vehicle that moves, with images",
             remedy="leave the traversal out, or choose smaller steps",
         )
@@ -87,6 +89,7 @@ def track_traversal(
 
     Raises:
         DatasetError: poses or calibrations are missing.
+        UsageError: no two images have enough tracks; the error states what was measured, and what is needed.
     """
     names = [name for name in dataset.cameras() if any(name in frame.images for frame in frames)]
     calibrations, ego = {}, {}
@@ -114,17 +117,27 @@ def track_traversal(
     cameras = {name: calibrations[name].model for name in names}
     mountings = {name: calibrations[name].ego_SE3_camera for name in names}
     poses = {name: ego[name] @ mountings[name] for name in names}
-    pairs, corners = track_rig(load, cameras, poses, len(frames), options, advance)
+    settings = options or TrackingOptions()
+    found = track_rig(load, cameras, poses, len(frames), settings, advance)
+    spacing = measure_spacing(frames)
+    if not found.pairs:
+        raise untracked_error(found.attempts, settings.least, spacing, measure_spacing(dataset.frames()))
     stamps = np.array([frame.timestamp_ns for frame in frames])
-    rig = TrackedRig(cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, pairs)
+    rig = TrackedRig(cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, found.pairs)
     track = stack_poses([frame.world_SE3_ego for frame in frames])
     conditions = Conditions(
         turned_deg=turned_deg(track),
-        driven_m=float(np.linalg.norm(np.diff(track.translation, axis=0), axis=1).sum()),
+        driven_m=driven_m(track),
         brightness={name: float(np.median(values)) if values else 0.0 for name, values in brightness.items()},
-        corners=corners,
+        corners=found.corners,
+        spacing=spacing,
     )
     return TraversalTracks(rig, calibrations, conditions, len(frames))
+
+
+def measure_spacing(frames: Sequence[Frame]) -> ImageSpacing:
+    """How far apart at least two frames of a traversal are."""
+    return ImageSpacing.of(stack_poses([frame.world_SE3_ego for frame in frames]), [one.timestamp_ns for one in frames])
 
 
 def static_pixels(frame: Frame, image: Image) -> Bool:
@@ -150,6 +163,11 @@ def static_pixels(frame: Frame, image: Image) -> Bool:
         for left, top, right, bottom in bounds[np.isfinite(bounds).all(axis=1)]:
             still[int(top) : int(np.ceil(bottom)) + 1, int(left) : int(np.ceil(right)) + 1] = False
     return still
+
+
+def driven_m(poses: Poses) -> float:
+    """Length of the way over a track."""
+    return float(np.linalg.norm(np.diff(poses.translation, axis=0), axis=1).sum())
 
 
 def turned_deg(poses: Poses) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Float32, Float64, UInt8
 from mirror.calibration.affine import refine_tracks
+from mirror.calibration.spacing import PairAttempt
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 
@@ -66,6 +67,21 @@ class PairTracks:
 
     def __len__(self) -> int:
         return len(self.first_px)
+
+
+@dataclass(frozen=True, eq=False)
+class RigTracks:
+    """What tracking found in the images of a rig.
+
+    Attributes:
+        pairs: the pairs with enough tracks.
+        attempts: all pairs of neighbouring images, in which tracks were looked for.
+        corners: mean number of corners per image by camera name.
+    """
+
+    pairs: list[PairTracks]
+    attempts: list[PairAttempt]
+    corners: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +166,7 @@ def track_rig(
     frames: int,
     options: TrackingOptions | None = None,
     advance: Callable[[int], None] = lambda steps: None,
-) -> tuple[list[PairTracks], dict[str, float]]:
+) -> RigTracks:
     """Track points between neighbouring images of every camera.
 
     Args:
@@ -160,12 +176,9 @@ def track_rig(
         frames: number of frames.
         options: settings; None: the defaults.
         advance: is called with 1 after each image.
-
-    Returns:
-        The pairs with enough tracks, and the mean number of corners per image by camera name.
     """
     settings = options or TrackingOptions()
-    pairs, corners_of = [], {}
+    pairs, attempts, corners_of = [], [], {}
     for name, camera in cameras.items():
         previous, corners, found = None, np.empty((0, 2), np.float32), []
         for frame in range(frames):
@@ -174,6 +187,7 @@ def track_rig(
                 poses = world_SE3_camera[name]
                 moved = poses[frame : frame + 1].inverse() @ poses[frame - 1 : frame]
                 first, second = track_pair(previous, image, corners, camera, moved, settings)
+                attempts.append(PairAttempt(name, len(corners), len(first)))
                 if len(first) >= settings.least:
                     pairs.append(PairTracks(name, frame - 1, frame, first, second))
             if image is not None and frame < frames - 1:
@@ -182,7 +196,7 @@ def track_rig(
             previous = image
             advance(1)
         corners_of[name] = float(np.mean(found)) if found else 0.0
-    return pairs, corners_of
+    return RigTracks(pairs, attempts, corners_of)
 
 
 def fit_one_pose(

@@ -84,6 +84,10 @@ class Check:
     """Number of frames per traversal."""
     step_m: float = 3.5
     """Distance between neighbouring frames on a straight road, metres; on bends 12 degrees."""
+    focal_sigma_percent: float = 0.5
+    """Error of the recorded focal lengths, 1-sigma, percent."""
+    way_sigma_percent: float = 0.5
+    """Error of the length of the recorded way, 1-sigma, percent."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -134,16 +138,18 @@ def _check(argv: Sequence[str]) -> int:
     import mirror
     from mirror.calibration.check import check_calibration
     from mirror.calibration.frame_choice import FrameChoice
+    from mirror.calibration.rig import ScalePrior
     from mirror.progress import progress_bar
     from mirror.schema.files import write_bytes
     from mirror.view.calibration_page import write_calibration_page
 
+    scales = ScalePrior(arguments.focal_sigma_percent, arguments.way_sigma_percent)
     dataset = arguments.input.choose(mirror.open(arguments.dataset))
     arguments.out.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=arguments.json) as bar:
         check = check_calibration(
             dataset, choice=FrameChoice(frames=arguments.frames, step_m=arguments.step_m),
-            prior=arguments.input.pose_prior(), reference_poses=arguments.reference_poses,
+            prior=arguments.input.pose_prior(), scales=scales, reference_poses=arguments.reference_poses,
             work=arguments.out / "traversals", progress=bar,
         )  # fmt: skip
     plain = check.to_dict()
@@ -165,13 +171,15 @@ def _print_check(check: CalibrationCheck, out: Path) -> None:
             console.print(f"{item.traversal_id}: {item.status}: {item.message}")
             continue
         console.print(
-            f"{item.traversal_id}: {item.frames} frames, {item.driven_m:.0f} m, turned {item.turned_deg:.0f} degrees"
+            f"{item.traversal_id}: {item.frames} frames, {item.driven_m:.0f} m, turned {item.turned_deg:.0f} degrees, "
+            f"recorded way {item.way_error_percent:+.2f} +- {item.way_sigma_percent:.2f} % too long"
         )
         for one in item.cameras:
             angle = "--" if one.angle_deg is None else f"{one.angle_deg:.3f}"
             axes = "" if one.status == "unobservable" else f"; {', '.join(one.unobservable_axes())} unobservable"
             note = f"{axes}: {one.reason}" if one.reason else ""
-            console.print(f"  {one.camera:<13} {one.stage:<8} {angle:>6} degrees  {one.status}{note}")
+            lens = f"focal length {one.focal_error_percent:+.2f} +- {one.focal_sigma_percent:.2f} %"
+            console.print(f"  {one.camera:<13} {one.stage:<8} {angle:>6} degrees  {one.status}{note}; {lens}")
         for message in item.unread:
             console.print(f"  could not read: {message}")
     found = check.statistics

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from mirror.calibration.check import CalibrationCheck, CameraCheck, TraversalCheck
+from mirror.calibration.estimate import AXES
 from mirror.calibration.localisation import PAPER_PERCENT
 from mirror.calibration.stages import JUMP_CM, JUMP_DEG, StageDifference
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics
@@ -22,6 +23,13 @@ _WIDTH, _HEIGHT, _LEFT, _BOTTOM = 420, 170, 34, 24
 _LARGEST_PX: Final = 640
 _BINS: Final = 24
 _COLOURS: Final = {"factory": "#8a8a8a", "online": "#4c78a8", "refined": "#54a24b"}
+_CONFUSED: Final = (
+    "In a bend some other errors look like a rotation of the camera, most of all like yaw: a focal length or a length "
+    "of the recorded way that is wrong by a share of a percent, drift of the recorded positions, and the position of "
+    "the camera on the vehicle. They are unknowns with priors, so their uncertainty is a part of each figure; the "
+    "table states the largest source of it. An error of the clock between poses and images, of the principal point or of "
+    "the distortion is not an unknown: it is counted as a rotation."
+)
 _CSS: Final = (
     ".limit{stroke:#c0392b;stroke-width:1.5;stroke-dasharray:4 3}.axis{stroke:currentColor;opacity:.4}"
     ".hist{fill:#4c78a8}.over{fill:#c0392b}.verdict{font-size:1.4rem;font-weight:700}"
@@ -49,6 +57,7 @@ def write_calibration_page(check: CalibrationCheck, out: Path) -> None:
         '<p class="dim">About each axis the error and its standard deviation. In brackets: the axis is unobservable, '
         "because its standard deviation is above 0.1 degrees.</p>",
         _camera_table(check),
+        f'<p class="dim">{_CONFUSED}</p>',
         "<h2>Traversals</h2>",
         _traversal_table(check.traversals),
         "<h2>Stages beside each other</h2>",
@@ -186,6 +195,7 @@ def _camera_table(check: CalibrationCheck) -> str:
             angle = "--" if one.angle_deg is None else f"{one.angle_deg:.3f}"
             rows.append(
                 [escape(item.traversal_id), escape(one.camera), one.stage, angle, one.status, *axes,
+                 f"{one.focal_error_percent:+.2f} ± {one.focal_sigma_percent:.2f}", _sources(one),
                  escape(one.reason or ""), f"{one.tracks:,}"]
             )  # fmt: skip
     head = (
@@ -197,20 +207,46 @@ def _camera_table(check: CalibrationCheck) -> str:
         "n:roll",
         "n:pitch",
         "n:yaw",
+        "n:focal length (%)",
+        "largest source of variance",
         "reason",
         "n:tracks",
     )
     return html_table(head, rows)
 
 
+def _sources(one: CameraCheck) -> str:
+    """The largest source of the variance of each axis, with its share."""
+    return "<br>".join(
+        f"{axis}: {escape(name)} {share:.0%}" for axis, name, share in zip(AXES, one.source, one.source_share)
+    )
+
+
 def _traversal_table(traversals: Sequence[TraversalCheck]) -> str:
     rows = [
         [escape(one.traversal_id), escape(one.vehicle_id), one.light, one.status, f"{one.frames}",
-         f"{one.driven_m:.0f}", f"{one.turned_deg:.0f}", escape(one.message or "; ".join(one.unread))]
+         f"{one.driven_m:.0f}", f"{one.turned_deg:.0f}", _way(one), escape(one.message or "; ".join(one.unread))]
         for one in traversals
     ]  # fmt: skip
-    head = ("traversal", "vehicle", "light", "status", "n:frames", "n:driven (m)", "n:turned (deg)", "message")
+    head = (
+        "traversal",
+        "vehicle",
+        "light",
+        "status",
+        "n:frames",
+        "n:driven (m)",
+        "n:turned (deg)",
+        "n:way (%)",
+        "message",
+    )
     return html_table(head, rows)
+
+
+def _way(one: TraversalCheck) -> str:
+    """By how much the recorded way is too long."""
+    if one.way_error_percent is None:
+        return "--"
+    return f"{one.way_error_percent:+.2f} ± {one.way_sigma_percent:.2f}"
 
 
 def _stage_table(differences: Sequence[StageDifference]) -> str:

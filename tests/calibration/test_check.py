@@ -12,6 +12,7 @@ import pytest
 import mirror
 from mirror.calibration.check import CalibrationCheck, check_calibration
 from mirror.calibration.frame_choice import FrameChoice
+from mirror.calibration.spacing import ImageSpacing, PairAttempt, untracked_error
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -151,3 +152,39 @@ def test_a_traversal_with_other_bytes_is_checked_again(dataset: Dataset, tmp_pat
     assert len(list((tmp_path / "work").iterdir())) == 1
     (root / image.uri).write_bytes(whole)
     assert check_calibration(copy, choice=CHOICE, work=tmp_path / "work").traversals == first.traversals
+
+
+def test_images_that_are_too_far_apart_are_named_with_the_rate_they_need(tmp_path: Path) -> None:
+    builder = Builder(tmp_path / "ds", cameras=("front_wide",), lenses={"front_wide": LENS})
+    builder.scene("a")
+    sparse = Pass("a", frames=12, heading_deg=90.0, speed_mps=200.0, images={"front_wide": b"x" * 400_000}, codec="png")
+    builder.drive("d", [sparse])
+    build_index(tmp_path / "ds")
+    dataset = mirror.open(tmp_path / "ds")
+    spacing = []
+    for number, frame in enumerate(dataset.frames()):
+        image = frame.images["front_wide"]
+        # Each image shows another place of the corridor: no point is in two of them.
+        at = image.world_SE3_camera
+        elsewhere = Poses(at.rotation, at.translation + np.array([317.0 * number, 0.0, 0.0]))
+        (tmp_path / "ds" / image.uri).write_bytes(padded(corridor(elsewhere), image.byte_length))
+        spacing.append(frame.world_SE3_ego.translation[0])
+    apart = float(np.median(np.linalg.norm(np.diff(spacing, axis=0), axis=1)))
+    (item,) = check_calibration(dataset).traversals
+    message = item.message or ""
+    assert item.status == "not checked"
+    assert f"the images are {apart:.1f} m" in message
+    assert "25 tracks" in message
+    assert f"{apart / 3.5 / 0.1:.2g} a second" in message
+    assert "vehicle moves" not in message
+
+
+def test_the_error_of_untracked_images_names_the_measured_cause() -> None:
+    far, near = ImageSpacing(15.0, 0.0, 1.0), ImageSpacing(3.0, 0.0, 0.2)
+    few = [PairAttempt("a", 400, 3), PairAttempt("a", 380, 12)]
+    error = untracked_error(few, 25, far, far)
+    assert "4.3 a second" in str(error) and "390 points" in str(error) and "12 at most" in str(error)
+    assert "--step-m 3.5" in str(untracked_error(few, 25, far, near))
+    assert "apart, which are" not in str(untracked_error(few, 25, near, near))
+    assert "texture" in str(untracked_error([PairAttempt("a", 3, 0)], 25, near, near))
+    assert "neighbouring frames" in str(untracked_error([], 25, far, far))

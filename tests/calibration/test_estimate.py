@@ -9,7 +9,7 @@ import pytest
 
 from mirror.calibration.equations import JointProblem, exp_rotations
 from mirror.calibration.estimate import Conditions, estimate_rotations, explain
-from mirror.calibration.rig import PosePrior
+from mirror.calibration.rig import PosePrior, ScalePrior
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from tests.calibration.exact_rig import CAMERAS, exact_rig, mountings
@@ -96,6 +96,42 @@ def test_moving_clouds_are_left_out() -> None:
         assert np.abs(one.error_deg - ERRORS[one.camera]).max() < 5e-3
 
 
+@pytest.mark.parametrize("prior", [PosePrior(), PosePrior(attitude_deg=0.1)])
+def test_a_wrong_focal_length_in_a_bend_is_no_rotation(prior: PosePrior) -> None:
+    rig = exact_rig(98.0, errors_deg=ERRORS, noise_px=0.1, points=500)
+    cameras = {
+        name: replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale)
+        for (name, camera), scale in zip(rig.cameras.items(), (1.007, 0.993, 1.01))
+    }
+    poses = {
+        name: Poses(one.rotation, 1.006 * (one.translation - one.translation[0]))
+        for name, one in rig.world_SE3_ego.items()
+    }
+    for one in estimate_rotations(replace(rig, cameras=cameras, world_SE3_ego=poses), prior):
+        assert (np.abs(one.error_deg - ERRORS[one.camera]) < 2.0 * one.sigma_deg).all()
+        assert np.abs(one.error_deg - ERRORS[one.camera])[:2].max() < 0.05
+        true = 100.0 * (cameras[one.camera].fx_px / CAMERAS[one.camera].fx_px - 1.0)
+        assert abs(one.focal.error_percent - true) < 3.0 * one.focal.sigma_percent < 0.6
+        assert abs(one.way.error_percent - 0.6) < 3.0 * one.way.sigma_percent
+        assert sum(one.variance_share.values()) == pytest.approx(np.ones(3))
+
+
+def test_scales_that_are_known_exactly_turn_the_cameras() -> None:
+    rig = exact_rig(98.0, noise_px=0.1, points=500)
+    cameras = {name: replace(one, fx_px=1.007 * one.fx_px, fy_px=1.007 * one.fy_px) for name, one in CAMERAS.items()}
+    wrong = replace(rig, cameras=cameras)
+    known = estimate_rotations(wrong, scales=ScalePrior(1e-3, 1e-3))
+    free = estimate_rotations(wrong)
+    assert max(np.abs(one.error_deg / one.sigma_deg).max() for one in known) > 4.0
+    assert max(np.abs(one.error_deg / one.sigma_deg).max() for one in free) < 2.0
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 11.0, float("nan")])
+def test_priors_of_scales_are_percents(value: float) -> None:
+    with pytest.raises(UsageError, match="at most 10"):
+        ScalePrior(focal_percent=value)
+
+
 def test_distances_are_those_of_the_points() -> None:
     rig = exact_rig(80.0)
     distances = JointProblem(rig).solve().distances_m()
@@ -107,9 +143,10 @@ def test_distances_are_those_of_the_points() -> None:
 def test_derivatives_are_those_of_the_residuals() -> None:
     problem = JointProblem(exact_rig(80.0, frames=3, points=150), PosePrior(), loss_px=1e3)
     rng = np.random.default_rng(8)
-    start, unknowns = problem.mountings, 1e-2 * rng.normal(size=6 * (3 + len(CAMERAS)))
+    start, unknowns = problem.mountings, 1e-2 * rng.normal(size=problem.size)
     state = problem._linearise(start, unknowns)
-    for column in rng.choice(len(unknowns), 12, replace=False):
+    scales = np.arange(problem.scale_column, problem.size)
+    for column in [*rng.choice(problem.scale_column, 12, replace=False), *scales]:
         step = np.zeros(len(unknowns))
         step[column] = 1e-7
         # The scale of Sampson's distance counts as constant, so both residuals are compared at the middle's scale.

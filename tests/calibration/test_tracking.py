@@ -114,10 +114,11 @@ def test_a_missing_image_only_loses_its_pairs() -> None:
         grey = view_of_plane(image, CAMERA, poses[frame : frame + 1])
         return None if frame == 1 else TrackedImage.from_grey(grey)
 
-    pairs, corners = track_rig(load, {"a": CAMERA}, {"a": poses.inverse()}, 4, TrackingOptions(epipolar_px=5.0))
+    found = track_rig(load, {"a": CAMERA}, {"a": poses.inverse()}, 4, TrackingOptions(epipolar_px=5.0))
     assert loaded == [0, 1, 2, 3]
-    assert [(pair.first, pair.second) for pair in pairs] == [(2, 3)]
-    assert corners["a"] > 30
+    assert [(pair.first, pair.second) for pair in found.pairs] == [(2, 3)]
+    assert found.corners["a"] > 30
+    assert [one.tracks == len(found.pairs[0]) <= one.corners for one in found.attempts] == [True]
 
 
 def test_the_stretch_with_the_most_turning_is_chosen() -> None:

@@ -1,0 +1,71 @@
+"""Covariance of a solution of the equations of tracked images, and the sources of its uncertainty.
+
+The covariance is a sandwich: the scatter of the pairs of images and the priors, between two inverse information
+matrices (P. Huber 1967; to first order the jackknife over pairs). The parts are independent, so the variance of a
+rotation is the sum of those of its sources: an error of a source with a large share cannot be told from the rotation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from mirror.arrays import Float64, Int64
+from mirror.calibration.equations import Solution
+
+TRACKS: Final = "tracks"
+MOTION: Final = "motion"
+"""The weak prior of the rotations: it has a large share where the motion does not show an axis."""
+
+
+class Uncertainty:
+    """The covariance of a solution.
+
+    Args:
+        solution: the solution of P unknowns.
+
+    Attributes:
+        covariance: (P, P) covariance of the unknowns.
+    """
+
+    def __init__(self, solution: Solution) -> None:
+        state, prior = solution.state, solution.problem.prior_information
+        scores = np.zeros((len(state.gradients), len(solution.unknowns)))
+        np.put_along_axis(scores, state.columns, state.gradients, axis=1)
+        self._problem = solution.problem
+        self._inverse = np.linalg.inv(state.information)
+        self._scores = scores
+        # Cameras without tracks have no scatter, only their weak prior.
+        self.covariance: Float64 = self._inverse @ (prior + scores.T @ scores) @ self._inverse
+
+    def variance_by_source(self, columns: Int64, turn: Float64) -> dict[str, Float64]:
+        """Variances of a rotation about three axes by their source.
+
+        Args:
+            columns: (3,) positions of the rotation among the unknowns.
+            turn: (3, 3) rotation to the axes.
+
+        Returns:
+            (3,) variances by source, rad^2; their sum is the diagonal of the covariance.
+        """
+        gain = turn @ self._inverse[columns]
+        prior = self._problem.prior_information
+        found = {TRACKS: ((gain @ self._scores.T) ** 2).sum(axis=1)}
+        for name, own in self._sources().items():
+            found[name] = np.einsum("ai,ij,aj->a", gain[:, own], prior[np.ix_(own, own)], gain[:, own])
+        return found
+
+    def _sources(self) -> Mapping[str, Int64]:
+        """Positions among the unknowns by name of what they correct."""
+        problem = self._problem
+        poses, mounts = np.split(np.arange(problem.scale_column).reshape(-1, 6), [len(problem.rig.time_s)])
+        return {
+            "recorded rotations": poses[:, :3].ravel(),
+            "recorded positions": poses[:, 3:].ravel(),
+            "positions of the cameras": mounts[:, 3:].ravel(),
+            "focal length": np.arange(problem.scale_column, problem.size - 1),
+            "length of the way": np.array([problem.size - 1]),
+            MOTION: mounts[:, :3].ravel(),
+        }

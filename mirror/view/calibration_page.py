@@ -27,8 +27,8 @@ _CONFUSED: Final = (
     "In a bend some other errors look like a rotation of the camera, most of all like yaw: a focal length or a length "
     "of the recorded way that is wrong by a share of a percent, drift of the recorded positions, and the position of "
     "the camera on the vehicle. They are unknowns with priors, so their uncertainty is a part of each figure; the "
-    "table states the largest source of it. An error of the clock between poses and images, of the principal point or of "
-    "the distortion is not an unknown: it is counted as a rotation."
+    "table states the largest source of it. An error of the clock between poses and images, of the principal point or "
+    "of the distortion is not an unknown: it is counted as a rotation."
 )
 _CSS: Final = (
     ".limit{stroke:#c0392b;stroke-width:1.5;stroke-dasharray:4 3}.axis{stroke:currentColor;opacity:.4}"

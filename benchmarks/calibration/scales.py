@@ -103,7 +103,7 @@ def draw_rig(trial: Trial) -> tuple[TrackedRig, Float64]:
     true, errors = {name: mountings()[name] for name in cameras}, PosePrior()
     poses = bent_way(trial.bend_deg, rng)
     pairs = track_points(poses, cameras, true, rng)
-    time_s = 0.4 * np.arange(_FRAMES)
+    time_s: Float64 = 0.4 * np.arange(_FRAMES, dtype=np.float64)
     turn = rng.normal(0.0, np.radians(errors.attitude_deg), (_FRAMES, 3))
     drift = np.linalg.cholesky(np.linalg.inv(errors.position_information(time_s))) @ rng.normal(size=(_FRAMES, 3))
     turned = poses @ Poses.exp(np.concatenate([turn, np.zeros((_FRAMES, 3))], axis=1))

@@ -29,6 +29,7 @@ class Detections:
         category: N class names.
         score: (N,) confidence from 0 to 1; NaN for a label made by a person.
         track_id: N object ids; empty: the annotator does not track.
+        unfamiliar: whether the images do not look like those that the annotator was trained on.
 
     Raises:
         AnnotationError: shapes do not fit, or a number is invalid; its row is named.
@@ -41,6 +42,7 @@ class Detections:
     category: tuple[str, ...]
     score: Float64
     track_id: tuple[str, ...] = ()
+    unfamiliar: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.ego_SE3_box)

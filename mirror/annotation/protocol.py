@@ -23,7 +23,9 @@ class Annotator(Protocol):
             that is resumed with another fingerprint begins again.
 
     A resumed run takes the finished frames whose images have the same bytes. An annotator that opens no image may have
-    an attribute ``reads_images = False``; then no image is read for that comparison.
+    an attribute ``reads_images = False``; then no image is read for that comparison. An annotator that knows its
+    training data may have an attribute ``trained_on`` with a few words, such as ``synthetic streets``: the output, the
+    layer and the report state them, with the frames that it returns as `Detections.unfamiliar`.
     """
 
     name: str

@@ -6,7 +6,7 @@ import hashlib
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +14,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from mirror.annotation.detections import Detections
+from mirror.annotation.familiarity import NAME, TrainingData
 from mirror.annotation.protocol import Annotator
 from mirror.dataset.content_hashes import ContentHashes, has_layer
 from mirror.dataset.dataset import Dataset
@@ -44,6 +45,19 @@ class FailedFrame:
     reason: str
 
 
+@dataclass(frozen=True)
+class _FrameResult:
+    """The boxes of a frame as rows, and whether its images look unlike those that the annotator was trained on."""
+
+    boxes: list[dict[str, Any]]
+    unfamiliar: bool
+
+    @classmethod
+    def decode(cls, plain: Any) -> _FrameResult:
+        """Make a result of its JSON values; an earlier version wrote the boxes alone."""
+        return cls(plain, False) if isinstance(plain, list) else cls(list(plain["boxes"]), bool(plain["unfamiliar"]))
+
+
 @dataclass
 class AnnotationReport:
     """What a run did.
@@ -57,6 +71,8 @@ class AnnotationReport:
         resumed: frames taken from an earlier run that was interrupted.
         boxes: boxes in the layers written.
         failed: frames without a result.
+        trained_on: what the annotator was trained on; None: it does not state it.
+        unfamiliar: frames of the layers written whose images do not look like those that it was trained on.
     """
 
     layer: str
@@ -67,6 +83,8 @@ class AnnotationReport:
     resumed: int = 0
     boxes: int = 0
     failed: list[FailedFrame] = field(default_factory=list)
+    trained_on: str | None = None
+    unfamiliar: int = 0
 
 
 def annotate(
@@ -98,7 +116,7 @@ def annotate(
     """
     progress = progress or NullProgress()
     source, version = source or annotator.name, version or annotator.version
-    report = AnnotationReport(f"{source}@{version}")
+    report = AnnotationReport(f"{source}@{version}", trained_on=getattr(annotator, "trained_on", None))
     layout = dataset.layout
     fingerprint = hashlib.sha256(annotator.fingerprint.encode()).hexdigest()
     target = (BOXES.name, source, version)
@@ -114,11 +132,16 @@ def annotate(
             view = dataset.where(traversal=traversal_id)
             writer = LayerWriter(layout, traversal_id, *target)
             file = work / f"{traversal_id}.jsonl"
-            rows = _annotate_traversal(view, annotator, file, hashes, report, progress)
-            if len(rows) < len(view.frames()) and not skip_failed:
+            found = _annotate_traversal(view, annotator, file, hashes, report, progress)
+            if len(found) < len(view.frames()) and not skip_failed:
                 report.incomplete.append(traversal_id)
                 continue
-            table = box_table(rows)
+            table = box_table({stamp: one.boxes for stamp, one in found.items()})
+            if report.trained_on is not None:
+                unfamiliar = tuple(sorted(stamp for stamp, one in found.items() if one.unfamiliar))
+                data = TrainingData(trained_on=report.trained_on, frames=len(found), unfamiliar_ns=unfamiliar)
+                writer.document(NAME, data.encode())
+                report.unfamiliar += len(unfamiliar)
             writer.finish(BOXES, table, {"annotator": fingerprint})
             report.written.append(traversal_id)
             report.boxes += table.num_rows
@@ -137,30 +160,30 @@ def _annotate_traversal(
     hashes: ContentHashes,
     report: AnnotationReport,
     progress: ProgressReporter,
-) -> dict[int, list[dict[str, Any]]]:
+) -> dict[int, _FrameResult]:
     """Find the boxes of all frames of one traversal.
 
     Returns:
-        Rows of boxes by time of the frame, without the frames that failed.
+        Results by time of the frame, without the frames that failed.
     """
-    finished: FinishedWork[list[dict[str, Any]]] = FinishedWork(file, list)
+    finished = FinishedWork(file, _FrameResult.decode)
     conditions = hashes.view(view)
     reads_images = getattr(annotator, "reads_images", True)
-    rows = {}
+    results = {}
     for frame in view.frames():
         hash_frame = partial(hashes.frame, frame, conditions, images=reads_images)
-        boxes = finished.find(str(frame.timestamp_ns), hash_frame)
-        if boxes is not None:
+        result = finished.find(str(frame.timestamp_ns), hash_frame)
+        if result is not None:
             report.resumed += 1
         elif (detections := _annotate_frame(frame, annotator, report, progress)) is not None:
-            boxes = detections.to_rows()
+            result = _FrameResult(detections.to_rows(), detections.unfamiliar)
             # A full disk is no failure of the frame: it ends the run.
-            finished.add(str(frame.timestamp_ns), hash_frame(), boxes, boxes)
+            finished.add(str(frame.timestamp_ns), hash_frame(), asdict(result), result)
             report.frames += 1
-        if boxes is not None:
-            rows[frame.timestamp_ns] = boxes
+        if result is not None:
+            results[frame.timestamp_ns] = result
         progress.advance(1)
-    return rows
+    return results
 
 
 def _annotate_frame(

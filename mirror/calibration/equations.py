@@ -338,7 +338,9 @@ def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
         given, and 1 % larger.
     """
     step, middle = 0.25, np.array([camera.cx_px, camera.cy_px])
-    given, rays, slopes = camera.unproject(uv_px).direction, [], []
+    given = camera.unproject(uv_px).direction
+    rays: list[Float64] = []
+    slopes: list[Float64] = []
     for scale in (0.0, -_SCALE_STEP, _SCALE_STEP):
         shrinks = np.exp(-scale)
         at = middle + (uv_px - middle) * shrinks

@@ -13,7 +13,13 @@ from mirror.view.images import legend, rig_images
 
 
 def write_annotation_page(
-    dataset: Dataset, rows: Iterable[tuple[str, int, str]], out: Path, *, title: str, width_px: int = 360
+    dataset: Dataset,
+    rows: Iterable[tuple[str, int, str]],
+    out: Path,
+    *,
+    title: str,
+    note: str = "",
+    width_px: int = 360,
 ) -> int:
     """Write a page that holds its images itself.
 
@@ -22,6 +28,7 @@ def write_annotation_page(
         rows: traversal, timestamp and caption of each frame, in order.
         out: the HTML file.
         title: title of the page.
+        note: a sentence below the title.
         width_px: wider images are scaled down.
 
     Returns:
@@ -37,13 +44,13 @@ def write_annotation_page(
             categories |= set(frame.boxes().category)
             head = f"<h2>{escape(traversal_id)}, frame {frame.frame_index}</h2><p>{escape(caption)}</p>"
             sections.append(head + rig_images(frame, boxes=True, width_px=width_px))
-    write_bytes(out, _page(title, sections, sorted(categories)).encode())
+    write_bytes(out, _page(title, note, sections, sorted(categories)).encode())
     return len(sections)
 
 
-def _page(title: str, sections: Sequence[str], categories: Sequence[str]) -> str:
+def _page(title: str, note: str, sections: Sequence[str], categories: Sequence[str]) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{style_sheet()}</style></head><body><main><h1>{escape(title)}</h1>{legend(categories)}"
+        f"<style>{style_sheet()}</style></head><body><main><h1>{escape(title)}</h1><p>{escape(note)}</p>{legend(categories)}"
         f"{''.join(sections)}</main></body></html>\n"
     )

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.studies.annotation.declaration import Declaration, load_declaration
+from benchmarks.studies.annotation.inputs import fit_and_try
 from benchmarks.studies.annotation.references import ground_boxes, prior_boxes
 from benchmarks.studies.annotation.scoring import CLASS, Found, TestFrame, operating_points, read_test_frames, score
 from benchmarks.studies.annotation.streets import assign_drives, open_streets, recordings_of
@@ -44,7 +45,12 @@ def main(argv: list[str]) -> int:
         if name == "train":
             verb.add_argument("--minutes", type=float, help="this budget alone")
             verb.add_argument("--seed", type=int, help="this seed alone")
+    images = verbs.add_parser("inputs", help="learn and try the test of input statistics of the network that ships")
+    images.add_argument("--out", type=Path, required=True, help="folder of rendered images")
     arguments = parser.parse_args(argv)
+    if arguments.verb == "inputs":
+        fit_and_try(arguments.out)
+        return 0
     declaration = load_declaration()
     print(f"declaration {declaration.hash}", flush=True)
     match arguments.verb:

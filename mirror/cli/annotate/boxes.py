@@ -58,6 +58,7 @@ def run(argv: Sequence[str]) -> int:
     """Find the road users in all frames of a dataset."""
     arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
 
+    from mirror.annotation.protocol import TrainableAnnotator
     from mirror.annotation.registry import installed_annotator
 
     installed = installed_annotator(arguments.annotator)
@@ -85,15 +86,22 @@ def run(argv: Sequence[str]) -> int:
     if arguments.json:
         print(json.dumps({"dataset": str(arguments.dataset), **asdict(report)}))
     else:
-        _print(report, arguments)
+        _print(report, arguments, trainable=isinstance(installed, TrainableAnnotator))
     return ExitCode.PARTLY_DONE if report.failed else ExitCode.DONE
 
 
-def _print(report: AnnotationReport, arguments: Arguments) -> None:
+def _print(report: AnnotationReport, arguments: Arguments, *, trainable: bool) -> None:
+    from mirror.annotation.familiarity import describe_training_data
+
     print(
         f"layer boxes/{report.layer}: {len(report.written)} traversals written, {len(report.kept)} kept; "
         f"{report.boxes} boxes in {report.frames + report.resumed} frames ({report.resumed} from an earlier run)"
     )
+    if report.trained_on is not None and report.written:
+        frames = report.frames + report.resumed
+        print(describe_training_data(arguments.annotator, report.trained_on, report.unfamiliar, frames))
+        if report.unfamiliar and trainable:
+            print(f"train on boxes of your own: mirror annotate train DATASET --annotator {arguments.annotator}")
     if report.failed:
         print(
             f"{len(report.failed)} frames failed; traversals without a layer: {', '.join(report.incomplete) or 'none'}"

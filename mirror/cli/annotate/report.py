@@ -49,24 +49,36 @@ def run(argv: Sequence[str]) -> int:
 
     import mirror
     from mirror.annotation.box_layer import choose_box_layer
+    from mirror.annotation.familiarity import describe_training_data, read_training_data
     from mirror.annotation.ranking import rank_frames
     from mirror.view.annotation_page import write_annotation_page
 
     dataset = mirror.open(arguments.dataset)
     layer = choose_box_layer(dataset, arguments.boxes)
     ranks = rank_frames(dataset, layer, arguments.against)
+    training = read_training_data(dataset, layer)
+    unfamiliar = {(name, stamp) for name, one in training.items() for stamp in one.unfamiliar_ns}
     rows = [
         (
             rank.traversal_id,
             rank.timestamp_ns,
-            f"{rank.boxes} boxes; {rank.unmatched} boxes without a partner; {rank.breaks} breaks of tracks;"
+            (
+                "unlike the images that the annotator was trained on; "
+                if (rank.traversal_id, rank.timestamp_ns) in unfamiliar
+                else ""
+            )
+            + f"{rank.boxes} boxes; {rank.unmatched} boxes without a partner; {rank.breaks} breaks of tracks;"
             f" doubt {rank.unsure:.1f}; largest shift {rank.shift:.1%} of the width",
         )
         for rank in ranks[: arguments.frames]
     ]
     title = f"Boxes of {layer}" + (f" against {arguments.against}" if arguments.against else "")
     view = dataset.with_layers(boxes=layer)
-    count = write_annotation_page(view, rows, arguments.out, title=title)
+    note = ""
+    if training:
+        name, frames = layer.partition("@")[0], sum(one.frames for one in training.values())
+        note = describe_training_data(name, next(iter(training.values())).trained_on, len(unfamiliar), frames)
+    count = write_annotation_page(view, rows, arguments.out, title=title, note=note)
     video = str(arguments.video) if arguments.video and ranks else None
     if arguments.video and ranks:
         from mirror.view.birds_eye import draw_from_above
@@ -76,10 +88,13 @@ def run(argv: Sequence[str]) -> int:
         write_video(arguments.video, images, _VIDEO_HZ)
     if arguments.json:
         worst = asdict(ranks[0]) if ranks else None
-        result = {"path": str(arguments.out), "video": video, "layer": layer, "frames": count, "worst": worst}
+        result = {"path": str(arguments.out), "video": video, "layer": layer, "frames": count, "worst": worst,
+                  "note": note}  # fmt: skip
         print(json.dumps(result))
     else:
         print(f"{arguments.out}: the worst {count} of {len(ranks)} frames with boxes of {layer}")
+        if note:
+            print(note)
         if video:
             print(f"{video}: traversal {ranks[0].traversal_id} from above, {_VIDEO_HZ:g} frames a second")
     return ExitCode.DONE

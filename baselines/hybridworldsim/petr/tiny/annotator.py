@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.petr.tiny.detect import find_boxes
+from hybridworldsim.petr.tiny.familiarity import NAME, FamiliarInputs, read_inputs
 from hybridworldsim.petr.tiny.model_file import read_model
 from hybridworldsim.petr.tiny.network import TinyPetr
 from hybridworldsim.petr.tiny.samples import camera_input
@@ -22,6 +24,7 @@ from mirror.dataset.frames import Frame
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.progress import ProgressReporter
+from mirror.schema.finished_work import hash_values
 
 SHIPPED: Final = Path(str(files("hybridworldsim.petr.tiny") / "weights" / "petr_tiny.safetensors"))
 SHIPPED_SHA256: Final = "f66508bce56b92dda7fba82989b7c50343eed9947e87e5969cba8c0cb444a9fc"
@@ -40,11 +43,17 @@ class TinyAnnotator:
         sha256: hash of its file.
         device: torch device.
         min_score: least score of a box.
+        inputs: what its training images look like; None: unknown.
     """
 
-    def __init__(self, network: TinyPetr, sha256: str, device: str, min_score: float) -> None:
+    def __init__(
+        self, network: TinyPetr, sha256: str, device: str, min_score: float, inputs: FamiliarInputs | None = None
+    ) -> None:
         self.name, self.version = "petr-tiny", sha256[:8]
-        self.fingerprint = f"petr-tiny {sha256} {min_score}"
+        known = "" if inputs is None else f" {hash_values(inputs.model_dump(mode='json'))}"
+        self.fingerprint = f"petr-tiny {sha256} {min_score}{known}"
+        self.trained_on = None if inputs is None else inputs.trained_on
+        self._inputs = inputs
         self._network, self._min_score = network.to(device), min_score
 
     def annotate(self, frame: Frame) -> Detections:
@@ -52,8 +61,10 @@ class TinyAnnotator:
         cameras = camera_input(frame, self._network.settings)
         boxes = find_boxes(self._network, cameras, min_score=self._min_score)
         count = len(boxes.score)
+        # Cameras vote: one that is covered or blinded does not decide.
+        unfamiliar = self._inputs is not None and bool(self._inputs.are_unfamiliar(cameras.images).mean() > 0.5)
         if not count:
-            return Detections.empty(frame.timestamp_ns)
+            return replace(Detections.empty(frame.timestamp_ns), unfamiliar=unfamiliar)
         half = 0.5 * boxes.yaw_rad.double().cpu().numpy()
         zero = np.zeros(count)
         return Detections(
@@ -63,6 +74,7 @@ class TinyAnnotator:
             np.full((count, 3), np.nan),
             tuple(CLASSES[label] for label in boxes.label.tolist()),
             boxes.score.double().cpu().numpy(),
+            unfamiliar=unfamiliar,
         )
 
     def close(self) -> None:
@@ -79,8 +91,10 @@ class _Installed:
             raise UsageError("no CUDA device is available", place="--device", expected="cpu, or a machine with a GPU")
         given = settings.get("weights")
         expected = settings.get("sha256") or (None if given else SHIPPED_SHA256)
-        network, digest = read_model(Path(given) if given else SHIPPED, sha256=expected)
-        return TinyAnnotator(network, digest, device, share_setting(settings, "min_score", 0.3))
+        path = Path(given) if given else SHIPPED
+        network, digest = read_model(path, sha256=expected)
+        inputs = read_inputs(path.with_name(NAME), digest)
+        return TinyAnnotator(network, digest, device, share_setting(settings, "min_score", 0.3), inputs)
 
     def train(
         self, datasets: Sequence[Dataset], task: TrainingTask, out: Path, progress: ProgressReporter

@@ -13,6 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import torch
 
+from hybridworldsim.petr.tiny.familiarity import NAME, fit_inputs, write_inputs
 from hybridworldsim.petr.tiny.model_file import write_model
 from hybridworldsim.petr.tiny.samples import Sample, read_sample
 from hybridworldsim.petr.tiny.settings import NetworkSettings, TrainingSettings, document, training_settings
@@ -34,6 +35,7 @@ _CHECKPOINT: Final = "checkpoint.safetensors"
 _CURVES: Final = "curves.csv"
 _REPORTS: Final = 40
 _TICKS: Final = 1000
+_TRAINED_ON: Final = "datasets given to `mirror annotate train`"
 _CHECKPOINT_S: Final = 60.0
 
 
@@ -151,6 +153,8 @@ def train_on_samples(
                 steps=position.steps, core_s=position.spent_s, wall_s=position.wall_s, loss=rows[-1]["loss"],
                 model_bytes=size, sha256=file_sha256(out / MODEL),
             )  # fmt: skip
+            images = np.concatenate([sample.cameras.images for sample in samples])
+            write_inputs(out / NAME, fit_inputs(images, outcome.sha256, _TRAINED_ON))
             write_json(out / OUTCOME, outcome)
     return TrainingReport(
         str(out / MODEL), run.frames, run.boxes, outcome.steps, outcome.core_s, outcome.wall_s, outcome.loss,

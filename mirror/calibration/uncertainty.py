@@ -2,7 +2,7 @@
 
 The covariance is a sandwich: the scatter of the pairs of images and the priors, between two inverse information
 matrices (P. Huber 1967; to first order the jackknife over pairs). The parts are independent, so the variance of a
-rotation is the sum of those of its sources: an error of a source with a large share cannot be told from the rotation.
+rotation is the sum of those of its sources: an error of a source with a large share looks like the rotation.
 """
 
 from __future__ import annotations

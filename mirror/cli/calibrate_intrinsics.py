@@ -68,7 +68,8 @@ def main(argv: Sequence[str]) -> int:
     from mirror.calibration.boards import Board
     from mirror.calibration.intrinsics import calibrate_intrinsics
     from mirror.recordings.folder_lens import put_lens, require_lens_place
-    from mirror.recordings.lens_files import parse_mounting, write_lens
+    from mirror.recordings.lens_files import write_lens
+    from mirror.recordings.mounting import parse_mounting
     from mirror.schema.folders import require_output_file
 
     board = Board(*_parse_size(arguments.board), arguments.kind, arguments.dictionary, arguments.marker)

@@ -15,6 +15,7 @@ HEADINGS: Final[dict[Group, str]] = {
 _OWN: Final[dict[str, tuple[Group, str]]] = {
     "demo": ("data", "make a synthetic street, and run the verbs below on it"),
     "synth": ("data", "write recordings of a synthetic street"),
+    "recording": ("data", "make a recording from a track and from images or videos"),
     "rois": ("data", "propose regions of interest from recordings"),
     "ingest": ("data", "recordings -> traversals: trigger, write, ledger"),
     "index": ("data", "rebuild the derived tables of a dataset"),

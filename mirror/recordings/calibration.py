@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from mirror.arrays import Float64
 from mirror.errors import RecordingError, UsageError
-from mirror.geometry.cameras.camera import camera_from_attributes
+from mirror.geometry.cameras.camera import Camera, camera_from_attributes
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.coordinates import UNIT_TOLERANCE
 from mirror.schema.documents import Document
@@ -140,6 +140,34 @@ def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
             expected="the intrinsics and mounting of a camera",
             remedy="correct the file, or remove it: the camera is then uncalibrated",
         ) from error
+
+
+def to_calibration(
+    camera: str, lens: Camera, mounting: tuple[float, ...], method: str | None, **others: Any
+) -> Calibration:
+    """A calibration of a lens at a mounting.
+
+    Args:
+        camera: the camera's name.
+        lens: the lens.
+        mounting: ``ego_SE3_camera`` as ``qw qx qy qz tx_m ty_m tz_m``.
+        method: how they were obtained.
+        others: other attributes of `Calibration`.
+    """
+    return Calibration(
+        camera=camera,
+        model=lens.model,
+        width_px=lens.width_px,
+        height_px=lens.height_px,
+        fx_px=lens.fx_px,
+        fy_px=lens.fy_px,
+        cx_px=lens.cx_px,
+        cy_px=lens.cy_px,
+        distortion=lens.distortion,
+        ego_SE3_camera=mounting,
+        method=method,
+        **others,
+    )
 
 
 def to_calibration_table(

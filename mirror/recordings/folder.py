@@ -11,12 +11,11 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import Float64, UInt8
+from mirror.arrays import UInt8
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_from_heading_pitch_roll
 from mirror.recordings.calibration import STAGES, Calibration, Stage, to_calibration_table
-from mirror.recordings.coordinates import normalise_rotations, to_ego_track, track_from_ecef, track_from_utm
+from mirror.recordings.coordinates import to_ego_track, track_from_ecef, track_from_utm
 from mirror.recordings.folder_document import (
     DOCUMENT_NAME,
     FolderDocument,
@@ -26,6 +25,7 @@ from mirror.recordings.folder_document import (
 )
 from mirror.recordings.folder_images import image_stream
 from mirror.recordings.opening import find_file, read_file, require_file
+from mirror.recordings.orientation import ANGLES, QUATERNION, read_orientation
 from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.raster import MAX_PIXELS, is_decodable
@@ -36,15 +36,13 @@ from mirror.schema.files import conform
 from mirror.schema.tables import BOXES
 
 _TABLES: Final = (".csv", ".parquet")
-_QUATERNION: Final = ("qw", "qx", "qy", "qz")
-_ANGLES: Final = ("heading_deg", "pitch_deg", "roll_deg")
 _POSITIONS: Final = {
     "wgs84": ("longitude_deg", "latitude_deg", "height_m"),
     "utm": ("easting_m", "northing_m", "height_m"),
     "ecef": ("x_m", "y_m", "z_m"),
     "local": ("x_m", "y_m", "z_m"),
 }
-_NUMBERS: Final = {name for names in (*_POSITIONS.values(), _QUATERNION, _ANGLES, ("sigma_m",)) for name in names}
+_NUMBERS: Final = {name for names in (*_POSITIONS.values(), QUATERNION, ANGLES, ("sigma_m",)) for name in names}
 
 
 class FolderReader:
@@ -162,9 +160,12 @@ class FolderRecording:
             stamps = rows.stamps("timestamp", document.time_base)
         kind = document.frame.kind
         first, second, third = _POSITIONS[kind]
+        quaternion = QUATERNION if any(name in rows for name in QUATERNION) else ()
+        heading = ("heading_deg",) if any(name in rows for name in ANGLES) and not quaternion else ()
+        rows.require_columns((first, second, *((third,) if kind == "ecef" else ()), *quaternion, *heading))
         across, along = rows.floats(first), rows.floats(second)
         up = rows.floats(third) if third in rows or kind == "ecef" else None
-        rotation, level = self._orientation(rows)
+        rotation, level = read_orientation(rows)
         sigma = rows.sigmas("sigma_m") if "sigma_m" in rows else None
         file = self._pose_files[0]
         if kind == "utm":
@@ -201,28 +202,6 @@ class FolderRecording:
             return track
         offset = document.ego_SE3_body
         return to_ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
-
-    def _orientation(self, rows: RecordingRows) -> tuple[Float64 | None, bool]:
-        """The rotations as read (None: no columns), and whether they refer to the horizon and to north."""
-        if any(name in rows for name in _QUATERNION):
-            quaternion = np.stack([rows.floats(name) for name in _QUATERNION], axis=1)
-            return normalise_rotations(quaternion, rows, "qw"), False
-        if not any(name in rows for name in _ANGLES):
-            return None, False
-        angles = []
-        for name in _ANGLES:
-            angle = rows.floats(name) if name in rows or name == "heading_deg" else np.zeros(len(rows))
-            bad = ~np.isfinite(angle)
-            rows.refuse(
-                bad,
-                name,
-                "no angle",
-                expected="degrees",
-                remedy="remove the row, or leave the orientation columns out of the whole drive",
-                reason="rotation",
-            )
-            angles.append(np.where(bad, 0.0, angle))
-        return quaternion_from_heading_pitch_roll(*angles), True
 
     def calibrations(self) -> pa.Table:
         """The calibrations of all stages that have a file."""

@@ -14,7 +14,7 @@ from mirror.recordings.calibration import SE3, Calibration
 from mirror.recordings.opening import read_json
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.documents import Document, Identifier
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problems
 
 DOCUMENT_NAME: Final = "recording.json"
 
@@ -92,7 +92,7 @@ def read_document(file: Path) -> FolderDocument:
     """Read ``recording.json``.
 
     Raises:
-        RecordingError: it is missing or broken, or a key is not as specified; the key is named.
+        RecordingError: it is missing or broken, or keys are not as specified; all of them are named.
     """
     with _document_errors(file):
         return FolderDocument.model_validate(read_json(file))
@@ -102,7 +102,7 @@ def read_calibrations(file: Path) -> list[Calibration]:
     """Read one stage's calibrations.
 
     Raises:
-        RecordingError: the file is broken, or an entry is not as specified; entry and key are named.
+        RecordingError: the file is broken, or entries are not as specified; all of them are named.
     """
     with _document_errors(file):
         return TypeAdapter(list[Calibration]).validate_python(read_json(file))
@@ -121,15 +121,15 @@ def recording_errors() -> Iterator[None]:
 
 @contextmanager
 def _document_errors(file: Path) -> Iterator[None]:
-    """Turn a validation error into a `RecordingError` that names the first wrong key."""
+    """Turn a validation error into a `RecordingError` that names every wrong key."""
     try:
         yield
     except ValidationError as error:
-        first = error.errors()[0]
+        problem, place = describe_problems(error.errors())
         raise RecordingError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            problem,
             file=file,
-            place=".".join(str(part) for part in first["loc"]) or "the whole document",
+            place=place,
             expected="what docs/recordings.md specifies for this key",
-            remedy="correct the key",
+            remedy="correct what is named",
         ) from error

@@ -8,29 +8,12 @@ from typing import Any, Final
 
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.cameras import Camera
-from mirror.recordings.calibration import Calibration
+from mirror.recordings.calibration import Calibration, to_calibration
 from mirror.recordings.folder_document import DOCUMENT_NAME, read_calibrations, read_document
-from mirror.recordings.opening import find_file, require_file
+from mirror.recordings.opening import find_file, read_json, require_file
 from mirror.schema.files import write_bytes
 
 FACTORY: Final = "calibrations/factory.json"
-
-
-def calibration_entry(camera: str, lens: Camera, mounting: tuple[float, ...], **others: Any) -> Calibration:
-    """A calibration of a lens at a mounting ``qw qx qy qz tx_m ty_m tz_m``; ``others`` are attributes of it."""
-    return Calibration(
-        camera=camera,
-        model=lens.model,
-        width_px=lens.width_px,
-        height_px=lens.height_px,
-        fx_px=lens.fx_px,
-        fy_px=lens.fy_px,
-        cx_px=lens.cx_px,
-        cy_px=lens.cy_px,
-        distortion=lens.distortion,
-        ego_SE3_camera=mounting,
-        **others,
-    )
 
 
 def write_calibrations(root: Path, calibrations: list[Calibration]) -> None:
@@ -90,10 +73,10 @@ def put_lens(root: Path, camera: str, lens: Camera, mounting: tuple[float, ...] 
         names = ("time_offset_ns", "shutter_direction", "readout_ns", "valid_from_ns", "valid_to_ns")
         kept = {name: getattr(old, name) for name in names}
         kept["covariance"] = old.covariance if mounting is None else None
-    entry = calibration_entry(camera, lens, pose, method=method, **kept)
+    entry = to_calibration(camera, lens, pose, method, **kept)
     write_calibrations(root, [entry if one is old else one for one in existing] + ([entry] if old is None else []))
     file = require_file(root, DOCUMENT_NAME)
-    document = json.loads(file.read_bytes())
+    document = read_json(file)
     if document["cameras"][camera].pop("calibrated", True) is False:
         write_bytes(file, (json.dumps(document, indent=2) + "\n").encode())
 

@@ -21,6 +21,7 @@ from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.opening import require_file
+from mirror.recordings.orientation import ANGLES, QUATERNION, read_orientation
 from mirror.recordings.paths import list_folder, natural_key, to_identifier
 from mirror.recordings.protocol import DriveInfo, ImageStream, Track
 from mirror.recordings.registry import refuse_options
@@ -141,7 +142,7 @@ class CsvRecording:
                 file=self.tables[0],
                 place="header",
                 expected=f"usual names among {', '.join(names)}",
-                remedy=f"name it: --columns {missing[0]}=<name of the column>",
+                remedy=f"name them: --columns {','.join(f'{role}=<name of the column>' for role in missing)}",
             )
         return columns
 
@@ -153,7 +154,9 @@ class CsvRecording:
         numbers = {columns[role][0]: pa.float64() for role in (*self._axes, "sigma") if role in columns}
         words = {columns[role][0]: pa.string() for role in ("weather", "vehicle") if role in columns}
         stamps = {name: pa.string() for name in columns["time"]}
-        used = list(dict.fromkeys(name for names in columns.values() for name in names))
+        turns = [name for name in read_header(self.tables[0], delimiter)[0] if name in (*QUATERNION, *ANGLES)]
+        numbers |= dict.fromkeys(turns, pa.float64())
+        used = list(dict.fromkeys([*(name for names in columns.values() for name in names), *turns]))
         types = {**words, **numbers, **stamps}
         return read_rows(self.tables, types=types, columns=used, delimiter=delimiter, tolerant=True)
 
@@ -281,6 +284,7 @@ class CsvRecording:
         }
         if "sigma" in self._columns:
             columns["sigma_m"] = self._rows.sigmas(self._columns["sigma"][0])
+        columns["rotation"] = read_orientation(self._rows)[0]
         return self._rows.without_bad(Track(stamps, **columns, file=self.tables[0]))
 
     def calibrations(self) -> pa.Table:

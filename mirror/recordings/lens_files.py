@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from mirror.arrays import Float64
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry.cameras import COEFFICIENTS, Camera
 from mirror.recordings.opening import read_file
@@ -211,42 +210,3 @@ def _make(file: Path, values: Mapping[str, Any]) -> Camera:
 
 def _error(file: Path, problem: str, remedy: str) -> RecordingError:
     return RecordingError(problem, file=file, expected=_EXPECTED, remedy=remedy)
-
-
-def parse_mounting(text: str, place: str) -> tuple[float, ...]:
-    """The pose of a camera in the ego frame, from text.
-
-    Args:
-        text: six numbers ``x,y,z,roll,pitch,yaw`` (metres; degrees, right-handed about x forward, y left and z up, so
-            that 0,0,0 looks forward with the image upright; applied in this order), or seven
-            ``qw,qx,qy,qz,tx_m,ty_m,tz_m`` of the camera frame (x right, y down, z forward).
-        place: the option, for messages.
-
-    Returns:
-        ``ego_SE3_camera`` as ``qw qx qy qz tx_m ty_m tz_m``.
-
-    Raises:
-        UsageError: these are no such numbers.
-    """
-    from mirror.geometry.quaternions import quaternion_multiply, quaternion_normalise
-
-    expected = "x,y,z,roll,pitch,yaw in metres and degrees, or qw,qx,qy,qz,tx_m,ty_m,tz_m"
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError as error:
-        raise UsageError(f"{text!r} is no mounting", place=place, expected=expected) from error
-    if len(numbers) not in (6, 7) or not np.isfinite(numbers).all():
-        raise UsageError(f"{text!r} is no mounting", place=place, expected=expected)
-    if len(numbers) == 7:
-        length = float(np.linalg.norm(numbers[:4]))
-        if abs(length - 1.0) > 0.01:
-            raise UsageError(f"the quaternion has length {length:.4g}", place=place, expected="a unit quaternion")
-        return (*quaternion_normalise(numbers[:4]).tolist(), *numbers[4:].tolist())
-    half = np.deg2rad(numbers[3:]) / 2.0
-    # The camera frame seen from a body with x forward, y left, z up.
-    rotation: Float64 = np.array([0.5, -0.5, 0.5, -0.5])
-    for axis in range(3):
-        turn = np.zeros(4)
-        turn[0], turn[1 + axis] = np.cos(half[axis]), np.sin(half[axis])
-        rotation = quaternion_multiply(turn, rotation)
-    return (*quaternion_normalise(rotation).tolist(), *numbers[:3].tolist())

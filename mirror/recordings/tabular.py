@@ -183,14 +183,16 @@ class RecordingRows:
         Raises:
             RecordingError: the column does not exist.
         """
-        if name not in self:
-            raise RecordingError(
-                "the column is missing",
-                file=self.files[0],
-                place=f"column {name}",
-                expected=f"{name} among {', '.join(self.table.column_names)}",
-            )
+        self.require_columns((name,))
         return self.table.column(name)
+
+    def require_columns(self, names: Sequence[str]) -> None:
+        """Refuse a table that lacks columns.
+
+        Raises:
+            RecordingError: some do not exist; all of them are named.
+        """
+        _require_columns(names, self.table.column_names, self.files[0])
 
 
 def read_rows(
@@ -324,15 +326,19 @@ def _read_table(
         )
     if columns is None:
         return table
-    absent = [name for name in columns if name not in table.column_names]
+    _require_columns(columns, table.column_names, file)
+    return table.select(list(columns))
+
+
+def _require_columns(names: Sequence[str], present: Sequence[str], file: Path) -> None:
+    absent = [name for name in names if name not in present]
     if absent:
         raise RecordingError(
-            "the column is missing",
+            "the column is missing" if len(absent) == 1 else f"{len(absent)} columns are missing",
             file=file,
-            place=f"column {absent[0]}",
-            expected=f"one of {', '.join(table.column_names)}",
+            place=f"column {', '.join(absent)}",
+            expected=f"{', '.join(absent)} among {', '.join(present)}",
         )
-    return table.select(list(columns))
 
 
 def _read_csv(file: Path, types: Mapping[str, pa.DataType], delimiter: str, torn: dict[int, int] | None) -> pa.Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,3 +18,23 @@ def describe_expected(details: ErrorDetails) -> str:
     """What a right value is, such as ``a number greater than 0``."""
     expected = describe_problem(details).removeprefix("Input should be ")
     return f"a number {expected}" if expected.startswith(("greater", "less")) else expected
+
+
+def describe_problems(every: Sequence[ErrorDetails]) -> tuple[str, str]:
+    """What is wrong with a document, and where: all problems at once.
+
+    Args:
+        every: `pydantic.ValidationError.errors`.
+
+    Returns:
+        The problem and its place; of several problems the text names the place of each, and the place lists all.
+    """
+    places = [".".join(str(part) for part in details["loc"]) or "the whole document" for details in every]
+    texts = [
+        describe_problem(details) + ("" if details["type"] == "missing" else f" (got {details.get('input')!r:.80})")
+        for details in every
+    ]
+    if len(texts) == 1:
+        return texts[0], places[0]
+    listed = "; ".join(f"{place}: {text}" for place, text in zip(places, texts))
+    return f"{len(texts)} faults: {listed}", ", ".join(dict.fromkeys(places))

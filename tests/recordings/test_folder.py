@@ -292,7 +292,7 @@ def test_wrong_rows_are_named(tmp_path: Path, header: str, row: str, place: str)
 @pytest.mark.parametrize(
     ("poses", "problem", "place"),
     [
-        ("timestamp_ns,lon,lat\n0,13.4,52.5\n", "the column is missing", "column longitude_deg"),
+        ("timestamp_ns,lon,lat\n0,13.4,52.5\n", "2 columns are missing", "column longitude_deg, latitude_deg"),
         ("longitude_deg,latitude_deg\n13.4,52.5\n", "the column is missing", "column timestamp"),
         (
             "timestamp_ns,longitude_deg,latitude_deg,qw,qx,qy\n0,13.4,52.5,1,0,0\n",

@@ -10,7 +10,8 @@ import pytest
 from mirror.errors import RecordingError, UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.recordings.lens_files import parse_mounting, read_lens, write_lens
+from mirror.recordings.lens_files import read_lens, write_lens
+from mirror.recordings.mounting import parse_mounting
 
 KALIBR = """cam0:
   camera_model: pinhole

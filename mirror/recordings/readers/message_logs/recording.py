@@ -16,9 +16,17 @@ from mirror.errors import RecordingError
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_multiply, quaternion_normalise
-from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
+from mirror.recordings.calibration import (
+    Calibration,
+    Stage,
+    make_calibration,
+    to_calibration,
+    to_calibration_table,
+)
 from mirror.recordings.coordinates import is_invalid_rotation, to_ego_track
-from mirror.recordings.paths import to_identifier
+from mirror.recordings.lens_files import read_lens
+from mirror.recordings.mounting import mounting_pose
+from mirror.recordings.paths import require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.message_logs.container import MessageLog
 from mirror.recordings.readers.message_logs.contents import CameraContents, Contents, read_contents
@@ -89,13 +97,21 @@ class LogRecording:
     def _is_calibrated(self, camera: str) -> bool:
         """False: the camera has no topic of intrinsics, or all its messages state that it is not calibrated."""
         contents = self._contents.cameras.get(camera)
+        if self.document.cameras[camera].lens is not None:
+            return True
         if self.document.cameras[camera].info is None:
             return False
         return contents is None or bool(contents.intrinsics) or not contents.declared_uncalibrated
 
     def files(self) -> Sequence[tuple[str, Path]]:
         """The logs and the topics file."""
-        return sorted((file.name, file) for file in (*(log.path for log in self.logs), self.topics_file))
+        lenses = {self._lens_file(entry.lens)[0] for entry in self.document.cameras.values() if entry.lens is not None}
+        return sorted((file.name, file) for file in (*(log.path for log in self.logs), self.topics_file, *lenses))
+
+    def _lens_file(self, stated: str) -> tuple[Path, str | None]:
+        """The file of a lens, and the camera in it, if one is named."""
+        name, _, camera = stated.partition(":")
+        return require_inside(self.topics_file.parent, name, file=self.topics_file, place="lens"), camera or None
 
     @cached_property
     def _is_fix(self) -> bool:
@@ -259,8 +275,17 @@ class LogRecording:
             contents = self._contents.cameras.get(name)
             if contents is None or not self._is_calibrated(name):
                 continue
+            if entry.lens is not None and entry.mounting is not None:
+                lens_of_file = read_lens(*self._lens_file(entry.lens))
+                found.append(
+                    ("factory", to_calibration(name, lens_of_file, mounting_pose(entry.mounting), "lens file"))
+                )
+                continue
             frame = entry.frame or contents.frame
-            mounting = self._contents.transforms.mounting(self.document.ego_frame, frame)
+            transform = self._contents.transforms.mounting(self.document.ego_frame, frame)
+            mounting = None if transform is None else to_pose_numbers(transform)
+            if entry.mounting is not None:
+                mounting = mounting_pose(entry.mounting)
             if mounting is None or not contents.intrinsics:
                 raise RecordingError(
                     f"topic {entry.info} has no messages"
@@ -269,10 +294,10 @@ class LogRecording:
                     file=self.path,
                     place=f"camera {name}",
                     expected="intrinsics, and a mounting on the vehicle",
-                    remedy="correct frame or ego_frame in the topics file, or leave the camera's info out: it is then"
-                    " uncalibrated",
+                    remedy="correct frame or ego_frame in the topics file, state the camera's mounting there, or leave"
+                    " its info out: it is then uncalibrated",
                 )
-            pose = to_pose_numbers(mounting)
+            pose = mounting
             starts = [stamp for stamp, _ in contents.intrinsics]
             for number, (start, lens) in enumerate(contents.intrinsics):
                 validity = {

@@ -10,12 +10,13 @@ from typing import Annotated, Final, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from mirror.errors import RecordingError
+from mirror.recordings.mounting import mounting_pose
 from mirror.recordings.opening import read_file
 from mirror.recordings.paths import to_identifier
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.decoding import RAW_IMAGES, kind_of
 from mirror.schema.documents import Document, Identifier
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problems
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 CANONICAL: Final = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
@@ -49,13 +50,28 @@ class CameraTopics(Document):
 
     Attributes:
         images: compressed images, or packets of a compressed video.
-        info: intrinsics; None: the camera is uncalibrated.
+        info: intrinsics; None: those of `lens`, and without both the camera is uncalibrated.
+        lens: YAML file of the lens beside the topics file, in place of a topic of intrinsics; ``FILE:cam1`` names a
+            camera of a file of Kalibr.
+        mounting: the camera in the ego frame (`mirror.recordings.mounting.mounting_pose`), in place of transforms.
         frame: the camera's optical frame; None: that of the images.
     """
 
     images: str
     info: str | None = None
+    lens: str | None = None
+    mounting: tuple[float, ...] | None = None
     frame: str | None = None
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> CameraTopics:
+        if self.info is not None and self.lens is not None:
+            raise ValueError("info and lens are two sources of one lens: leave one of them out")
+        if self.lens is not None and self.mounting is None:
+            raise ValueError("lens needs mounting = [x, y, z, roll, pitch, yaw]")
+        if self.mounting is not None:
+            mounting_pose(self.mounting)
+        return self
 
 
 class TopicsFile(Document):
@@ -102,20 +118,20 @@ def read_topics_file(file: Path) -> TopicsFile:
     """Read a topics file.
 
     Raises:
-        RecordingError: it is missing, not TOML, or a key is not as specified; the key is named.
+        RecordingError: it is missing, not TOML, or keys are not as specified; all of them are named.
     """
     try:
         return TopicsFile.model_validate(decode_toml(read_file(file)))
     except TomlError as error:
         raise RecordingError(f"is not TOML ({error})", file=file, expected=_STRICT, remedy="correct it") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        problem, place = describe_problems(error.errors())
         raise RecordingError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            problem,
             file=file,
-            place=".".join(str(part) for part in first["loc"]) or "the whole document",
+            place=place,
             expected=_STRICT,
-            remedy="correct the key, or begin with the proposal of `mirror info LOG`",
+            remedy="correct what is named, or begin with the proposal of `mirror info LOG`",
         ) from error
 
 
@@ -123,7 +139,7 @@ def require_topics(document: TopicsFile, topics: Mapping[str, Topic], file: Path
     """Refuse a topics file that names topics which the log lacks, or which are of another kind.
 
     Raises:
-        RecordingError: the key and the topic are named.
+        RecordingError: all such keys and topics are named.
     """
     named: list[tuple[str, str | None, tuple[str, ...]]] = [
         ("pose.topic", document.pose.topic, ("fix", "pose")),
@@ -132,26 +148,26 @@ def require_topics(document: TopicsFile, topics: Mapping[str, Topic], file: Path
     for name, camera in document.cameras.items():
         named += [(f"cameras.{name}.images", camera.images, ("image", "video"))]
         named += [(f"cameras.{name}.info", camera.info, ("camera",))]
+    faults: dict[str, tuple[str, str, str]] = {}
     for key, topic, kinds in named:
         if topic is None:
             continue
         if topic not in topics:
-            raise RecordingError(
-                f"the log has no topic {topic!r}",
-                file=file,
-                place=key,
-                expected=f"one of {', '.join(sorted(topics)) or 'no topics: the log is empty'}",
-                remedy="correct the key",
-            )
-        if kind_of(topics[topic]) not in kinds:
+            listed = f"one of {', '.join(sorted(topics)) or 'no topics: the log is empty'}"
+            faults[key] = f"the log has no topic {topic!r}", listed, "correct the key"
+        elif kind_of(topics[topic]) not in kinds:
             raw = topics[topic].type.replace("/msg/", "/") in RAW_IMAGES
-            raise RecordingError(
+            faults[key] = (
                 f"topic {topic} has the type {topics[topic].type}",
-                file=file,
-                place=key,
-                expected=f"messages of the kind {' or '.join(kinds)}",
-                remedy="compress the images (image_transport), raw ones are not read" if raw else "name another topic",
+                f"messages of the kind {' or '.join(kinds)}",
+                "compress the images (image_transport), raw ones are not read" if raw else "name another topic",
             )
+    if not faults:
+        return
+    expected, remedies = ("; ".join(dict.fromkeys(fault[part] for fault in faults.values())) for part in (1, 2))
+    problems = [fault[0] if len(faults) == 1 else f"{key}: {fault[0]}" for key, fault in faults.items()]
+    problem = problems[0] if len(faults) == 1 else f"{len(faults)} faults: {'; '.join(problems)}"
+    raise RecordingError(problem, file=file, place=", ".join(faults), expected=expected, remedy=remedies)
 
 
 def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
@@ -169,7 +185,8 @@ def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
     lines = [
         f'drive_id = "{to_identifier(name)}"',
         'vehicle_id = "unknown"       # a pseudonym',
-        'vehicle_type = "unknown"',
+        'vehicle_type = "unknown"     # make or class of the vehicle',
+        '# rig_id = "rig_unknown"     # the same for all vehicles with these cameras at these mountings',
         'stamps = "header"            # "log": the time of logging, where the sensors have no common clock',
         'ego_frame = "base_link"      # the frame at the rear axle on the ground',
         "",
@@ -180,7 +197,14 @@ def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
     for camera, images in _name_cameras(sources).items():
         lines += ["", f"[cameras.{camera}]", f'images = "{images}"']
         info = _nearest(images, by_kind.get("camera", []))
-        lines.append(f'info = "{info}"' if info else '# info = "..."        # no topic of intrinsics was found')
+        lines += (
+            [f'info = "{info}"']
+            if info
+            else ['# lens = "lens.yaml"   # no topic of intrinsics was found; `mirror calibrate intrinsics` makes it']
+        )
+        lines.append(
+            "# mounting = [1.5, 0, 1.4, 0, 0, 0]   # x y z (m), roll pitch yaw (degrees), if no transform has it"
+        )
     if not sources:
         lines += ["", "# The log has no topic of compressed images or video: the drive has poses only."]
     raw = [topic for topic in sorted(topics) if topics[topic].type.replace("/msg/", "/") in RAW_IMAGES]

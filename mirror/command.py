@@ -68,15 +68,28 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
         with terminable(), _named_paths():
             return int(work())
     except MirrorError as error:
-        if as_json:
-            import json
-
-            print(json.dumps(error.to_dict()))
-        print(f"{error.command or command}: {error}", file=sys.stderr)
-        return ExitCode.COULD_NOT_RUN
+        return _refuse(command, error, as_json=as_json)
     except KeyboardInterrupt:
         print(interrupted(command), file=sys.stderr)
         return INTERRUPTED
+    except (BrokenPipeError, SystemExit):
+        raise
+    except Exception as error:
+        from mirror.plugins import error_in_plugin
+
+        named = error_in_plugin(error)
+        if named is None:
+            raise
+        return _refuse(command, named, as_json=as_json)
+
+
+def _refuse(command: str, error: MirrorError, *, as_json: bool) -> int:
+    if as_json:
+        import json
+
+        print(json.dumps(error.to_dict()))
+    print(f"{error.command or command}: {error}", file=sys.stderr)
+    return ExitCode.COULD_NOT_RUN
 
 
 @contextmanager

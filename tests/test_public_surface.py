@@ -8,7 +8,18 @@ from importlib import import_module
 
 import pytest
 
-PACKAGES = ["mirror", "mirror.privacy", "mirror.metrics", "mirror.dataset", "mirror.annotation", "hybridworldsim"]
+PACKAGES = [
+    "mirror",
+    "mirror.privacy",
+    "mirror.metrics",
+    "mirror.methods",
+    "mirror.dataset",
+    "mirror.protocols",
+    "mirror.annotation",
+    "mirror.recordings",
+    "hybridworldsim",
+    "hybridworldsim.simulator",
+]
 HEAVY = ("numpy", "pandas", "pyarrow", "torch", "numba", "cv2", "scipy", "rich", "tyro")
 
 

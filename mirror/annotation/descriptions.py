@@ -10,7 +10,6 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, Protocol, get_args
 
@@ -21,14 +20,14 @@ from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.installation import install_command
+from mirror.plugins import PluginKind
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.light import Light
 from mirror.recordings.weather import WEATHER
 from mirror.schema.finished_work import hash_values
 from mirror.schema.json_lines import append_line, decode_object, read_lines
 
-GROUP: Final = "mirror.describers"
+DESCRIBERS: Final = PluginKind("describer", "mirror.describers", "--describer", "models")
 FORMAT: Final = "mirror-descriptions/1"
 REQUEST: Final = "mirror-describe/1"
 _LIGHTS: Final[tuple[str, ...]] = get_args(Light)
@@ -185,17 +184,7 @@ def installed_describer(name: str) -> InstalledDescriber:
     Raises:
         UsageError: no describer of that name is installed, or one of its dependencies is missing.
     """
-    entries = {entry.name: entry for entry in entry_points(group=GROUP)}
-    if name not in entries:
-        listed = ", ".join(sorted(entries)) or "none is installed"
-        raise UsageError(f"no describer {name!r} is installed", expected=f"an entry point {GROUP}: {listed}")
-    try:
-        describer: InstalledDescriber = entries[name].load()
-    except ModuleNotFoundError as error:
-        remedy = f"install its dependencies: {install_command('models')}"
-        raise UsageError(
-            f"describer {name!r} needs {error.name}, which is not installed", place=entries[name].value, remedy=remedy
-        ) from error
+    describer: InstalledDescriber = DESCRIBERS.load(name)
     return describer
 
 

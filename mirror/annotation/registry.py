@@ -1,38 +1,28 @@
-"""Installed annotators, found through the entry points ``mirror.annotators``."""
+"""Annotators by name: entry points ``mirror.annotators``, or a file that the user names."""
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import Final
 
 from mirror.annotation.protocol import InstalledAnnotator
-from mirror.errors import UsageError
-from mirror.installation import install_command
+from mirror.plugins import PluginKind
 
-GROUP: Final = "mirror.annotators"
+ANNOTATORS: Final = PluginKind("annotator", "mirror.annotators", "--annotator", "models")
 
 
 def annotator_names() -> list[str]:
     """Names of the installed annotators, sorted."""
-    return sorted(entry.name for entry in entry_points(group=GROUP))
+    return list(ANNOTATORS.entries)
 
 
 def installed_annotator(name: str) -> InstalledAnnotator:
-    """Load an installed annotator by its entry-point name.
+    """Load an annotator.
+
+    Args:
+        name: name of an entry point, or ``FILE.py:OBJECT``.
 
     Raises:
-        UsageError: no annotator of that name is installed, or one of its dependencies is missing.
+        UsageError: there is no such annotator, or one of its dependencies is missing.
     """
-    entries = {entry.name: entry for entry in entry_points(group=GROUP)}
-    if name not in entries:
-        listed = ", ".join(sorted(entries)) or "none is installed"
-        raise UsageError(f"no annotator {name!r} is installed", expected=f"an entry point {GROUP}: {listed}")
-    try:
-        annotator: InstalledAnnotator = entries[name].load()
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"annotator {name!r} needs {error.name}, which is not installed",
-            place=f"entry point {entries[name].value}",
-            remedy=f"install its dependencies: {install_command('models')}",
-        ) from error
+    annotator: InstalledAnnotator = ANNOTATORS.load(name)
     return annotator

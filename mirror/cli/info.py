@@ -32,7 +32,7 @@ class Arguments:
 
     path: Annotated[tyro.conf.Positional[Path], help_text(metavar="DATASET|RECORDING")]
     """Folder of a dataset, or a recording."""
-    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
+    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME|FILE.py:CLASS")] = None
     """Reader of the recording."""
     tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
     """Time zone of time stamps without one, such as Africa/Casablanca (csv reader)."""

@@ -85,7 +85,7 @@ class Arguments:
     """A region of interest."""
     map: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, help_text(metavar="FILE|FOLDER")] = ()
     """Recorded road map of a scene as GeoParquet, or a folder of maps. A dataset takes it without recordings too."""
-    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME")] = None
+    reader: Annotated[str | None, help_text(default="recognised from the files", metavar="NAME|FILE.py:CLASS")] = None
     """Reader of the recordings."""
     tz: Annotated[str | None, help_text(default="none", metavar="ZONE")] = None
     """Time zone of time stamps without one, such as Africa/Casablanca (csv reader)."""

@@ -13,6 +13,7 @@ import tyro
 from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.counting import count_of
 from mirror.errors import ExitCode, UsageError
+from mirror.plugins import is_file_reference
 
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
@@ -40,8 +41,8 @@ class Arguments:
     """Folder of the model: a new one, or that of an interrupted run with the same options."""
     scene: Annotated[str | None, help_text(default="the only scene of the split", metavar="ID")] = None
     """Scene to reconstruct."""
-    method: Annotated[str, help_text(metavar="NAME")] = "hybridworldsim"
-    """An installed method (entry points mirror.methods)."""
+    method: Annotated[str, help_text(metavar="NAME|FILE.py:OBJECT")] = "hybridworldsim"
+    """An installed method (entry points mirror.methods), or an object in a Python file."""
     minutes: Annotated[float | None, help_text(default=f"{_CORE_MINUTES:g}, unless --steps is given")] = None
     """Processor time of training per block in minutes, summed over threads. Excludes --steps."""
     steps: Annotated[int | None, help_text(default="none")] = None
@@ -94,11 +95,14 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("--minutes and --steps exclude each other", expected="one of them, or neither")
 
     from mirror.methods.plugin import ReconstructionTask
-    from mirror.methods.registry import installed_method
+    from mirror.methods.registry import load_method
+    from mirror.schema.folders import FolderKind, require_output_folder
 
-    method = installed_method(arguments.method)
+    require_output_folder(arguments.out, FolderKind.MODEL)
+    method = load_method(arguments.method)
 
     from mirror.dataset.writing import open_to_write
+    from mirror.methods.hosting import reconstruct
     from mirror.methods.training_images import list_scored_training_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
@@ -127,7 +131,7 @@ def main(argv: Sequence[str]) -> int:
         else frozenset(),
     )
     with progress_bar(quiet=arguments.json) as bar:
-        result = method.reconstruct(dataset, task, arguments.out, bar)
+        result = reconstruct(arguments.method, method, dataset, task, arguments.out, bar)
     if arguments.json:
         more = {"folder": str(result.folder), "scene": scene, "withheld": len(task.withheld)}
         print(json.dumps({**asdict(result), **more}))
@@ -152,20 +156,27 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> None:
+    reached = "" if result.psnr_db is None else f"{result.psnr_db:.2f} dB on training images "
+    steps = "" if result.steps is None else f"after {result.steps} steps, "
+    core_s, wall_s = result.core_s or 0.0, result.wall_s or 0.0
     print(
-        f"{scene}: {result.psnr_db:.2f} dB on training images after {result.steps} steps, "
-        f"{result.core_s / 60.0:.1f} core-minutes, {result.wall_s / 60.0:.1f} minutes"
+        f"{scene}: {reached} on training images{steps}, {core_s / 60.0:.1f} core-minutes, {wall_s / 60.0:.1f} minutes"
     )
-    print(
-        f"{count_of(len(result.blocks), 'block')}, {result.pictures} images, "
-        f"{result.gaussians} Gaussians, {result.model_bytes / 1e6:.2f} MB, {result.driven_m:.0f} m of road"
-    )
-    print(f"initialised from {f'points {result.points}' if result.points else 'no layer of points'}")
-    print(f"model: {result.folder}; each block has model.safetensors, curves.csv, curves.svg, pictures/, checkpoint")
+    counts = [
+        count_of(len(result.blocks), "block") if result.blocks else None,
+        None if result.pictures is None else f"{result.pictures} images",
+        None if result.gaussians is None else f"{result.gaussians} Gaussians",
+        f"{(result.model_bytes or 0) / 1e6:.2f} MB, {result.driven_m or 0.0:.0f} m of road",
+    ]
+    print(", ".join(filter(None, counts)))
+    if result.points is not None:
+        print(f"initialised from points {result.points}")
+    print(f"model: {result.folder}")
     if result.undone:
         print(f"not trained yet: {', '.join(result.undone)}; when they are, run the same command without --blocks")
         return
-    split = f"--split {arguments.split}{_protocol_options(arguments)}"
+    file = f" --method {arguments.method}" if is_file_reference(arguments.method) else ""
+    split = f"--split {arguments.split}{_protocol_options(arguments)}{file}"
     print(f"next: mirror render {arguments.dataset} {result.folder} {split} --out SUBMISSION")
 
 

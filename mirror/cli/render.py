@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.submission.writing import Render
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import Reconstruction
+    from mirror.methods.plugin import InstalledMethod
     from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import RenderView
 
@@ -69,6 +70,8 @@ class Arguments:
     appearance: str = "nearest"
     """nearest, mean, fit, a traversal, a word for light or weather such as night, or sweep:A:B.
     For a trajectory also by camera: rear=night,front_wide=sweep:day:night. A submission keeps that of trained views."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of a method that is not installed: that of the training."""
     width: Annotated[int | None, help_text(default="that of the protocol", metavar="PIXELS")] = None
     """Largest width of images of a trajectory."""
     hz: Annotated[float | None, help_text(default=f"{_HZ:g}")] = None
@@ -115,8 +118,9 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.hosting import checked_renderer
     from mirror.methods.model_document import read_reconstruction, require_held_out_images, require_matching_split
-    from mirror.methods.registry import installed_method, read_licence
+    from mirror.methods.registry import read_licence
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
@@ -134,6 +138,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
     name, models = _models(arguments.model)
+    method = _method(arguments.method, name)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol, masked=arguments.masks)
     documents = {scene: read_reconstruction(model) for scene, model in models.items()}
     for document in documents.values():
@@ -164,7 +169,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         for scene, model in models.items():
             missing = [view for view in requested.views if view.scene_id == scene]
             if missing:
-                render = installed_method(name).open(model, appearance)
+                render = checked_renderer(name, method.open(model, appearance))
                 yield from (([view], render(placed[view.path])) for view in missing)
 
     about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(documents.values(), layers))
@@ -195,6 +200,23 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
             expected="models by one method, one of each scene",
         )
     return methods[0], scenes
+
+
+def _method(given: str | None, name: str) -> InstalledMethod:
+    """The method of the models: the installed one, or the file that the user names."""
+    from mirror.methods.hosting import method_label
+    from mirror.methods.registry import installed_method, load_method
+    from mirror.plugins import is_file_reference
+
+    if given is None and not is_file_reference(name):
+        return installed_method(name)
+    if given is None or method_label(given) != name:
+        raise UsageError(
+            "not given" if given is None else given, place="--method",
+            expected=f"the method of the training: {f'FOLDER/{name}' if is_file_reference(name) else name}",
+            remedy=f"add --method FOLDER/{name}" if is_file_reference(name) else "leave --method out",
+        )  # fmt: skip
+    return load_method(given)
 
 
 def _hash(models: Iterable[Path]) -> str:
@@ -258,8 +280,8 @@ def appearance_of(appearance: AppearancePolicy) -> Appearance:
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
+    from mirror.methods.hosting import checked_renderer
     from mirror.methods.model_document import read_reconstruction, require_matching_split
-    from mirror.methods.registry import installed_method
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import parse_trajectory, plan_views_along
@@ -269,6 +291,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.width is not None:
         pixels = pixels.model_copy(update={"max_width_px": arguments.width})
     name, models = _models(arguments.model)
+    method = _method(arguments.method, name)
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()
@@ -290,7 +313,8 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             expected="one of them",
         )
     appearances = parse_camera_policies(arguments.appearance, rendered_cameras)
-    render = open_by_camera(installed_method(name), model, AppearancePolicy(views=views, everywhere=True), appearances)
+    policy = AppearancePolicy(views=views, everywhere=True)
+    render = checked_renderer(name, open_by_camera(method, model, policy, appearances))
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

@@ -59,44 +59,46 @@ class ReconstructionResult:
     Attributes:
         folder: folder of the model.
         blocks: trained blocks (folders in `folder`), in order.
-        psnr_db: PSNR of the last training images, mean over the blocks.
-        steps: training steps of all blocks, one image each.
-        core_s: processor time of training.
-        wall_s: elapsed time of training.
-        gaussians: number of Gaussians in the model.
-        model_bytes: bytes of all files that rendering needs.
-        pictures: number of different training images.
-        driven_m: length of the road that the model covers.
+        psnr_db: PSNR of the last training images, mean over the blocks; None: not measured.
+        steps: training steps of all blocks, one image each; None: not counted.
+        core_s: processor time of training; None: `mirror reconstruct` measures that of this process.
+        wall_s: elapsed time of training; None: `mirror reconstruct` measures it.
+        gaussians: number of Gaussians in the model; None: it has none.
+        model_bytes: bytes of all files that rendering needs; None: those of all files in `folder`.
+        pictures: number of different training images; None: not counted.
+        driven_m: length of the road that the model covers; None: that of the longest training traversal.
         undone: blocks that are not trained yet, see `ReconstructionTask.blocks`; the figures are of the trained ones.
         points: layer of points used for initialisation, ``source@version``; None: no points were used.
     """
 
     folder: Path
-    blocks: tuple[str, ...]
-    psnr_db: float
-    steps: int
-    core_s: float
-    wall_s: float
-    gaussians: int
-    model_bytes: int
-    pictures: int
-    driven_m: float
+    blocks: tuple[str, ...] = ()
+    psnr_db: float | None = None
+    steps: int | None = None
+    core_s: float | None = None
+    wall_s: float | None = None
+    gaussians: int | None = None
+    model_bytes: int | None = None
+    pictures: int | None = None
+    driven_m: float | None = None
     undone: tuple[str, ...] = ()
     points: str | None = None
 
 
 class InstalledMethod(Protocol):
-    """The object that an entry point ``mirror.methods`` names."""
+    """The object that an entry point ``mirror.methods`` or ``--method FILE.py:OBJECT`` names."""
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, progress: ProgressReporter
     ) -> ReconstructionResult:
         """Train a model, or resume the training that an earlier call did not finish.
 
+        `mirror reconstruct` writes ``reconstruction.json`` into the folder; the method writes what its renderer needs.
+
         Args:
             dataset: dataset with the training images.
             task: scene, split, protocol and budget.
-            out: folder of the model; a folder of another task is refused.
+            out: folder of the model; `mirror reconstruct` refuses the folder of another task.
             progress: receives the progress.
         """
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Final
 
 from mirror.errors import RecordingError
+from mirror.plugins import PluginKind, is_file_reference
 from mirror.recordings.paths import not_a_file_error
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, CollectionReader, Reader, Recording
+
+READERS: Final = PluginKind("reader", ENTRY_POINT_GROUP, "--reader", "dev")
 
 
 @functools.cache
@@ -23,11 +26,14 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
     """Load readers by name, in the order of names: MIRROR's own and those of other installed packages.
 
     Args:
-        name: load only this reader, so that broken packages with other readers do no harm; None: load all.
+        name: load only this reader, so that broken packages with other readers do no harm; ``FILE.py:CLASS``: load
+            this class; None: load all installed readers.
 
     Raises:
         RecordingError: two packages use one name, or an entry point does not give a reader of its name.
     """
+    if name is not None and is_file_reference(name):
+        return {name: _make_reader(READERS.load(name), name)}
     values: dict[str, str] = {}
     loaded: dict[str, Reader] = {}
     for entry in installed_readers():
@@ -42,6 +48,16 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
         values[entry.name] = entry.value
         loaded[entry.name] = _load_reader(entry)
     return loaded
+
+
+def _make_reader(found: Callable[[], object], name: str) -> Reader:
+    reader = found()
+    if not isinstance(reader, Reader):
+        raise RecordingError(
+            "it is not a reader", file=name, place="--reader",
+            expected="a class that follows mirror.recordings.Reader: name, expects, recognises, open",
+        )  # fmt: skip
+    return reader
 
 
 def _load_reader(entry: EntryPoint) -> Reader:

@@ -18,7 +18,7 @@ from hybridworldsim.methods.renderers import Renderer, open_block, render_neares
 from hybridworldsim.methods.scene_preparation import BlockTraining, Scene, prepare_scene, source_pairs
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.model.scene_geometry import block_geometry, driven_m
+from hybridworldsim.model.scene_geometry import block_geometry
 from hybridworldsim.training.appearance import trained_cameras
 from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
@@ -26,15 +26,15 @@ from hybridworldsim.training.loop import Options, train
 from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome
 from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.trainable_method import TrainableMethod
-from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import DatasetError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, list_trained_traversals, read_reconstruction
+from mirror.methods.hosting import describe_task, driven_length_m, require_own, write_costs
+from mirror.methods.model_document import DOCUMENT, read_reconstruction
 from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
+from mirror.plugins import is_file_reference
 from mirror.progress import ProgressReporter
 from mirror.schema.files import write_json
-from mirror.schema.folders import FolderKind, require_output_folder
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,8 @@ class StaticMethod:
         """
         # Refuse invalid settings before minutes are spent on layers.
         self._settings(task)
-        document = Reconstruction(
-            method=self.name,
-            scene=task.scene,
-            split=task.split,
-            trained=list_trained_traversals(dataset, task.split, task.scene),
-            withheld=len(task.withheld),
-            poses=dataset.layers.poses,
-            calibrations=dataset.layers.calibrations,
-        )
-        _require_own(out, document)
+        document = describe_task(self._label(out), dataset, task)
+        require_own(out, document)
         if task.threads is not None:
             torch.set_num_threads(task.threads)
         scene = prepare_scene(dataset, task, self.block_m, reporter)
@@ -83,7 +75,7 @@ class StaticMethod:
             write_json(out / DOCUMENT, document)
         result = _summarize(out, self._train_blocks(scene, task, out, reporter), scene)
         if not result.undone:
-            _write_costs(out, result)
+            write_costs(out, result)
         return result
 
     def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> Renderer:  # noqa: B008 - immutable
@@ -170,6 +162,12 @@ class StaticMethod:
                 shutil.rmtree(folder.path)
                 raise
 
+    def _label(self, out: Path) -> str:
+        """The name in the model's document: that of the entry point, or the file that a user named."""
+        if (out / DOCUMENT).is_file() and is_file_reference(written := read_reconstruction(out).method):
+            return written
+        return self.name
+
     def _settings(self, task: ReconstructionTask) -> Any:
         return override_settings(self.settings(task.seed), task.settings)
 
@@ -217,7 +215,7 @@ def _summarize(out: Path, outcomes: dict[str, TrainingOutcome | None], scene: Sc
         gaussians=sum(outcome.gaussians for outcome in finished.values()),
         model_bytes=sum(outcome.model_bytes for outcome in finished.values()),
         pictures=len(scene.training.views),
-        driven_m=_driven_length_m(scene.traversals),
+        driven_m=driven_length_m(scene.traversals),
         points=scene.layers.points,
     )
 
@@ -237,30 +235,3 @@ def block_folders(model: Path) -> list[Path]:
             expected="a model", remedy="run the same `mirror reconstruct` again: it continues where it stopped",
         )  # fmt: skip
     return folders
-
-
-def _require_own(out: Path, document: Reconstruction) -> None:
-    """Require that a folder is empty or holds a model of the same task."""
-    if require_output_folder(out, FolderKind.MODEL) is None:
-        return
-    before = read_reconstruction(out)
-    if before.model_copy(update={"done": None}) != document:
-        raise UsageError(
-            f"the folder holds a model of scene {before.scene}, split {before.split}, calibrations "
-            f"{before.calibrations}, by {before.method}", file=out,
-            remedy="name another folder with --out",
-        )  # fmt: skip
-
-
-def _write_costs(out: Path, result: ReconstructionResult) -> None:
-    costs = Costs(model_bytes=result.model_bytes, driven_m=result.driven_m, core_s=result.core_s, wall_s=result.wall_s)
-    write_json(out / DOCUMENT, read_reconstruction(out).model_copy(update={"done": costs}))
-
-
-def _driven_length_m(dataset: Dataset) -> float:
-    """Length of the longest driven line of a dataset view's traversals: the road's length, if all drive along it."""
-    lengths = [0.0]
-    for traversal in dataset.traversals():
-        places: Float64 = driven_m(dataset.where(traversal=traversal))
-        lengths.append(float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()))
-    return max(lengths)

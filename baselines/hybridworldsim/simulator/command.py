@@ -41,7 +41,9 @@ class Arguments:
     """Folder of a model of the scene, which `mirror reconstruct` wrote: it renders the images."""
     scenario: Annotated[str | None, help_text(default="that of --replay", metavar="NAME|FILE.toml")] = None
     """Name of a scenario, or path of its .toml file."""
-    policy: Annotated[str | None, help_text(default="the controls of --replay", metavar="NAME|grpc://HOST:PORT")] = None
+    policy: Annotated[
+        str | None, help_text(default="the controls of --replay", metavar="NAME|FILE.py:CLASS|grpc://HOST:PORT")
+    ] = None
     """An installed policy (idm, log, stop, constant-velocity, or another one of the entry points mirror.policies), or
     the address of a driver that serves AlpaSim's EgodriverService. The connection is not encrypted."""
     driver: Annotated[Path | None, help_text(default="front_wide as JPEG, 30 s", metavar="FILE.toml")] = None

@@ -35,7 +35,7 @@ class Arguments:
 
     dataset: tyro.conf.Positional[Path]
     """Folder of the dataset."""
-    annotator: Annotated[str, help_text(metavar="NAME")]
+    annotator: Annotated[str, help_text(metavar="NAME|FILE.py:OBJECT")]
     """An installed annotator (entry points mirror.annotators): file reads results of the nuScenes format, subprocess
     runs a program of yours."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=VALUE")] = ()

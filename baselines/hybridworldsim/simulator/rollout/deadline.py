@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from hybridworldsim.simulator.policies.protocol import Action, Observation, ObservationSpec, Policy
 from mirror.errors import MirrorError
+from mirror.plugins import error_in_plugin
 
 
 class PolicyError(MirrorError):
@@ -87,5 +88,9 @@ class PolicyRunner:
             place = f"policy {self._name!r}" + (f", {error.place}" if error.place else "")
             raise PolicyError(error.problem, place=place, expected=error.expected, remedy=error.remedy) from error
         if error is not None:
+            named = error_in_plugin(error)
+            if named is not None:
+                place = f"policy {self._name!r}, {named.place}"
+                raise PolicyError(named.problem, file=named.file, place=place) from error
             raise PolicyError(f"{type(error).__name__}: {error}", place=f"policy {self._name!r}") from error
         return answer

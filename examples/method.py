@@ -27,7 +27,7 @@ class MeanColour:
                 if (frame.traversal_id, name, image.timestamp_ns) not in task.withheld:
                     colours.setdefault(name, []).append(image.decode().mean(axis=(0, 1)))
         np.savez(out / "colours.npz", **{name: np.mean(values, axis=0) for name, values in colours.items()})
-        return ReconstructionResult(out, pictures=sum(map(len, colours.values())))
+        return ReconstructionResult(out)
 
     def open(self, model: Path, appearance: AppearancePolicy) -> Callable[[RenderView], Any]:
         """Return the renderer: a function from a view to its pixels."""

@@ -12,15 +12,8 @@ import pytest
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import heading_deg
 from mirror.recordings.registry import open_recording
+from tests.recordings.assembly.tracks import GPX
 
-GPX = """<?xml version="1.0" encoding="UTF-8"?>
-<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
-<trkpt lat="52.5" lon="13.4"><ele>40.5</ele><time>2026-03-01T10:00:00Z</time></trkpt>
-<trkpt lat="52.5001" lon="13.4"><ele>41</ele><geoidheight>39.5</geoidheight>
-<time>2026-03-01T12:00:00.250+02:00</time></trkpt>
-<trkpt lat="52.5002" lon="13.4"><ele>41</ele></trkpt>
-</trkseg></trk></gpx>
-"""
 START_NS = 1_772_359_200_000_000_000
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -10,8 +11,11 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.errors import ExitCode, RecordingError
+from mirror.geometry.cameras import Camera
+from mirror.recordings.lens_files import write_lens
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile, propose_topics
+from mirror.recordings.registry import open_recording
 from tests.ingest.recordings import LAT, LON
 from tests.recordings.message_logs.drives import ONE, opened, require_drive
 from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
@@ -135,3 +139,30 @@ def test_a_topic_of_several_types_is_refused(tmp_path: Path) -> None:
         writer.finish()
     with pytest.raises(RecordingError, match="has the types a/A"):
         opened(tmp_path)
+
+
+def test_all_faults_of_a_topics_file_are_listed(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", messages(ONE))
+    (tmp_path / "a.toml").write_text('stamps = "gps"\nspeed = 3\n[pose]\n')
+    with pytest.raises(RecordingError, match="3 faults") as refused:
+        open_recording(tmp_path / "a.mcap").track()
+    assert refused.value.place is not None and {"stamps", "speed", "pose"} == set(refused.value.place.split(", "))
+    (tmp_path / "a.toml").write_text('[pose]\ntopic = "/imu"\n[cameras.rear]\nimages = "/nothing"\n')
+    with pytest.raises(RecordingError, match="2 faults") as refused:
+        open_recording(tmp_path / "a.mcap").track()
+    assert refused.value.place == "pose.topic, cameras.rear.images"
+
+
+def test_a_lens_and_a_mounting_of_the_topics_file(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", messages(ONE))
+    lens = Camera("pinhole", 64, 48, 50.0, 50.0, 32.0, 24.0)
+    write_lens(tmp_path / "lens.yaml", lens)
+    own = 'lens = "lens.yaml"\nmounting = [1.5, 0, 1.4, 0, 0, 0]'
+    (tmp_path / "a.toml").write_text(re.sub(r'info = "[^"]*"', own, TOPICS))
+    recording = open_recording(tmp_path / "a.mcap")
+    (row,) = recording.calibrations().to_pylist()
+    assert (row["fx_px"], row["cx_px"], row["tx_m"], row["tz_m"]) == (50.0, 32.0, 1.5, 1.4)
+    assert "lens.yaml" in dict(recording.files())
+    (tmp_path / "a.toml").write_text(TOPICS + "mounting = [2.5, 0, 1.4, 0, 0, 0]\n")
+    (row,) = open_recording(tmp_path / "a.mcap").calibrations().to_pylist()
+    assert row["tx_m"] == 2.5

@@ -73,10 +73,11 @@ def _render(folder: Path, group: str, source: tuple[str, int, int, int, int]) ->
             continue
         rng = np.random.default_rng([seed, number])
         for place in range(_INSTANTS):
-            stamp = drive.condition.start_ns + int(rng.uniform(0.1, 0.9) * drive.truth.duration_s * 1e6) * 1000
+            share = rng.uniform(0.1, 0.9)
             for camera in rng.choice(list(drive.vehicle.cameras), _CAMERAS, replace=False).tolist():
                 path = folder / f"{group}_{preset}_{seed}_{number}_{place}_{camera}.png"
                 if not path.is_file():
+                    stamp = drive.condition.start_ns + int(share * drive.truth.duration_s * 1e6) * 1000
                     cv2.imwrite(str(path), drive.render(camera, stamp).bgr)
                 yield path
         drive.forget()

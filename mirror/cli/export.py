@@ -51,7 +51,7 @@ _SUMMARIES: Final = {
     "nuscenes": "the tables of nuScenes with images and boxes",
     "kitti": "KITTI odometry sequences with tracking labels",
     "webdataset": "tar files with one sample for each frame",
-    "lerobot": "a LeRobot v3.0 dataset with one episode for each traversal",
+    "lerobot": "a LeRobot v3.0 dataset with an episode for each traversal, split at gaps in time",
 }
 _WITH_BOXES: Final = ("nuscenes", "kitti", "webdataset")
 

@@ -244,4 +244,5 @@ LAYOUT: Final = ExportLayout(
     write=_write,
     kept=KEPT,
     lost=LOST,
+    holds_points=True,
 )

@@ -9,6 +9,7 @@ from typing import Final
 import cv2
 
 from mirror.arrays import UInt8
+from mirror.dataset.images.metadata import states_orientation, strip_metadata
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
 from mirror.export.scene import ExportImage
@@ -20,8 +21,9 @@ _JPEG_QUALITY: Final = 95
 def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) -> None:
     """Place an image in an export. A file of an earlier call stays only if its bytes are those of the dataset.
 
-    The bytes are those of the dataset where the format allows it. A frame of a video becomes a PNG file; an undistorted
-    JPEG file is encoded again with quality 95, so that the names in all tables stay the same.
+    The bytes are those of the dataset where the format allows it. An image that states an orientation is copied without
+    its metadata: calibrations refer to the stored raster, and other tools would turn it. A frame of a video becomes a
+    PNG file; an undistorted JPEG file is encoded again with quality 95, so that the names in all tables stay the same.
 
     Args:
         store: the dataset's files.
@@ -32,7 +34,8 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
     Raises:
         DatasetError: the image cannot be read, or the file cannot be written.
     """
-    if _keeps_bytes(item, target.suffix) and not copy and _link(store, item, target):
+    may_link = _keeps_bytes(item, target.suffix) and not copy
+    if may_link and not states_orientation(item.image.read()) and _link(store, item, target):
         return
     data = image_bytes(item, target.suffix)
     if not (target.is_file() and target.read_bytes() == data):
@@ -40,10 +43,11 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
 
 
 def image_bytes(item: ExportImage, suffix: str) -> bytes:
-    """The encoded image of an export: the dataset's bytes where the format allows it, else encoded as `place_image`."""
+    """The encoded image of an export: the bytes of the dataset, or encoded as `place_image` says."""
     image = item.image
     if _keeps_bytes(item, suffix):
-        return image.read()
+        data = image.read()
+        return strip_metadata(data, image.uri) if states_orientation(data) else data
     return encode_image(item.raster.image(image.decode()) if item.is_resampled else image.decode(), suffix)
 
 

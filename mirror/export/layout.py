@@ -58,6 +58,7 @@ class ExportLayout:
         needs_all_masks: whether every image must have a mask as soon as one has.
         write: writes all other files into a folder.
         require: refuses scenes that the format cannot hold, before anything is written; None: it holds every scene.
+        holds_points: whether the format has points, from which trainers start.
         holds_images: whether `write` puts the images into files of its own; `image_path` then names them there.
         kept: fields that it keeps.
         lost: fields that it cannot hold.
@@ -73,4 +74,5 @@ class ExportLayout:
     kept: tuple[Kept, ...]
     lost: tuple[str, ...]
     require: Callable[[ExportScene], None] | None = None
+    holds_points: bool = False
     holds_images: bool = False

@@ -1,9 +1,10 @@
 """LeRobot v3.0: one episode for each traversal, one row for each frame, images as they are in Parquet files.
 
-A row needs every feature, so frames without an image of some camera are left out. LeRobot states times as seconds in
-float32 and a fixed rate; the column ``timestamp_ns`` has the exact stamps. The state is the pose of the vehicle in the
-scene's world frame; the action is its motion to the next frame, in its own frame. ``meta/cameras.json`` states lenses
-and mountings. Statistics of images are those of at most `SAMPLED` images of each camera.
+A row needs every feature, so frames without an image of some camera are left out. A traversal with gaps in time is
+several episodes, see `episode_times`. LeRobot states times as seconds in float32 and a fixed rate; the column
+``timestamp_ns`` has the exact stamps. The state is the pose of the vehicle in the scene's world frame; the action is its
+motion to the next frame, in its own frame. ``meta/cameras.json`` states lenses and mountings. Statistics of images are
+those of at most `SAMPLED` images of each camera.
 
 Source: https://github.com/huggingface/lerobot (``lerobot/datasets/utils.py`` of version 0.4).
 """
@@ -23,8 +24,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mirror.arrays import Float64
+from mirror.counting import count_of
 from mirror.dataset.frames import Frame
 from mirror.errors import UsageError
+from mirror.export.episode_times import drift_s, rates, split_at_gaps
 from mirror.export.files import image_bytes
 from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.samples import describe_camera, own_lens
@@ -48,7 +51,7 @@ _PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 @dataclass(frozen=True)
 class Episode:
-    """The complete frames of one traversal, with the images by camera."""
+    """Complete frames of one traversal that follow each other without a gap, with the images by camera."""
 
     traversal_id: str
     task: str
@@ -128,17 +131,16 @@ def _write(scene: ExportScene, out: Path, progress: ProgressReporter) -> Written
     files.append(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     files += _write_meta(scene, out, episodes, tasks, features, pa.concat_tables(numbers), cameras)
     notes = [f"{left_out} frames lack an image of a camera and are left out"] if left_out else []
-    rate_hz, fps = _rates(episodes)
+    rate_hz, fps = rates([episode.stamps for episode in episodes])
     if abs(rate_hz - fps) > 0.05 * fps:
         notes.append(f"frames come at {rate_hz:.3g} Hz, which LeRobot states as a whole number: {fps}")
+    splits = len(episodes) - len({episode.traversal_id for episode in episodes})
+    if splits:
+        notes.append(f"traversals are split into {len(episodes)} episodes, at {count_of(splits, 'gap')} in time")
+    difference_s = max(drift_s(episode.stamps, fps) for episode in episodes)
+    if difference_s > 0.5 / fps:
+        notes.append(f"times differ from frame_index / fps by up to {difference_s:.2g} s; timestamp_ns is exact")
     return Written(tuple(files), notes=tuple(notes))
-
-
-def _rates(episodes: Sequence[Episode]) -> tuple[float, int]:
-    """The rate of the frames in the median, and the whole number that LeRobot states."""
-    steps = np.concatenate([np.diff(episode.stamps) for episode in episodes])
-    rate_hz = 1e9 / float(np.median(steps)) if len(steps) else 1.0
-    return rate_hz, max(1, round(rate_hz))
 
 
 def _rasters(scene: ExportScene, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
@@ -162,7 +164,7 @@ def _rasters(scene: ExportScene, cameras: Sequence[str]) -> dict[str, tuple[int,
 
 
 def complete_episodes(scene: ExportScene, cameras: Sequence[str]) -> tuple[list[Episode], int]:
-    """The traversals with complete frames, and the number of incomplete frames.
+    """The runs of complete frames of each traversal, and the number of incomplete frames.
 
     Args:
         scene: what is exported.
@@ -179,7 +181,8 @@ def complete_episodes(scene: ExportScene, cameras: Sequence[str]) -> tuple[list[
         left_out += len(frames) - len(complete)
         if complete:
             task = f"drive, {traversal['light']}, {traversal['weather']}"
-            episodes.append(Episode(traversal_id, task, tuple(complete)))
+            stamps = [frame.timestamp_ns for frame, _ in complete]
+            episodes += [Episode(traversal_id, task, tuple(complete[part])) for part in split_at_gaps(stamps)]
     if not episodes:
         raise UsageError(
             f"no frame has an image of each of the cameras {', '.join(cameras)}",
@@ -309,7 +312,7 @@ def _write_meta(
         "chunks_size": _FILES_IN_CHUNK,
         "data_files_size_in_mb": FILE_BYTES // 2**20,
         "video_files_size_in_mb": 200,
-        "fps": _rates(episodes)[1],
+        "fps": rates([episode.stamps for episode in episodes])[1],
         # LeRobot states ranges; episodes of one role need not follow each other.
         "splits": {role: ",".join(map(str, members)) for role, members in roles.items()} if scene.split else
         {"train": f"0:{len(episodes)}"},

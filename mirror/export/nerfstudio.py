@@ -145,4 +145,5 @@ LAYOUT: Final = ExportLayout(
         "poses between images",
         "light and weather",
     ),
+    holds_points=True,
 )

@@ -32,6 +32,10 @@ LAYOUTS: Final = ("colmap", "nerfstudio", "gsplat", "nuscenes", "kitti", "webdat
 """The formats; each is a module of this package."""
 
 _IMAGES: Final = "images.csv"
+_NO_POINTS: Final = (
+    "no points: trainers start from random ones, with worse results; `mirror depth DATASET --split NAME` estimates them"
+    " from the images of training traversals, and a new --out FOLDER has them"
+)
 
 
 @dataclass(frozen=True)
@@ -266,6 +270,6 @@ def _document(
         sources_sha256=sources,
         without_frame=scene.without_frame,
         lost=form.lost,
-        notes=written.notes,
+        notes=(*written.notes, *([_NO_POINTS] if form.holds_points and not written.points else [])),
         files=entries,
     )

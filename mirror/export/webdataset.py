@@ -9,6 +9,7 @@ Source: https://github.com/webdataset/webdataset (a key ends at the first dot of
 
 from __future__ import annotations
 
+import filecmp
 import io
 import json
 import os
@@ -94,7 +95,8 @@ def _write_shard(scene: ExportScene, path: Path, samples: Sequence[Sample], prog
                 boxes += len(described["boxes"])
                 _add(tar, f"{sample_key(images[0])}.json", json.dumps(described).encode())
                 progress.advance(1)
-        temporary.replace(path)
+        if not (path.is_file() and filecmp.cmp(temporary, path, shallow=False)):
+            temporary.replace(path)
     except OSError as error:
         raise unwritable_error(path, error) from error
     finally:

@@ -13,15 +13,20 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import mirror
 import mirror.export.lerobot as lerobot
 import mirror.export.webdataset as webdataset
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.index.build import build_index
 from mirror.errors import UsageError
+from mirror.export.episode_times import split_at_gaps
 from mirror.export.run import ExportOptions, export
 from mirror.export.scene import ExportImage, select_scene
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
+from mirror.progress import NullProgress
+from tests.dataset.builders import Builder, Pass
 from tests.export.street import LENSES, make_street
 
 
@@ -164,7 +169,7 @@ def test_frames_without_a_camera_are_left_out_of_lerobot(street: Dataset, tmp_pa
     fewer = [item for item in selected.images if not (item.image.camera == "rear" and item.frame.frame_index == 2)]
     cameras = sorted(LENSES)
     episodes, left_out = lerobot.complete_episodes(replace(selected, images=tuple(fewer)), cameras)
-    assert left_out == 2 and [len(episode.frames) for episode in episodes] == [4, 4]
+    assert left_out == 2 and [len(episode.frames) for episode in episodes] == [2, 2, 2, 2]
     alone = tuple(
         item for item in selected.images if (item.frame.frame_index % 2 == 0) == (item.image.camera == "rear")
     )
@@ -202,3 +207,27 @@ def test_data_files_of_lerobot_end_at_their_size(
     assert [pq.ParquetFile(file).num_row_groups for file in files] == [1, 1]
     episodes = pq.read_table(tmp_path / "out" / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     assert episodes.column("data/file_index").to_pylist() == [0, 1]
+
+
+def test_lerobot_splits_a_traversal_at_a_gap(tmp_path: Path) -> None:
+    builder = Builder(tmp_path / "dataset", ("front_wide",), (32, 24))
+    builder.scene("a", height_m=30.0)
+    images = {"front_wide": cv2.imencode(".jpg", np.zeros((24, 32, 3), np.uint8))[1].tobytes()}
+    builder.drive("d0", [Pass("a", frames=20, images=images)])
+    build_index(tmp_path / "dataset")
+    selected = select_scene(mirror.open(tmp_path / "dataset"), None, None, undistort=False)
+    # Eight periods without an image, and then the same rate again.
+    kept = tuple(item for item in selected.images if not 6 <= item.frame.frame_index < 13)
+    written = lerobot.LAYOUT.write(replace(selected, images=kept), tmp_path / "out", NullProgress())
+    assert any("2 episodes" in note and "1 gap" in note for note in written.notes)
+    info = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())
+    rows = pq.read_table(tmp_path / "out" / "data" / "chunk-000" / "file-000.parquet").to_pylist()
+    assert info["total_episodes"] == 2 and len(rows) == 13
+    assert [sum(row["episode_index"] == number for row in rows) for number in range(2)] == [6, 7]
+    drift = [row["timestamp"] - row["frame_index"] / info["fps"] for row in rows]
+    assert np.abs(drift).max() < 1e-4
+
+
+def test_times_that_no_rate_describes_are_split_or_kept() -> None:
+    assert split_at_gaps([5]) == [slice(0, 1)]
+    assert split_at_gaps([0, 10, 24, 30, 50, 60]) == [slice(0, 4), slice(4, 6)]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import shutil
+import tarfile
 from pathlib import Path
 
 import pytest
+from PIL import Image, ImageOps
 
 import mirror
 from mirror.dataset.dataset import Dataset
@@ -183,3 +186,41 @@ def test_every_layout_states_what_it_keeps_and_loses(street: Dataset, tmp_path: 
 def test_the_page_states_what_the_code_does() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text()
     assert layouts_page() in page
+
+
+def test_a_dataset_without_points_is_warned_of(street: Dataset, tmp_path: Path) -> None:
+    bare = make_street(tmp_path / "dataset", CAMERAS)
+    for folder in (tmp_path / "dataset").glob("traversals/*/layers/points"):
+        shutil.rmtree(folder)
+    build_index(tmp_path / "dataset")
+    bare = mirror.open(tmp_path / "dataset")
+    for name, warned in (("colmap", True), ("nerfstudio", True), ("gsplat", True), ("webdataset", False)):
+        written = export(bare, name, tmp_path / name, ExportOptions(undistort=True))
+        assert any("`mirror depth " in note for note in written.notes) == warned, name
+    assert not any("mirror depth" in note for note in export(street, "colmap", tmp_path / "with").notes)
+
+
+@pytest.mark.parametrize("where", ["exif", "xmp"])
+def test_exports_state_no_orientation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    """Rasters are those of the calibration; Pillow turns an image by its orientation, as many tools do."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    more = {"exif": exif.tobytes()} if where == "exif" else {"xmp": b'<x:xmpmeta tiff:Orientation="6"/>'}
+
+    def turned(camera: str, drive: int) -> bytes:
+        data = io.BytesIO()
+        Image.open(io.BytesIO(encoded(camera, drive))).save(data, "jpeg", **more)
+        return data.getvalue()
+
+    monkeypatch.setattr("tests.export.street.encoded", turned)
+    street = make_street(tmp_path / "dataset", CAMERAS)
+    assert ImageOps.exif_transpose(Image.open(io.BytesIO(turned("front_wide", 0)))).size == (128, 192)
+    for name in ("colmap", "webdataset"):
+        export(street, name, tmp_path / name)
+    with tarfile.open(tmp_path / "webdataset" / "all-000000.tar") as tar:
+        tar.extractall(tmp_path / "tar", filter="data")
+    found = [*(tmp_path / "colmap").rglob("*.jpg"), *(tmp_path / "tar").rglob("*.jpg")]
+    assert len(found) == 40
+    for path in found:
+        with Image.open(path) as image:
+            assert ImageOps.exif_transpose(image).size == image.size == (192, 128)

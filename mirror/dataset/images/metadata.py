@@ -20,6 +20,7 @@ _SOI, _EOI, _SOS, _TEM, _APP0, _APP1, _APP2, _APP13, _APP14, _COM = (
     0xD8, 0xD9, 0xDA, 0x01, 0xE0, 0xE1, 0xE2, 0xED, 0xEE, 0xFE,
 )  # fmt: skip
 _ORIENTATION, _GPS, _THUMBNAIL = 0x0112, 0x8825, 0x0201
+_XMP_ORIENTATION = b"tiff:Orientation"
 
 
 class Segment(NamedTuple):
@@ -93,6 +94,13 @@ def read_orientation(data: bytes) -> int:
     except DatasetError:
         return 1
     return 1
+
+
+def states_orientation(data: bytes) -> bool:
+    """Whether other programs may turn an image: EXIF states another orientation than 1, or XMP or a PNG states one."""
+    if data.startswith(START):
+        return b"eXIf" in data or _XMP_ORIENTATION in data
+    return read_orientation(data) != 1 or _XMP_ORIENTATION in data
 
 
 def segments(data: bytes, file: str | PurePath) -> Iterator[Segment]:

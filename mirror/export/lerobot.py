@@ -2,7 +2,7 @@
 
 A row needs every feature, so frames without an image of some camera are left out. A traversal with gaps in time is
 several episodes, see `episode_times`. LeRobot states times as seconds in float32 and a fixed rate; the column
-``timestamp_ns`` has the exact stamps. The state is the pose of the vehicle in the scene's world frame; the action is its
+``timestamp_ns`` has the exact stamps. The state is the pose of the vehicle in the world frame; the action is its
 motion to the next frame, in its own frame. ``meta/cameras.json`` states lenses and mountings. Statistics of images are
 those of at most `SAMPLED` images of each camera.
 

@@ -20,36 +20,6 @@ from tests.recordings.assembly.street import (
     write_track,
 )
 
-PROTOCOL = """name = "mine"
-version = 1
-task = "reconstruction"
-description = "Frames of the held-out drive, without masks."
-averaging = ["scene"]
-
-[[groups]]
-name = "frames"
-roles = ["held_out"]
-
-[frames]
-every = 5
-last = false
-
-[pixels]
-space = "undistorted"
-max_width_px = 120
-
-[masks]
-ego = true
-dynamic = []
-
-[ranking]
-metric = "psnr"
-groups = ["frames"]
-
-[[metrics]]
-metric = "psnr"
-"""
-
 
 def run(*words: object) -> None:
     """Run a command that must end with 0."""
@@ -89,10 +59,9 @@ def test_from_a_film_and_a_track_to_a_render(tmp_path: Path, capsys: pytest.Capt
     run("ingest", tmp_path / "recordings", "--roi", f"{LONGITUDE + 2.4e-4},{LATITUDE},60,street", "--out", dataset)
     assert main(["check", str(dataset), "--full"]) == 0, capsys.readouterr().out
     run("split", dataset, "mine", "--train", 1)
-    (tmp_path / "mine.toml").write_text(PROTOCOL)
-    protocol = ("--protocol", tmp_path / "mine.toml")
+    protocol = ("--protocol", "static-reconstruction-unmasked")
     run(
-        *("reconstruct", dataset, "--split", "mine", *protocol, "--steps", 3, "--width", 120, "--threads", 1),
+        *("reconstruct", dataset, "--split", "mine", "--no-masks", "--steps", 3, "--width", 120, "--threads", 1),
         *("--set", "refinement.max_anchors=2000", "--out", tmp_path / "model"),
     )
     run("render", dataset, tmp_path / "model", "--split", "mine", *protocol, "--out", tmp_path / "submission")

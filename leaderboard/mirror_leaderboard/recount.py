@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights, overall_averaging
 from mirror.evaluation.result import IMAGES, Figure, Result
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
+from mirror.schema.parquet_memory import read_python_rows
 from mirror_leaderboard.refused import RefusedError
 
 _TOLERANCE: Final = 1e-9
@@ -104,7 +104,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     try:
         if file.stat().st_size > _MAX_BYTES:
             raise DatasetError("too large", file=file, expected=f"at most {_MAX_BYTES:,} bytes")
-        rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
+        rows = read_python_rows(file)
     except (OSError, pa.ArrowInvalid) as error:
         raise DatasetError(
             f"cannot be read ({str(error).splitlines()[0]})",

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from mirror.counting import count_of
 from mirror.errors import DatasetError, UsageError
@@ -26,6 +25,7 @@ from mirror.evaluation.run import read_result
 from mirror.metrics.images.bootstrap import paired_difference
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
+from mirror.schema.parquet_memory import read_python_rows
 
 _KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "light", "weather")
 
@@ -120,7 +120,7 @@ def compare(paths: Sequence[Path]) -> tuple[Result, list[ResultComparison]]:
 def _read_image_rows(path: Path) -> dict[str, dict[str, Any]]:
     file = (path if path.is_dir() else path.parent) / IMAGES
     try:
-        return {row["path"]: row for row in pq.read_table(file).to_pylist()}
+        return {row["path"]: row for row in read_python_rows(file)}
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(
             f"cannot be read ({error})", file=file, expected="the table of images beside result.json"

@@ -110,7 +110,7 @@ class FolderRecording:
         mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if is_decodable(data) else None
         if mask is None:
             raise RecordingError(
-                "the mask is missing" if file is None else f"the mask is no image of at most {MAX_PIXELS} pixels",
+                "the mask is missing" if file is None else f"the mask is not an image of at most {MAX_PIXELS} pixels",
                 file=self.path / name,
                 place=f"camera {camera}",
                 expected="a PNG of the camera's raster",

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +21,10 @@ from mirror.recordings.opening import unreadable_error
 from mirror.recordings.protocol import Track
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import StampError, to_unix_ns
+from mirror.schema.parquet_memory import require_memory
+
+# Measured at ingest of 20 million poses: 225 bytes a row of 40.
+_COPIES: Final = 6.0
 
 
 @dataclass(frozen=True)
@@ -310,7 +314,9 @@ def _read_table(
         if file.suffix == ".parquet":
             import pyarrow.parquet as pq
 
-            table = pq.ParquetFile(file).read(use_threads=False)
+            opened = pq.ParquetFile(file)
+            require_memory(opened, file, copies=_COPIES)
+            table = opened.read(use_threads=False)
         else:
             table = _read_csv(file, types, delimiter, torn)
     except (pa.ArrowInvalid, OSError) as error:

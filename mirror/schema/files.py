@@ -23,6 +23,7 @@ from pydantic import BaseModel, ValidationError
 
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.casting import cast_exactly
+from mirror.schema.parquet_memory import require_memory
 from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import ADDED, Table
@@ -253,6 +254,7 @@ def read_table(
         DatasetError: the file is missing.
         SchemaError: the file is not Parquet, has another schema version, or has a wrong column; for nulls the row is
             named.
+        NotEnoughMemoryError: the rows do not fit into memory.
     """
     try:
         with pq.ParquetFile(path if data is None else pa.BufferReader(data)) as file:
@@ -271,6 +273,7 @@ def read_table(
                     expected=f"the columns of {table.name} in docs/schema.md",
                     remedy="run `mirror index` if the file lies in index/, else restore it",
                 )
+            require_memory(file, path, set(names))
             rows = file.read(columns=[name for name in names if name in present], use_threads=False)
     except FileNotFoundError as error:
         raise DatasetError("missing", file=path, expected=f"the table {table.name}") from error

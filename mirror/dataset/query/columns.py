@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from mirror.dataset.query.files import TableFiles
 from mirror.dataset.store import unreadable_error
+from mirror.schema.parquet_memory import require_memory
 from mirror.schema.tables import ADDED
 
 CACHE_BYTES: Final = 48 * 1024 * 1024
@@ -79,6 +80,7 @@ class ColumnCache:
         added = [name for name in names if name in ADDED and name not in file.schema_arrow.names]
         try:
             present = [name for name in names if name not in added]
+            require_memory(file, self._files.store.full_path(path), present, row_group=row_group)
             table = file.read_row_group(row_group, columns=present, use_threads=False)
             for name in added:
                 rows = file.metadata.row_group(row_group).num_rows

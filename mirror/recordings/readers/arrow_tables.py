@@ -14,6 +14,7 @@ from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.recordings.opening import unreadable_error
 from mirror.schema.casting import cast_exactly
+from mirror.schema.parquet_memory import require_memory
 
 
 def read_feather(file: Path, schema: pa.Schema) -> pa.Table:
@@ -42,6 +43,7 @@ def read_parquet(file: Path, schema: pa.Schema) -> pa.Table:
     def read() -> pa.Table:
         opened = parquet.ParquetFile(file)
         present = set(opened.schema_arrow.names)
+        require_memory(opened, file, set(schema.names))
         return opened.read([name for name in schema.names if name in present], use_threads=False)
 
     return _read(file, schema, read)

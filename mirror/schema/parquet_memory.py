@@ -1,0 +1,118 @@
+"""The memory that a Parquet file takes when it is read: rows that repeat take next to none in the file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import pyarrow as pa
+
+from mirror.errors import MirrorError
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+_MEMORY: Final = Path("/proc/meminfo")
+_OFFSET_BYTES: Final = 8
+# Below this the free memory is not asked for.
+_SMALL_BYTES: Final = 1 << 26
+# A number of 8 bytes is an object of 24 to 32 bytes, and its place in a dictionary takes 16 to 100 more.
+_PYTHON_COPIES: Final = 16.0
+
+
+class NotEnoughMemoryError(MirrorError):
+    """A file holds more than fits into the free memory."""
+
+
+def require_memory(
+    file: pq.ParquetFile,
+    path: str | Path,
+    columns: Collection[str] | None = None,
+    *,
+    row_group: int | None = None,
+    copies: float = 2.0,
+) -> None:
+    """Refuse rows that do not fit into the free memory, before one is read. The number of rows alone refuses none.
+
+    The footer gives the rows of each row group; columns of fixed width take their width, others at least what the file
+    states. Without ``/proc/meminfo`` nothing is known of the memory, and nothing is refused.
+
+    Args:
+        file: the open file.
+        path: its path, for the message.
+        columns: names of the columns that are read; None: all.
+        row_group: the row group that is read; None: all.
+        copies: memory of the work on the rows, in multiples of their size.
+
+    Raises:
+        NotEnoughMemoryError: the rows do not fit.
+    """
+    needed = copies * decoded_bytes(file, columns, row_group)
+    free = free_bytes() if needed > _SMALL_BYTES else None
+    if free is not None and needed > free:
+        rows = file.metadata.num_rows if row_group is None else file.metadata.row_group(row_group).num_rows
+        raise NotEnoughMemoryError(
+            f"{rows:,} rows need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",
+            file=path,
+            expected="rows that fit into memory",
+            remedy="use a machine with more memory, or divide the file",
+        )
+
+
+def read_python_rows(path: Path) -> list[dict[str, Any]]:
+    """Read all rows of a Parquet file as Python objects.
+
+    Raises:
+        NotEnoughMemoryError: the rows do not fit.
+        OSError: the file is missing, or is not Parquet (`pyarrow.ArrowInvalid`).
+    """
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        require_memory(file, path, copies=_PYTHON_COPIES)
+        rows: list[dict[str, Any]] = file.read().to_pylist()
+        return rows
+
+
+def decoded_bytes(file: pq.ParquetFile, columns: Collection[str] | None = None, row_group: int | None = None) -> int:
+    """Size of the decoded columns of a file in bytes, from its footer; a lower bound for columns of varying width."""
+    widths = {field.name: _width(field.type) for field in file.schema_arrow}
+    size = 0
+    for number in range(file.metadata.num_row_groups) if row_group is None else [row_group]:
+        group = file.metadata.row_group(number)
+        for index in range(group.num_columns):
+            chunk = group.column(index)
+            name = chunk.path_in_schema.partition(".")[0]
+            if columns is None or name in columns:
+                width = widths.get(name)
+                size += chunk.num_values * (width or _OFFSET_BYTES) + (0 if width else chunk.total_uncompressed_size)
+    return size
+
+
+def free_bytes() -> int | None:
+    """Memory that is free, or that the system can free, in bytes; None: unknown."""
+    try:
+        lines = _MEMORY.read_text().splitlines()
+    except OSError:
+        return None
+    found = {name: int(rest.split()[0]) * 1024 for name, _, rest in (line.partition(":") for line in lines) if rest}
+    free = found.get("MemAvailable")
+    limit = _address_space()
+    return free if limit is None or free is None else min(free, limit)
+
+
+def _address_space() -> int | None:
+    """Addresses that the process may still take (``ulimit -v``); None: it has no limit."""
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return None
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return max(0, limit - pages * resource.getpagesize())
+
+
+def _width(kind: pa.DataType) -> int:
+    """Bytes of a value; 0: they vary."""
+    return kind.byte_width if pa.types.is_primitive(kind) and kind.bit_width >= 8 else 0

@@ -74,6 +74,13 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
         return INTERRUPTED
     except (BrokenPipeError, SystemExit):
         raise
+    except ModuleNotFoundError as error:
+        from mirror.plugins import error_in_plugin
+
+        missing = error_in_plugin(error) or _missing_package(command, error)
+        if missing is None:
+            raise
+        return _refuse(command, missing, as_json=as_json)
     except Exception as error:
         from mirror.plugins import error_in_plugin
 
@@ -81,6 +88,30 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
         if named is None:
             raise
         return _refuse(command, named, as_json=as_json)
+
+
+_EXTRAS: Final = {
+    "generate": "generation", "simulate": "simulator", "serve": "simulator", "torch": "models", "scipy": "models",
+    "safetensors": "models", "diffusers": "generation", "gymnasium": "simulator", "grpc": "simulator",
+    "google": "simulator", "av": "video", "matplotlib": "view", "rerun": "view", "viser": "view", "duckdb": "sql",
+    "pycolmap": "calibration", "onnxruntime": "privacy", "PIL": "privacy", "mcap": "mcap", "gsplat": "baselines",
+    "cryptography": "leaderboard", "aiohttp": "http",
+}  # fmt: skip
+"""The extra that brings a package, by the package's import name; of some verbs, the extra that brings all they need."""
+
+
+def _missing_package(command: str, error: ModuleNotFoundError) -> UsageError | None:
+    """Name the extra with a package that is not installed; None: the package belongs to no extra."""
+    package, verb = (error.name or "").partition(".")[0], [*command.split(), "", ""][1]
+    if package not in _EXTRAS:
+        return None
+    from mirror.installation import install_command
+
+    extra = _EXTRAS.get(verb if package in ("torch", "scipy", "safetensors") else package, _EXTRAS[package])
+    return UsageError(
+        f"it needs the package {package}, which is not installed", expected=f"the extra {extra}",
+        remedy=install_command(extra),
+    )  # fmt: skip
 
 
 def _refuse(command: str, error: MirrorError, *, as_json: bool) -> int:

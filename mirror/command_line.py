@@ -6,6 +6,7 @@ takes a URL is of type `str`.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,9 @@ from mirror.errors import ExitCode, MirrorError, UsageError
 _Arguments = TypeVar("_Arguments")
 
 _REGISTRY: Final = ConstructorRegistry()
+
+_OUTPUTS: Final = ("out", "save", "video")
+"""Fields that name what a verb writes; each that is a path of this machine is checked before the verb works."""
 
 # `Path` turns two slashes into one. A URL scheme has at least two letters, a drive letter is one.
 _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/|.*::")
@@ -57,7 +61,7 @@ def parse_arguments(
         renamed: old options that are still accepted, with their new names; see `apply_new_names`.
 
     Raises:
-        UsageError: a URL stands where a path is expected.
+        UsageError: a URL stands where a path is expected, or an output cannot be written.
         SystemExit: the help was printed (code 0), or the arguments are wrong (code 2).
     """
     words = apply_new_names(words, command, renamed or {})
@@ -69,7 +73,12 @@ def parse_arguments(
         if not ended.code:
             print("\n".join(["examples, with the folders that `mirror demo` makes:", *(f"  {e}" for e in examples)]))
         raise
-    return refuse_urls(arguments)
+    refuse_urls(arguments)
+    for name in _OUTPUTS:
+        out = getattr(arguments, name, None)
+        if isinstance(out, Path) or (isinstance(out, str) and not _URL.match(out)):
+            require_writable(Path(out), f"--{name}")
+    return arguments
 
 
 def help_text(*, default: str | None = None, metavar: str | None = None) -> Any:
@@ -81,6 +90,26 @@ def help_text(*, default: str | None = None, metavar: str | None = None) -> Any:
     """
     hint = None if default is None else f"(default: {default})"
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+
+
+def require_writable(out: Path, place: str) -> None:
+    """Require that the nearest existing folder above a path, or the path itself, can be written.
+
+    Raises:
+        UsageError: it lies below a file, or there is no permission.
+    """
+    path = out.absolute()
+    nearest = next(folder for folder in (path, *path.parents) if folder.exists() or folder.is_symlink())
+    if nearest != path and not nearest.is_dir():
+        raise UsageError(
+            f"cannot be written: {nearest} is a file", file=out, place=place, expected="a place in a folder",
+            remedy=f"name another place with {place}",
+        )  # fmt: skip
+    if not os.access(nearest, os.W_OK):
+        raise UsageError(
+            f"cannot be written: no permission to write {nearest}", file=out, place=place,
+            expected="a place that you may write", remedy=f"name another place with {place}",
+        )  # fmt: skip
 
 
 @_REGISTRY.primitive_rule

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 import pyarrow as pa
 
 from mirror.dataset.query.catalog import GLOBAL, TABLES
+from mirror.dataset.query.choices import require_known
 from mirror.dataset.query.filters import Filters
 from mirror.errors import UsageError
 from mirror.installation import install_command
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
 
 _EXPECTED: Final = "one SELECT statement (WITH, DESCRIBE, SUMMARIZE and EXPLAIN count as one)"
+_UNKNOWN_TABLE: Final = re.compile(r"Table with name (\S+) does not exist")
 _WORDS: Final = {"LOAD": "INSTALL or LOAD"}
 """Words of statements to which DuckDB gives one type."""
 
@@ -44,6 +46,9 @@ def run_sql(dataset: Dataset, query: str) -> pa.Table:
             _lock(connection, files)
             return connection.sql(query).to_arrow_table()
         except duckdb.Error as error:
+            # DuckDB proposes tables of its own, such as pg_namespace.
+            if unknown := _UNKNOWN_TABLE.search(str(error)):
+                require_known("table", unknown[1], TABLES)
             raise UsageError(
                 str(error).strip(), place="the query", expected=f"a query of {', '.join(sorted(TABLES))}",
                 remedy="docs/schema.md lists the columns of each table",

@@ -47,7 +47,12 @@ def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRe
         for child, yes in is_recording.items():
             if yes:
                 recordings.update(dict.fromkeys(_drives(child, reader)))
-        passed_over.update(dict.fromkeys(child for child, yes in is_recording.items() if not yes))
+        # A topics file describes the log beside it that has its name.
+        described = {child.stem for child, yes in is_recording.items() if yes}
+        for child, yes in is_recording.items():
+            is_description = child.suffix == ".toml" and child.name.partition(".")[0] in described
+            if not yes and not is_description:
+                passed_over[child] = None
     return FoundRecordings(tuple(recordings), tuple(passed_over))
 
 

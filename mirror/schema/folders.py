@@ -157,7 +157,8 @@ def require_output_file(out: Path, *, place: str = "--out", writer: str | None =
         mark: text that every file of `writer` has.
 
     Raises:
-        UsageError: it is a folder, lies inside a sealed folder, or is a file that `writer` did not write.
+        UsageError: it is a folder, lies inside a sealed folder, is a file that `writer` did not write, or cannot be
+            made there.
     """
     _refuse_inside(out, place)
     if out.is_dir():

@@ -103,7 +103,7 @@ def test_bad_actions_are_refused_and_change_nothing() -> None:
     [
         ({"cameras": ("side",)}, "no camera 'side'"),
         ({"renderer": "oil-paint"}, "no renderer"),
-        ({"renderer": "generated"}, "not available"),
+        ({"renderer": "generated"}, "no renderer"),
         ({"renderer": "reconstructed"}, "needs a model"),
         ({"model": "somewhere"}, "has no model"),
         ({"action": "wish"}, "action 'wish'"),

@@ -49,7 +49,7 @@ class Arguments:
     driver: Annotated[Path | None, help_text(default="front_wide as JPEG, 30 s", metavar="FILE.toml")] = None
     """Cameras, lens, image format and deadline of a driver at an address."""
     renderer: Annotated[
-        Literal["boxes", "exact", "reconstructed", "generated"] | None,
+        Literal["boxes", "exact", "reconstructed"] | None,
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
     ] = None
     """What renders the images: wireframes, the synthetic street, a trained model."""
@@ -86,9 +86,10 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror simulate", examples=_EXAMPLES)
 
-    from hybridworldsim.simulator.rollout.run import run_rollout
+    from hybridworldsim.simulator.rollout.run import require_new_rollout, run_rollout
     from mirror.progress import progress_bar
 
+    require_new_rollout(arguments.out)
     request = _request(arguments)
     with progress_bar(quiet=arguments.json) as bar:
         result = run_rollout(request, arguments.out, bar)
@@ -236,10 +237,11 @@ def _print(result: RolloutResult, same: bool | None) -> None:
     from hybridworldsim.simulator.rollout.run import describe_map, describe_safety
 
     rollout = result.rollout
-    print(f"{result.folder}: {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
+    worst, *others = describe_safety(result.safety)
+    print(f"{result.folder}: {worst}; {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
     if rollout.reason is not None:
         print(f"  {rollout.reason}")
-    for line in describe_safety(result.safety):
+    for line in others:
         print(f"  {line}")
     print(f"  {describe_map(rollout.map_source)}")
     if same is not None:

@@ -46,7 +46,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         street: ``synth:PRESET[:SEED[:DRIVE]]``, the folder of a dataset, or a `Street`.
         scenario: name of a scenario, path of its .toml, or a `Scenario`.
         cameras: names of the cameras; no image is rendered of others.
-        renderer: ``boxes``, ``exact`` or ``reconstructed``.
+        renderer: ``boxes``, ``exact`` or ``reconstructed``; None: ``reconstructed`` with a model, else ``boxes``.
         action: ``controls`` or ``trajectory``.
         width_px: width of the images; None: that of the rig.
         height_px: height of the images; None: in proportion.
@@ -66,7 +66,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         street: str | Street = "synth:tiny",
         scenario: str | Path | Scenario = "free-traffic",
         cameras: Sequence[str] = (),
-        renderer: str = "boxes",
+        renderer: str | None = None,
         action: Literal["controls", "trajectory"] = "controls",
         width_px: int | None = 240,
         height_px: int | None = None,
@@ -84,7 +84,8 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._scenario = scenario if isinstance(scenario, Scenario) else read_scenario(scenario)
         self._scenario_file = None if isinstance(scenario, Scenario) else scenario_file(scenario)
         self._cameras = rig_cameras(self._street, cameras, width_px, height_px)
-        self._factory = RendererFactory(renderer, None if model is None else Path(model))
+        name = renderer or ("boxes" if model is None else "reconstructed")
+        self._factory = RendererFactory(name, None if model is None else Path(model))
         self._kind = action
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._scenario.rate_hz}

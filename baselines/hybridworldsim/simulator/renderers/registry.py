@@ -14,7 +14,7 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
 
-RENDERERS: Final = ("boxes", "exact", "reconstructed", "generated")
+RENDERERS: Final = ("boxes", "exact", "reconstructed")
 
 
 class RendererFactory:
@@ -25,17 +25,12 @@ class RendererFactory:
         model: folder of the trained model, for ``reconstructed``.
 
     Raises:
-        UsageError: there is no such renderer, it is not available, or the model is missing.
+        UsageError: there is no such renderer, or the model is missing.
     """
 
     def __init__(self, name: str, model: Path | None = None) -> None:
         if name not in RENDERERS:
             raise UsageError(f"no renderer {name!r}", expected=f"one of {', '.join(RENDERERS)}")
-        if name == "generated":
-            raise UsageError(
-                "the renderer 'generated' is not available: no model that generates views in closed loop is installed",
-                expected=f"one of {', '.join(RENDERERS[:-1])}",
-            )
         if (name == "reconstructed") != (model is not None):
             raise UsageError(
                 f"the renderer {name!r} {'needs a model' if model is None else 'has no model'}", place="model",

@@ -104,6 +104,24 @@ class RolloutResult:
     error: MirrorError | None
 
 
+def require_new_rollout(out: Path) -> FolderKind | None:
+    """Require that a rollout can be written to a folder: a new or empty one, or that of an interrupted rollout.
+
+    Returns:
+        The kind of an existing folder; None: it is absent or empty.
+
+    Raises:
+        UsageError: it has other contents, or cannot be written.
+    """
+    kind = require_output_folder(out, FolderKind.ROLLOUT)
+    if kind is not None and (out / ROLLOUT).exists():
+        raise UsageError(
+            "there is a complete rollout: nothing was written", file=out, place="--out", expected="a new folder",
+            remedy="name another folder, or remove this one",
+        )  # fmt: skip
+    return kind
+
+
 def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter | None = None) -> RolloutResult:
     """Drive a rollout and write its folder.
 
@@ -119,12 +137,7 @@ def run_rollout(request: RolloutRequest, out: Path, reporter: ProgressReporter |
         UsageError: the folder has other contents, the scenario does not fit on the street, or a camera is unknown.
         DatasetError: the folder cannot be written.
     """
-    kind = require_output_folder(out, FolderKind.ROLLOUT)
-    if kind is not None and (out / ROLLOUT).exists():
-        raise UsageError(
-            "there is a complete rollout: nothing was written", file=out, place="--out", expected="a new folder",
-            remedy="name another folder, or remove this one",
-        )  # fmt: skip
+    kind = require_new_rollout(out)
     needed = dict.fromkeys((*request.policy.cameras, *request.video))
     missing = next((name for name in needed if name not in request.cameras), None)
     if missing is not None:
@@ -303,17 +316,24 @@ def describe_map(source: MapSource | None) -> str:
 
 
 def describe_safety(safety: SafetyReport) -> list[str]:
-    """Return the collision, the least time to collision and the margin of a rollout as lines of text."""
-    figures, lines = safety.figures, []
-    if safety.collisions:
-        first = safety.collisions[0]
-        lines.append(f"collision with {first.agent} ({first.kind.value}) at {first.impact_speed_mps:.1f} m/s")
-    else:
-        lines.append("no collision")
-    ttc = figures["least_ttc"]
+    """Return the worst event, the least time to collision and the margin of a rollout as lines of text."""
+    figures = safety.figures
+    ttc, margin = figures["least_ttc"], figures["drivable_margin"]
+    lines = [_worst_event(safety)]
     least = f"{ttc.value:.2f} s, to {ttc.cause}" if math.isfinite(ttc.value) else "none within 3 s"
     lines.append(f"least time to collision: {least}")
-    margin = figures["drivable_margin"]
     if margin.is_valid:
         lines.append(f"margin to the edge of the drivable area: {margin.value:.2f} m")
     return lines
+
+
+def _worst_event(safety: SafetyReport) -> str:
+    margin = safety.figures["drivable_margin"]
+    events = []
+    if safety.collisions:
+        first = safety.collisions[0]
+        events.append(f"collision with {first.agent} ({first.kind.value}) at {first.impact_speed_mps:.1f} m/s")
+    if margin.is_valid and margin.value < 0.0:
+        events.append(f"left the drivable area by {-margin.value:.2f} m")
+    inside = ", and the drivable area was not left" if margin.is_valid else ""
+    return ", and ".join(events) or f"no collision{inside}"

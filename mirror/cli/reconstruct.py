@@ -34,7 +34,8 @@ class Arguments:
     """
 
     dataset: tyro.conf.Positional[str]
-    """Folder or URL of the dataset. It must be a local folder if --initialise writes layers of depth."""
+    """Folder or URL of the dataset. It must be a local folder if --initialise writes layers of depth,
+    one that may be written unless --layers is given."""
     split: Annotated[str, help_text(metavar="NAME")]
     """Name of the split. Its held-out traversals are not used."""
     out: Annotated[Path, help_text(metavar="MODEL")]
@@ -65,6 +66,11 @@ class Arguments:
     dataset: use the layers of the dataset. SOURCE@VERSION: use this layer."""
     calibrations: Annotated[str | None, help_text(default="recorded", metavar="SOURCE@VERSION")] = None
     """Layer of calibrations, such as refined@1 of mirror calibrate refine."""
+    boxes: Annotated[str | None, help_text(default="the only one", metavar="SOURCE@VERSION")] = None
+    """Layer of boxes, by which road users are masked."""
+    layers: Annotated[Path | None, help_text(default="the dataset", metavar="FOLDER")] = None
+    """Write layers of depth to this copy of the dataset, which is made or brought up to date.
+    The dataset is only read. Images of the split are hard links where possible."""
     blocks: Annotated[str | None, help_text(default="all", metavar="NAME,...")] = None
     """Train these blocks only, so that other machines train the others at the same time.
     When all are trained, the same command without --blocks completes the model."""
@@ -101,18 +107,28 @@ def main(argv: Sequence[str]) -> int:
     require_output_folder(arguments.out, FolderKind.MODEL)
     method = load_method(arguments.method)
 
+    from mirror.cli.layers import with_named_layers
+    from mirror.dataset.working_copy import update_working_copy
     from mirror.dataset.writing import open_to_write
     from mirror.methods.hosting import reconstruct
     from mirror.methods.training_images import list_scored_training_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
-    dataset = open_to_write(arguments.dataset).with_layers(calibrations=arguments.calibrations)
     protocol = load_protocol(arguments.protocol, masked=arguments.masks)
+    dataset = (
+        open_to_write(arguments.dataset)
+        if arguments.layers is None
+        else update_working_copy(Path(arguments.dataset), arguments.layers, arguments.split, place="--layers")
+    ).with_layers(calibrations=arguments.calibrations)
     scaled = protocol.model_copy(
         update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}
     )
     scene = _scene(dataset, arguments.split, arguments.scene)
+    training = dataset.where(scene=scene, split=arguments.split, role="train")
+    read = ("boxes",) if "boxes" in protocol.masks.dynamic else ()
+    boxes = with_named_layers(training, None, {"boxes": arguments.boxes}, read=read).layers.boxes
+    dataset = dataset.with_layers(boxes=boxes)
     minutes = _CORE_MINUTES if arguments.minutes is None and arguments.steps is None else arguments.minutes
     task = ReconstructionTask(
         scene=scene,

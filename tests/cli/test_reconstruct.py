@@ -46,7 +46,7 @@ from mirror.progress import NullProgress, progress_bar
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import Plan, plan_views
 from mirror.protocols.views.view import RenderView
-from mirror.schema.tables import DEPTH, POINTS
+from mirror.schema.tables import BOXES, DEPTH, POINTS
 from tests.baselines.conftest import dataset as street  # noqa: F401 - a fixture
 from tests.baselines.conftest import (
     initialise,
@@ -795,3 +795,45 @@ def test_few_points_are_warned_of(dataset: Dataset, tmp_path: Path, capsys: pyte
         assert main([str(word) for word in words]) == ExitCode.DONE
         printed = capsys.readouterr()
         assert ("warning: the scene has 49 points" in printed.out + printed.err) == (count == 49)
+
+
+def tree(root: Path) -> dict[str, tuple[bytes, int]]:
+    return {
+        str(path.relative_to(root)): (path.read_bytes() if path.is_file() else b"", path.stat().st_mtime_ns)
+        for path in (root, *sorted(root.rglob("*")))
+    }
+
+
+def test_a_dataset_that_is_only_read_stays_as_it_was(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, layers = tree(Path(dataset.root)), tmp_path / "layers"
+    words = reconstruct(dataset, tmp_path / "model", "--layers", layers, "--steps", 2)
+    # The fixture's images are noise: the layer is written, and has no points.
+    assert "matched no point" in said(capsys, *words, "--initialise", "sparse", code=ExitCode.COULD_NOT_RUN)["remedy"]
+    assert tree(Path(dataset.root)) == before
+    copied = [name for row in mirror.open(layers).table("traversals").to_pylist() for name in row["layers"]]
+    assert "points/sparse@novel-48" in copied and "points/made@1" in copied
+    shutil.rmtree(tmp_path / "model", ignore_errors=True)
+    done = said(capsys, *words, "--initialise", "made@1")
+    # The same command again is done, and the model is rendered with the dataset itself.
+    assert said(capsys, *words, "--initialise", "made@1")["steps"] == done["steps"] > 0
+    render = ("render", dataset.root, tmp_path / "model", "--split", "novel", "--protocol", narrow(tmp_path))
+    assert said(capsys, *render, "--out", tmp_path / "submission")["views"] > 0
+    assert tree(Path(dataset.root)) == before
+    other = shutil.copytree(dataset.root, tmp_path / "other")
+    for folder in (Path(dataset.root), other):
+        words = reconstruct(dataset, tmp_path / "more", "--layers", folder)
+        assert said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["place"] == "--layers"
+    assert tree(Path(dataset.root)) == before and not (tmp_path / "more").exists()
+
+
+def test_a_layer_of_boxes_is_chosen_with_an_option(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    traversal = dataset.where(split="novel", role="train").traversals()[0]
+    LayerWriter(Layout(Path(dataset.root)), traversal, "boxes", "tracked", "1").finish(BOXES, [], {})
+    build_index(Path(dataset.root))
+    refused = said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 1), code=ExitCode.COULD_NOT_RUN)
+    assert refused["place"] == "--boxes" and "--boxes tracked@1" in refused["remedy"]
+    said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 1, "--boxes", "petr@1"))

@@ -8,6 +8,7 @@ Source: https://duckdb.org/docs/operations_manual/securing_duckdb/overview
 
 from __future__ import annotations
 
+import difflib
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 import pyarrow as pa
 
 from mirror.dataset.query.catalog import GLOBAL, TABLES
-from mirror.dataset.query.choices import require_known
 from mirror.dataset.query.filters import Filters
 from mirror.errors import UsageError
 from mirror.installation import install_command
@@ -46,15 +46,22 @@ def run_sql(dataset: Dataset, query: str) -> pa.Table:
             _lock(connection, files)
             return connection.sql(query).to_arrow_table()
         except duckdb.Error as error:
-            # DuckDB proposes tables of its own, such as pg_namespace.
-            if unknown := _UNKNOWN_TABLE.search(str(error)):
-                require_known("table", unknown[1], TABLES)
             raise UsageError(
-                str(error).strip(), place="the query", expected=f"a query of {', '.join(sorted(TABLES))}",
+                _describe_error(str(error).strip()), place="the query",
+                expected=f"a query of {', '.join(sorted(TABLES))}",
                 remedy="docs/schema.md lists the columns of each table",
             ) from error  # fmt: skip
     finally:
         connection.close()
+
+
+def _describe_error(text: str) -> str:
+    """DuckDB's message; for an unknown table with MIRROR's most similar table, as DuckDB proposes its own tables."""
+    unknown = _UNKNOWN_TABLE.search(text)
+    if unknown is None:
+        return text
+    similar = difflib.get_close_matches(unknown[1], TABLES, n=1, cutoff=0.5)
+    return unknown[0] + (f": did you mean {similar[0]}?" if similar else "")
 
 
 def has_spatial_functions() -> bool:

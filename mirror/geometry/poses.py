@@ -212,6 +212,17 @@ class Poses:
         out[:, 3, 3] = 1.0
         return out
 
+    def one_matrix(self) -> Float64:
+        """Homogeneous matrix (4, 4) of a single pose, such as that of one image.
+
+        Raises:
+            UsageError: there are none or several poses.
+        """
+        if len(self) != 1:
+            raise UsageError(f"{len(self)} poses", expected="one pose", remedy="call matrix() for (N, 4, 4)")
+        matrix: Float64 = self.matrix()[0]
+        return matrix
+
     def _require_matching(self, count: int, what: str) -> None:
         if len(self) != count and 1 not in (len(self), count):
             raise UsageError(f"{len(self)} poses with {count} {what}", expected="the same number of both, or one")

@@ -13,15 +13,15 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 from mirror.schema.links import is_file_name
 from mirror.schema.version import SCHEMA_VERSION
 
-_IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$"
-Identifier = Annotated[str, Field(pattern=_IDENTIFIER)]
+IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_\-]{0,119}$"
+Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
 
 CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", "rear_left", "rear_right", "rear")
 
 
 def is_identifier(text: str) -> bool:
     """Whether a text is a valid id: letters, digits, ``_`` and ``-``, so that it can name a folder."""
-    return re.fullmatch(_IDENTIFIER, text) is not None
+    return re.fullmatch(IDENTIFIER, text) is not None
 
 
 def require_inner_path(name: str) -> str:

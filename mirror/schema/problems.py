@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+from mirror.schema.documents import IDENTIFIER
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
+_PATTERNS: Final = {
+    IDENTIFIER: "should be letters, digits, _ and -, with a letter or a digit first, and at most 120 characters",
+    r"^(https?://[^\s<>\"']*)?$": "should be an address that begins with http:// or https://",
+}
+"""What the patterns of documents ask for, in words: a message shows no regular expression."""
+
 
 def describe_problem(details: ErrorDetails) -> str:
     """What is wrong with a value: one of `pydantic.ValidationError.errors`, without the name of the exception."""
+    if details["type"] == "string_pattern_mismatch":
+        pattern = details.get("ctx", {}).get("pattern", "")
+        return _PATTERNS.get(pattern, "the text has another form than documented")
     return details["msg"].removeprefix("Value error, ")
 
 

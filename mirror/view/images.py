@@ -155,6 +155,14 @@ def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int
     return f'<div class="places">{"".join(figures)}</div>'
 
 
+def solar_time(stamp_ns: int, row: Mapping[str, Any]) -> str:
+    """Format the local mean solar time of a traversal's row, such as ``09:05``; empty in a local metric frame."""
+    west_deg = None if row.get("bbox") is None else row["bbox"]["xmin"]
+    if west_deg is None:
+        return ""
+    return datetime.fromtimestamp(stamp_ns // 10**9 + round(240.0 * west_deg), UTC).strftime("%H:%M")
+
+
 def utc(stamp_ns: int) -> str:
     """Format a timestamp in UTC."""
     return datetime.fromtimestamp(stamp_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.frames import Frame
 from mirror.dataset.statistics import TableRow, compute_table_row
 from mirror.html import style_sheet
 from mirror.schema.documents import SplitDocument
@@ -29,6 +30,7 @@ from mirror.view.images import (
     place_images,
     rig_images,
     same_place,
+    solar_time,
     utc,
 )
 from mirror.view.svg import Line, bars, scene_map, stacked_bars
@@ -129,7 +131,7 @@ def _format_instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -
     cameras = "One camera" if len(frame.images) == 1 else f"{len(frame.images)} cameras"
     yield f"<h2>One instant, {cameras.lower()}</h2>"
     yield (
-        f'<p class="dim">{escape(row["scene_id"])}, {utc(frame.timestamp_ns)} UTC, {escape(row["light"])}, '
+        f'<p class="dim">{escape(row["scene_id"])}, {_times(frame, row)}, {escape(row["light"])}, '
         f"{escape(row['weather'])}, {escape(row['vehicle_type'])}; "
         f"frame {frame.frame_index} of {escape(row['traversal_id'])}</p>"
     )
@@ -243,6 +245,12 @@ def _format_rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> I
         frame = middle_frame(dataset, row["traversal_id"])
         yield (
             f'<details><summary><i class="dot {escape(light)}"></i>{escape(light)}, {escape(weather)} '
-            f'<span class="dim">{escape(row["scene_id"])}, {utc(frame.timestamp_ns)} UTC</span></summary>'
+            f'<span class="dim">{escape(row["scene_id"])}, {_times(frame, row)}</span></summary>'
             f"{rig_images(frame, boxes=False, width_px=_SMALL_PX)}</details>"
         )
+
+
+def _times(frame: Frame, row: Mapping[str, Any]) -> str:
+    """The time of a frame in UTC, and its local solar time where the place is known."""
+    local = solar_time(frame.timestamp_ns, row)
+    return f"{utc(frame.timestamp_ns)} UTC" + (f" ({local} solar time)" if local else "")

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from mirror.html import html_table
 from mirror.schema.documents import SplitDocument
-from mirror.view.images import utc
+from mirror.view.images import solar_time, utc
 
 _MAX_ROWS: Final = 200
 _RULES: Final = {
@@ -20,11 +20,13 @@ _RULES: Final = {
 
 def traversal_table(traversals: Sequence[Mapping[str, Any]]) -> str:
     """Format the table of traversals."""
-    head = ["scene", "entry (UTC)", "light", "weather", "vehicle", "n:duration", "n:path", "n:mean speed", "n:images"]
+    head = ["scene", "entry (UTC)", "solar time", "light", "weather", "vehicle"]
+    head += ["n:duration", "n:path", "n:mean speed", "n:images"]
     rows = [
         (
             escape(row["scene_id"]),
             utc(row["entry_ns"]),
+            solar_time(row["entry_ns"], row),
             f'<i class="dot {escape(row["light"])}"></i>{escape(row["light"])}',
             escape(row["weather"]),
             f"{escape(row['vehicle_id'])} ({escape(row['vehicle_type'])})",

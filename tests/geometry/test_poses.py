@@ -153,3 +153,10 @@ def test_one_matrix_without_a_batch_axis() -> None:
     for shape in ((4,), (1, 1, 4, 4)):
         with pytest.raises(UsageError, match="shape"):
             Poses.from_matrix(np.ones(shape))
+
+
+def test_one_pose_has_one_matrix() -> None:
+    assert Poses.identity(1).one_matrix().shape == (4, 4)
+    for count in (0, 2):
+        with pytest.raises(UsageError, match=f"{count} poses"):
+            Poses.identity(count).one_matrix()

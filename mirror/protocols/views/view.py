@@ -54,7 +54,7 @@ class RenderView(Document):
         cx_px: principal point of the final lens; the centre of the first pixel is at 0.5.
         cy_px: principal point of the final lens; the centre of the first pixel is at 0.5.
         distortion: distortion coefficients of the final lens.
-        world_SE3_camera: pose of the camera.
+        world_SE3_camera: pose of the camera as numbers; `pose` is the same as `Poses`, the type of all other poses.
         edits: vehicles that are moved or removed.
     """
 

@@ -528,7 +528,8 @@ def test_held_out_frames_of_training_traversals_are_not_trained_on(
 ) -> None:
     alone = tmp_path / "alone.toml"
     novel = '[[groups]]\nname = "novel"\nroles = ["held_out", "test"]\n'
-    alone.write_text(narrow(tmp_path).read_text().replace(novel, ""))
+    text = narrow(tmp_path).read_text().replace(novel, "")
+    alone.write_text(text.replace('groups = ["novel"]', 'groups = ["training"]'))
     said(capsys, *reconstruct(dataset, tmp_path / "model", "--steps", 3))
     words = ("--dataset", dataset.root, "--split", "novel", "--protocol", alone, "--out", tmp_path / "out")
     refused = said(capsys, "render", tmp_path / "model", *words, code=ExitCode.COULD_NOT_RUN)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import resource
+import shutil
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -210,8 +211,11 @@ def test_an_interrupted_call_continues_and_a_stricter_one_removes(root: Path, tm
 
 
 def test_refusals(root: Path, bundle: Path, tmp_path: Path) -> None:
+    unlicensed = shutil.copytree(root, tmp_path / "unlicensed")
+    document = json.loads((root / "dataset.json").read_bytes())
+    (unlicensed / "dataset.json").write_text(json.dumps({**document, "licence": None}))
     with pytest.raises(UsageError, match="states no licence"):
-        publish(root, str(tmp_path / "b"), options(licence=None))
+        publish(unlicensed, str(tmp_path / "b"), options(licence=None))
     with pytest.raises(UsageError, match="it is a dataset"):
         publish(root, str(root), options())
     with pytest.raises(DatasetError, match=f"no such split; expected one of .*{SPLIT}"):

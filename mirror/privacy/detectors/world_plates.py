@@ -7,7 +7,6 @@ which share of the plates of each region it finds on synthetic images.
 from __future__ import annotations
 
 import hashlib
-import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +20,7 @@ from mirror.privacy.detectors.protocol import DetectorKind, DetectorOptions
 from mirror.privacy.detectors.recall import SyntheticRecall, covered_regions
 from mirror.privacy.detectors.sessions import open_session
 from mirror.privacy.regions import Kind, Region
+from mirror.schema.files import read_json
 from mirror.weights.errors import WeightsUnavailableError
 
 SHIPPED: Final = Path(str(files("mirror.privacy.detectors") / "weights" / "world_plates.onnx"))
@@ -89,7 +89,7 @@ def _unavailable(path: Path, problem: str) -> WeightsUnavailableError:
 
 def read_recall() -> SyntheticRecall:
     """The published recall on synthetic plates."""
-    return SyntheticRecall.model_validate(json.loads(RECALL.read_text()))
+    return read_json(RECALL, SyntheticRecall)
 
 
 WORLD_PLATES: Final = DetectorKind(

@@ -19,7 +19,7 @@ from mirror.cli.verbs import all_commands
 from mirror.installation import NAME, install_command, upgrade_command
 
 ROOT = Path(__file__).parents[1]
-_NESTED = "annotate calibrate export generate leaderboard protocols recording release rois submission"
+_NESTED = "annotate calibrate dataset export generate leaderboard protocols recording release rois submission"
 OF_THEIR_OWN = frozenset(re.findall("[a-z]+", _NESTED))
 """Verbs that have verbs of their own."""
 

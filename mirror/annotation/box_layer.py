@@ -97,7 +97,7 @@ def ego_poses_at(dataset: Dataset, traversal_id: str, frames: Sequence[Detection
     if not len(with_images):
         raise DatasetError(
             "boxes but no images", file=f"traversals/{traversal_id}", expected="boxes at the times of images",
-            remedy="leave this traversal out with where(...)",
+            remedy="restore the images: `mirror ingest RECORDING... --replace`; or remove its layer of boxes",
         )  # fmt: skip
     stamps, poses = with_images[0].track
     return interpolate(stamps, poses, [frame.timestamp_ns for frame in frames])

@@ -148,7 +148,7 @@ class Traversal:
                 file=f"traversals/{self.traversal_id}",
                 place=f"poses of layer {self._layers.poses}",
                 expected="poses before and after every image",
-                remedy="choose another pose layer: with_layers(poses=...)",
+                remedy="name another layer of poses, or write this one again for all images",
             ) from error
 
     @cached_property
@@ -342,7 +342,7 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
         if len(layers) > 1:
             raise UsageError(
                 f"traversal {traversal_id} has {kind} of {', '.join(layers)}",
-                remedy=f"choose: with_layers({kind}={layers[-1]!r})",
+                remedy=f"name one (verbs that choose: --{kind} {layers[-1]}), or remove the others",
             )
         chosen = layers[0]
     return is_member(names, frozenset([chosen]))
@@ -359,7 +359,7 @@ def missing_layer_error(kind: str, layer: str, where: str) -> DatasetError:
         f"there is no {kind} layer {layer}",
         file=where,
         expected="a complete layer of that name",
-        remedy="choose another with with_layers(...), or leave this traversal out with where(...)",
+        remedy=f"name another layer of {kind}, or leave this traversal out",
     )
 
 

@@ -106,5 +106,5 @@ def _require_covered(stamps: Int64, query: Int64, extrapolate: bool) -> None:
         expected=f"a time from {stamps[0]} to {stamps[-1]}",
         remedy="a single pose has no velocity to go on with: give two"
         if extrapolate
-        else "leave that time out, or pass extrapolate=True to go on at constant velocity",
+        else "leave that time out, or extrapolate at constant velocity",
     )

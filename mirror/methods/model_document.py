@@ -107,7 +107,7 @@ def require_matching_split(dataset: Dataset, split: str, model: Reconstruction) 
         raise UsageError(
             f"the model was trained at poses {model.poses}, the dataset is opened with poses {dataset.layers.poses}",
             place=place, file=dataset.root,
-            expected="the same poses", remedy=f"from Python: dataset.with_layers(poses={model.poses!r})",
+            expected="the same poses", remedy=f"open the dataset with poses {model.poses}, or train again",
         )  # fmt: skip
     leaked = sorted(traversal for traversal, role in known.items() if role not in ("train", "unused"))
     if leaked:

@@ -177,7 +177,7 @@ def test_a_pose_layer_replaces_the_recorded_poses(tmp_path: Path) -> None:
     assert refined.frames()[0].world_SE3_ego.translation[0, 2] == 2.5
     assert dataset.frames()[0].world_SE3_ego.translation[0, 2] == 0.0
     assert refined.with_layers(poses="recorded").frames()[0].world_SE3_ego.translation[0, 2] == 0.0
-    with pytest.raises(DatasetError, match=r"no poses layer slam@2.*with_layers"):
+    with pytest.raises(DatasetError, match=r"no poses layer slam@2.*name another layer of poses"):
         _ = refined.where(drive="d1").frames()[0].world_SE3_ego
     with pytest.raises(DatasetError, match="poses before and after every image"):
         _ = dataset.where(drive="d1").with_layers(poses="short@1").frames()[0].world_SE3_ego
@@ -227,7 +227,7 @@ class TestBoxes:
         builder.layer(traversal, "boxes", "me@3", BOXES, [row])
         build_index(dataset.root)
         frames = mirror.open(dataset.root).frames()
-        with pytest.raises(UsageError, match=r"boxes of me@3, petr@1.*with_layers"):
+        with pytest.raises(UsageError, match=r"boxes of me@3, petr@1.*--boxes petr@1"):
             frames[0].boxes()
         mine = mirror.open(dataset.root).with_layers(boxes="me@3").frames()
         assert mine[0].boxes().track_id == ("mine",) and np.isnan(mine[0].boxes().score[0])

@@ -114,7 +114,7 @@ class TableFiles:
             "the index has changed since this dataset was opened",
             file=self.store.full_path(path),
             expected="the file in the index's manifest at that time",
-            remedy=f"open it again: mirror.open({root!r}); if the error stays, the file is damaged: "
+            remedy="run the same command again, or open the dataset again; if the error stays, the file is damaged: "
             f"run `mirror index {root}`",
         )
 

@@ -38,6 +38,29 @@ ONLY_FROM_PYTHON: Final = {
 }
 """Modules whose errors reach programs that import the toolkit: no verb gives them arguments of its user."""
 
+RAISED_BY: Final = {
+    "mirror/ingest/": ("ingest",),
+    "mirror/recordings/": ("ingest", "info", "recording new"),
+    "mirror/privacy/": ("deidentify", "release build", "release check", "release review", "release withdraw"),
+    "mirror/export/": ("export colmap", "dataset publish", "dataset fetch", "dataset audit"),
+    "mirror/annotation/": ("annotate", "annotate track", "annotate train", "annotate masks", "annotate export"),
+    "mirror/calibration/": ("calibrate check", "calibrate refine", "calibrate intrinsics"),
+    "mirror/synth/": ("synth", "submission hidden"),
+    "mirror/dataset/splits/": ("split",),
+    "mirror/evaluation/": ("evaluate",),
+    "mirror/view/": ("view", "plot", "report", "stats"),
+    "mirror/weights/": ("weights fetch", "weights list"),
+    "baselines/hybridworldsim/generation/": ("generate train", "generate distil", "generate scene"),
+    "baselines/hybridworldsim/petr/": ("annotate", "annotate train"),
+    "baselines/hybridworldsim/simulator/": ("simulate", "serve"),
+    "baselines/hybridworldsim/methods/": ("reconstruct", "render"),
+    "baselines/hybridworldsim/model/": ("reconstruct", "render"),
+    "baselines/hybridworldsim/mvs/": ("depth", "reconstruct"),
+    "baselines/hybridworldsim/training/": ("reconstruct", "generate train", "annotate train"),
+    "leaderboard/": ("leaderboard add", "leaderboard build", "leaderboard sign"),
+}
+"""Verbs that can raise the errors of a folder."""
+
 _CALL: Final = re.compile(r"(?<![\w])[a-z_]+(?:\.[a-z_]+)*\((?!s\))|\b[a-z_]+=(?:[\[\"']|\.\.\.|True|False|None)")
 
 
@@ -137,6 +160,19 @@ def test_options_of_remedies_exist_in_the_verb_that_they_name() -> None:
             wrong.append(f"{place}: no verb has {sorted(stated - all_options())}: {text}")
     assert wrong == []
     assert count > 100
+
+
+def test_options_without_a_verb_are_those_of_a_verb_that_can_raise_the_error() -> None:
+    wrong, count = [], 0
+    for name, place, text in remedies():
+        stated = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", text)) - OF_OTHER_PROGRAMS.get(name, set())
+        verbs = next((verbs for folder, verbs in RAISED_BY.items() if name.startswith(folder)), None)
+        if stated and verbs and not list(commands_in(text)):
+            count += 1
+            if not any(stated <= options_of(verb) for verb in verbs):
+                wrong.append(f"{place}: none of {verbs} has {sorted(stated)}: {text}")
+    assert wrong == []
+    assert count > 50
 
 
 def test_remedies_have_no_call_where_a_verb_leads() -> None:

@@ -27,6 +27,7 @@ OF_OTHER_PROGRAMS: Final = {
 """Options of pip, torchrun and `python -m benchmarks`."""
 
 ONLY_FROM_PYTHON: Final = {
+    "mirror/geometry/poses.py",
     "mirror/dataset/samples.py",
     "mirror/dataset/torch.py",
     "mirror/metrics/inputs.py",

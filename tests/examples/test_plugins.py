@@ -67,6 +67,15 @@ def test_a_policy_in_a_file_stays_on_the_road(tmp_path: Path) -> None:
     assert said["safety"]["drivable_margin"] > 0.0
 
 
+def test_a_fault_of_a_policy_is_named_with_its_file_and_line(tmp_path: Path) -> None:
+    text = (ROOT / "examples" / "policy.py").read_text().replace("observation.route[4]", "observation.road[4]")
+    (tmp_path / "policy.py").write_text(text)
+    line = 1 + text[: text.index("observation.road")].count("\n")
+    drive = ("simulate", "synth:tiny", "--scenario", "free-traffic", "--duration", "1", "--no-video", "--width", "64")
+    said = mirror(tmp_path, *drive, "--policy", "policy.py:Careful", "--out", "rollout", code=ExitCode.FINDINGS)
+    assert f"line {line}, in act" in said and "policy.py" in said and "AttributeError" in said
+
+
 def test_a_reader_in_a_file(tmp_path: Path) -> None:
     rows = ({"t": 1.7e9 + second, "lon": 11.5763 + 1e-4 * second, "lat": 48.1371} for second in range(30))
     (tmp_path / "drive.walk").write_text("".join(json.dumps(row) + "\n" for row in rows))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -158,3 +159,9 @@ def test_vectors_of_environments_work_with_spawn() -> None:
         assert (np.diff(observations["stamp_ns"], axis=0) == 0).all()
     finally:
         envs.close()
+
+
+def test_a_model_renders_without_a_named_renderer(tmp_path: Path) -> None:
+    (tmp_path / "reconstruction.json").write_text('{"format": "mirror-reconstruction"}')
+    assert StreetEnv(model=tmp_path)._factory.name == "reconstructed"
+    assert StreetEnv()._factory.name == "boxes"

@@ -22,6 +22,7 @@ from hybridworldsim.simulator.street.street import Street
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.safety import StateLog
+from mirror.schema.folders import FolderKind, find_kind
 from mirror.schema.scenario import Scenario, read_scenario, scenario_file
 
 TRAJECTORY_TIMES_S: Final = 0.5 * np.arange(1.0, 9.0)
@@ -84,6 +85,13 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         self._scenario = scenario if isinstance(scenario, Scenario) else read_scenario(scenario)
         self._scenario_file = None if isinstance(scenario, Scenario) else scenario_file(scenario)
         self._cameras = rig_cameras(self._street, cameras, width_px, height_px)
+        if model is not None and find_kind(Path(model)) is not FolderKind.MODEL:
+            raise UsageError(
+                "the folder has no model",
+                file=model,
+                place="model",
+                expected="a folder that `mirror reconstruct` wrote",
+            )
         name = renderer or ("boxes" if model is None else "reconstructed")
         self._factory = RendererFactory(name, None if model is None else Path(model))
         self._kind = action

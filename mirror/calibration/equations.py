@@ -84,7 +84,7 @@ class JointProblem:
             for side in range(2):
                 points = [(one.first_px, one.second_px)[side] for one in self.pairs if one.camera == name]
                 if points:
-                    ray, slope = rays_with_slopes(rig.cameras[name], np.concatenate(points))
+                    ray, slope = rays_at_scales(rig.cameras[name], np.concatenate(points))
                     self.rays[side][own], self.slopes[side][own] = ray, slope
 
     def _baseline_m(self, pair: PairTracks) -> float:
@@ -331,30 +331,32 @@ class Solution:
 
 
 def rays_with_slopes(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
-    """Unit rays of points (N, 2), and their derivatives by the pixel, central differences.
+    """Compute unit rays (N, 3) of points (N, 2), and their derivatives (N, 3, 2) by the pixel: central differences."""
+    step = 0.25
+    slopes = [
+        (camera.unproject(uv_px + aside).direction - camera.unproject(uv_px - aside).direction) / (2.0 * step)
+        for aside in step * np.eye(2)
+    ]
+    return camera.unproject(uv_px).direction, np.stack(slopes, axis=-1)
+
+
+def rays_at_scales(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
+    """Compute the rays of points (N, 2) and their derivatives by the pixel for three focal lengths.
 
     Returns:
         Rays (N, 3, 3) and derivatives (N, 3, 3, 2): along the second axis with a focal length that is 1 % smaller, as
         given, and 1 % larger.
     """
-    step, middle = 0.25, np.array([camera.cx_px, camera.cy_px])
-    given = camera.unproject(uv_px).direction
-    rays: list[Float64] = []
-    slopes: list[Float64] = []
-    for scale in (0.0, -_SCALE_STEP, _SCALE_STEP):
+    middle = np.array([camera.cx_px, camera.cy_px])
+    given, given_slope = rays_with_slopes(camera, uv_px)
+    rays, slopes = [given], [given_slope]
+    for scale in (-_SCALE_STEP, _SCALE_STEP):
         shrinks = np.exp(-scale)
         at = middle + (uv_px - middle) * shrinks
-        sides = [
-            (camera.unproject(at + aside).direction - camera.unproject(at - aside).direction) / (2.0 * step) * shrinks
-            for aside in step * np.eye(2)
-        ]
-        ray, slope = camera.unproject(at).direction, np.stack(sides, axis=-1)
-        if slopes:
-            # A lens may be undefined a few pixels beyond its image.
-            ray = np.where(np.isfinite(ray), ray, given + np.einsum("nij,nj->ni", slopes[0], at - uv_px))
-            slope = np.where(np.isfinite(slope), slope, slopes[0] * shrinks)
-        rays.append(ray)
-        slopes.append(slope)
+        ray, slope = rays_with_slopes(camera, at)
+        # A lens may be undefined a few pixels beyond its image.
+        rays.append(np.where(np.isfinite(ray), ray, given + np.einsum("nij,nj->ni", given_slope, at - uv_px)))
+        slopes.append(shrinks * np.where(np.isfinite(slope), slope, given_slope))
     order = [1, 0, 2]
     return np.stack([rays[one] for one in order], axis=1), np.stack([slopes[one] for one in order], axis=1)
 

@@ -16,7 +16,7 @@ COMMANDS = (
     "annotate export D --boxes a@1",
     "annotate report D --boxes a@1",
     "annotate train D --annotator petr-tiny",
-    "baseline D --method nearest --split s",
+    "baseline D --method nearest_frame --split s",
     "calibrate check D",
     "dataset fetch D",
     "dataset publish D --split s",

@@ -130,7 +130,7 @@ def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
         (set_in("submission", "dataset_hash", "00" * 32), "changed by hand"),
         (set_in("submission", "plan_hash", "00" * 32), "changed by hand"),
         (set_in("submission", "split", "easy"), "changed by hand"),
-        (set_in("submission", "method", "name", "<b>"), "pattern"),
+        (set_in("submission", "method", "name", "<b>"), "method: the text has another form"),
         (set_in("format", "other"), "mirror-result"),
         (set_in("more", 1), "Extra inputs"),
         (set_in("figures", 0, "value", "1e400"), "finite"),

@@ -60,7 +60,7 @@ def test_a_large_mask_of_a_recording_is_an_error(large: bytes, tmp_path: Path) -
     (folder / "recording.json").write_text(json.dumps(document))
 
     def read() -> None:
-        with pytest.raises(RecordingError, match="no image of at most") as caught:
+        with pytest.raises(RecordingError, match="not an image of at most") as caught:
             _ = FolderReader().open(folder, {}).rig
         assert "large.png" in str(caught.value)
 

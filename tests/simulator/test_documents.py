@@ -36,7 +36,7 @@ def test_the_policy_of_the_page_drives(tmp_path: Path) -> None:
     exec(BLOCKS[1], names)
     street = straight_street()
     request = RolloutRequest(
-        street, scenario(duration_s=1.0), names["Cautious"](), "cautious", rig_cameras(street, ("front_wide",), 32),
+        street, scenario(duration_s=1.0), names["Careful"](), "careful", rig_cameras(street, ("front_wide",), 32),
         RendererFactory("boxes"),
     )  # fmt: skip
     result = run_rollout(replace(request), tmp_path / "run")

@@ -47,12 +47,12 @@ class Ended:
     stderr: str
     hit: bool
 
-    def require_stopped(self) -> None:
+    def require_stopped(self, says: str = "interrupted: run the same command again") -> None:
         assert self.code == 130, self
         assert self.taken_s < MOST_S, self
         assert "Traceback" not in self.stderr and "Exception ignored" not in self.stderr, self.stderr
         assert "Error" not in self.stderr, self.stderr
-        assert self.stderr.count("interrupted: run the same command again") == 1, self.stderr
+        assert self.stderr.count(says) == 1, self.stderr
 
 
 def hear_again() -> None:

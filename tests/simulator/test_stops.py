@@ -43,5 +43,5 @@ def test_a_server_ends_with_ctrl_c() -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     ended = interrupt([*MIRROR, "serve", "synth:tiny", "--port", str(port)], 0.5, once=lambda: listens(port))
-    ended.require_stopped()
+    ended.require_stopped("mirror serve: stopped")
     assert "SensorsimService at 127.0.0.1:" in ended.stdout

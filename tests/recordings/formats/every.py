@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,39 @@ def _csv(root: Path) -> Path:
     rows = [f"{stamp},{lon:.9f},48.13" for stamp, lon in zip(drive.pose_ns.tolist(), east.tolist())]
     (root / "drive.csv").write_text("time_ns,lon,lat\n" + "\n".join(rows) + "\n")
     return root / "drive.csv"
+
+
+def _gpx(root: Path) -> Path:
+    root.mkdir(parents=True)
+    points = "".join(
+        f'<trkpt lat="48.13" lon="{lon:.9f}"><ele>500.0</ele><time>{time.isoformat()}</time></trkpt>'
+        for time, lon in _eastward()
+    )
+    namespace = "http://www.topografix.com/GPX/1/1"
+    text = f'<gpx version="1.1" xmlns="{namespace}"><trk><trkseg>{points}</trkseg></trk></gpx>'
+    (root / "drive.gpx").write_text(text)
+    return root / "drive.gpx"
+
+
+def _nmea(root: Path) -> Path:
+    root.mkdir(parents=True)
+    lines = []
+    for time, lon in _eastward():
+        stamp, place = f"{time:%H%M%S.%f}"[:-3], f"4807.8000,N,{int(lon):03d}{60.0 * (lon % 1.0):010.7f},E"
+        for body in (
+            f"GNGGA,{stamp},{place},4,12,0.8,453.0,M,47.0,M,,",
+            f"GNRMC,{stamp},A,{place},15.5,90.0,{time:%d%m%y},,,A",
+        ):
+            lines.append(f"${body}*{reduce(xor, body.encode(), 0):02X}\r\n")
+    (root / "drive.nmea").write_text("".join(lines))
+    return root / "drive.nmea"
+
+
+def _eastward() -> Iterator[tuple[datetime, float]]:
+    """Times and longitudes of the drive at latitude 48.13."""
+    stamps = street_drive().pose_ns
+    for stamp in stamps.tolist():
+        yield datetime.fromtimestamp(stamp / 1e9, UTC), 11.57 + 8.0 * (stamp - int(stamps[0])) * 1e-9 * 1.346e-5
 
 
 def _boreas(root: Path) -> Path:
@@ -267,6 +302,8 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "dgp": _dgp,
     "comma2k19": _comma2k19,
     "csv": _csv,
+    "gpx": _gpx,
+    "nmea": _nmea,
     "mcap": _mcap,
     "rosbag2": _rosbag2,
     "nuscenes": _nuscenes,

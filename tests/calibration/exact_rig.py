@@ -69,4 +69,5 @@ def exact_rig(
     }
     wrong = {name: Poses((given[name] @ Poses(true[name].rotation, np.zeros((1, 3)))).rotation, true[name].translation)
              for name in CAMERAS}  # fmt: skip
-    return TrackedRig(CAMERAS, wrong, 0.4 * np.arange(frames), dict.fromkeys(CAMERAS, poses), pairs)
+    times = 0.4 * np.arange(frames, dtype=np.float64)
+    return TrackedRig(CAMERAS, wrong, times, dict.fromkeys(CAMERAS, poses), pairs)

@@ -77,7 +77,7 @@ def test_outside_is_an_error_that_says_what_to_do() -> None:
     text = str(error.value)
     assert str(late) in text
     assert f"{stamps[0]} to {stamps[-1]}" in text
-    assert "extrapolate=True" in text
+    assert "leave that time out, or extrapolate" in text
     assert "query row 1" in text
 
 

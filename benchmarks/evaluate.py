@@ -206,7 +206,7 @@ def _affine(render: UInt8, truth: UInt8, mask: Bool) -> float:
 
 def _invariant(render: UInt8, truth: UInt8, mask: Bool) -> float:
     """The determinant of what the best linear recolouring and two ramps leave, by `lstsq` on all pixels."""
-    from mirror.metrics.images.invariant import ROUNDING_VARIANCE
+    from mirror.metrics.images.pairs import ROUNDING_VARIANCE
 
     down, across = np.meshgrid(*(np.linspace(-0.5, 0.5, size) for size in mask.shape), indexing="ij")
     x, y = render[mask] / 255.0, truth[mask] / 255.0

@@ -64,7 +64,7 @@ class Row:
 
     @property
     def is_missed(self) -> bool:
-        """Whether the row is not below its limits."""
+        """Return whether the row is not below its limits."""
         slow = self.bar is not None and not self.ms < self.bar
         return slow or (self.error_bar is not None and not (self.error is not None and self.error < self.error_bar))
 

@@ -57,7 +57,7 @@ class WalkReader:
     expects = "a .walk file: one JSON object a line, with t, lon and lat"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the path has this format, by its name."""
+        """Return whether the path has this format, by its name."""
         return path.suffix == ".walk"
 
     def open(self, path: Path, options: Mapping[str, str]) -> Walk:

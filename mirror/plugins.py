@@ -89,7 +89,7 @@ class PluginKind:
 
 
 def is_file_reference(name: str) -> bool:
-    """Whether a name has the form ``FILE.py:OBJECT``."""
+    """Return whether a name has the form ``FILE.py:OBJECT``."""
     file, colon, attribute = name.rpartition(":")
     return bool(colon) and file.endswith(".py") and attribute.isidentifier()
 

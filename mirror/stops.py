@@ -101,7 +101,7 @@ class Stops:
 
     @property
     def heard(self) -> bool:
-        """Whether a signal came."""
+        """Return whether a signal came."""
         return self._asked or self._noticed.is_set()
 
     def listen(self) -> None:

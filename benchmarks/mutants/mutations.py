@@ -65,7 +65,7 @@ def mutant_name(after: str, line: str, becomes: str, repeat: int) -> str:
 
 
 def compiles(text: str) -> bool:
-    """Whether a source file's text is Python."""
+    """Return whether a source file's text is Python."""
     try:
         compile(text, "mutant", "exec")
     except SyntaxError:

@@ -76,12 +76,12 @@ class Board:
 
     @property
     def is_older(self) -> bool:
-        """Whether the entries were measured by another version of the protocol than today's."""
+        """Return whether the entries were measured by another version of the protocol than today's."""
         return self.hashes is not None and load_protocol(self.protocol).hash != self.hashes[0]
 
     @property
     def is_practice(self) -> bool:
-        """Whether the title names a public seed, from which anybody can make the images that are scored."""
+        """Return whether the title names a public seed, from which anybody can make the images that are scored."""
         return self.hashes is not None and _PUBLIC_SEED.search(self.title) is not None
 
     @property

@@ -77,7 +77,7 @@ def sign(key: Ed25519PrivateKey, content: bytes) -> str:
 
 
 def is_signed(key: Ed25519PublicKey, content: bytes, signature: str) -> bool:
-    """Whether a signature is the key owner's, of these bytes."""
+    """Return whether a signature is the key owner's, of these bytes."""
     from cryptography.exceptions import InvalidSignature
 
     try:

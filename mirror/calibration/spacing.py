@@ -66,7 +66,7 @@ class ImageSpacing:
 
     @property
     def is_too_far(self) -> bool:
-        """Whether the images are farther apart than tracking is measured for."""
+        """Return whether the images are farther apart than tracking is measured for."""
         return self.steps(FrameChoice()) > _TOO_FAR
 
     def __str__(self) -> str:

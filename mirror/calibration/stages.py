@@ -46,7 +46,7 @@ class StageDifference:
 
     @property
     def is_jump(self) -> bool:
-        """Whether it is a step in time that is larger than a stage may make unexplained."""
+        """Return whether it is a step in time that is larger than a stage may make unexplained."""
         return self.first == self.second and (self.angle_deg > JUMP_DEG or self.distance_cm > JUMP_CM)
 
 

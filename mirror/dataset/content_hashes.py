@@ -143,7 +143,7 @@ class ContentHashes:
 def has_layer(
     layout: Layout, traversal_id: str, layer: tuple[str, str, str], made_from: Mapping[str, str], problem: str
 ) -> bool:
-    """Whether a traversal has a layer already.
+    """Return whether a traversal has a layer already.
 
     Args:
         layout: the dataset.

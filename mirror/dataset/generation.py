@@ -99,7 +99,7 @@ class Generation:
         return None
 
     def is_current(self) -> bool:
-        """Whether no later generation has replaced this one."""
+        """Return whether no later generation has replaced this one."""
         try:
             return os.path.samestat(os.fstat(self._handle), (self.root / _INDEX).stat())
         except FileNotFoundError:
@@ -251,7 +251,7 @@ def _current_layer(layout: Layout) -> Path:
 
 
 def _has_readers(layer: Path) -> bool:
-    """Whether a reader has locked the generation of a layer."""
+    """Return whether a reader has locked the generation of a layer."""
     try:
         with (layer / _INDEX).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -155,7 +155,7 @@ class Image:
 
     @property
     def is_withheld(self) -> bool:
-        """Whether the dataset is a published one that withholds this image: only its organiser can read it."""
+        """Return whether the dataset is a published one that withholds this image: only its organiser can read it."""
         return self.uri in self._loader.catalog.withheld
 
     @property

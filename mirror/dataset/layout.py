@@ -155,7 +155,7 @@ def complete_manifest(folder: Path) -> Manifest | None:
 
 
 def is_intact(folder: Path) -> bool:
-    """Whether a folder is complete and its files, except images, have the hashes in its manifest."""
+    """Return whether a folder is complete and its files, except images, have the hashes in its manifest."""
     manifest = complete_manifest(folder)
     if manifest is None:
         return False

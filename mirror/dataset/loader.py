@@ -141,7 +141,7 @@ class Loader:
         return data
 
     def has_intact_video(self, uri: str, offset: int, length: int, sha256: bytes, place: str) -> bool:
-        """Whether a video has the recorded hash. An intact video is read once, not for each of its frames.
+        """Return whether a video has the recorded hash. An intact video is read once, not for each of its frames.
 
         Raises:
             DatasetError: the file is missing or too short.

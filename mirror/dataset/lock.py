@@ -22,7 +22,7 @@ _PAUSES_S: Final = (0.001, 0.01, 0.03, 0.06)
 
 
 def is_being_written(layout: Layout) -> bool:
-    """Whether a process holds the dataset's writer lock now."""
+    """Return whether a process holds the dataset's writer lock now."""
     try:
         with layout.lock.open() as handle:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -102,7 +102,7 @@ def _lock(handle: IO[str], *, wait: bool) -> None:
 
 
 def _is_the_lock(layout: Layout, handle: IO[str]) -> bool:
-    """Whether the locked file is still the one at the lock's path."""
+    """Return whether the locked file is still the one at the lock's path."""
     try:
         return os.path.samestat(os.fstat(handle.fileno()), layout.lock.stat())
     except FileNotFoundError:

@@ -65,7 +65,7 @@ def _describe_error(text: str) -> str:
 
 
 def has_spatial_functions() -> bool:
-    """Whether DuckDB's extension ``spatial`` is installed here; it is never downloaded."""
+    """Return whether DuckDB's extension ``spatial`` is installed here; it is never downloaded."""
     import duckdb
 
     connection = duckdb.connect(":memory:", config={"autoinstall_known_extensions": "false"})

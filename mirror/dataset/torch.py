@@ -366,7 +366,7 @@ def epoch_order(count: int, seed: int, epoch: int) -> Int64:
 
 
 def is_forked() -> bool:
-    """Whether this process was started by a fork."""
+    """Return whether this process was started by a fork."""
     if "fork" not in multiprocessing.get_all_start_methods():
         return False
     process = multiprocessing.current_process()

@@ -119,7 +119,7 @@ def _list_names(store: Store, bundle: Bundle | None) -> list[str]:
 def _withheld(
     layout: Layout, files: DatasetFiles, bundle: Bundle | None, split: str | None, protocols: Sequence[Protocol]
 ) -> Callable[[ImageKey], bool]:
-    """Whether an image must not be out: by the bundle's own list, by the split, and by the protocols."""
+    """Return whether an image must not be out: by the bundle's own list, by the split, and by the protocols."""
     paths = frozenset() if bundle is None else frozenset(bundle.withheld)
     listed = {one.key for one in files.images if one.name in paths}
     chosen = split if split is not None or bundle is None else bundle.split

@@ -199,7 +199,7 @@ def _mounting(sensor: Sensor) -> Poses:
 
 
 def _is_rigid(segment: _Segment) -> bool:
-    """Whether the poses of all images follow from the vehicle's poses at the instants of their frames."""
+    """Return whether the poses of all images follow from the vehicle's poses at the instants of their frames."""
     for frame, images in segment.frames:
         ego = frame.world_SE3_ego
         for item in images:

@@ -133,7 +133,7 @@ def _label(
 
 
 def _is_whole(item: ExportImage, bounds: Float64) -> bool:
-    """Whether a box lies inside the image; KITTI's tracking labels call other boxes truncated."""
+    """Return whether a box lies inside the image; KITTI's tracking labels call other boxes truncated."""
     left, top, right, bottom = bounds.tolist()
     return bool(left > 0.0 and top > 0.0 and right < item.lens.width_px and bottom < item.lens.height_px)
 

@@ -173,7 +173,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
 def withheld_images(
     dataset: Dataset, split: SplitDocument, protocols: Sequence[Protocol]
 ) -> Callable[[ImageKey], bool]:
-    """Whether an image is one of a held-out traversal, or one that a protocol scores."""
+    """Return whether an image is one of a held-out traversal, or one that a protocol scores."""
     hidden = {key for key, role in split.assignments.items() if role not in ("train", "unused")}
     scored = {key for protocol in protocols for key in list_scored_images(plan_views(dataset, protocol, split.name))}
     return lambda key: key[0] in hidden or key in scored

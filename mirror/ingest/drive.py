@@ -143,7 +143,7 @@ def seal_drive(
 
 
 def are_traversals_intact(layout: Layout, drive_id: str) -> bool:
-    """Whether every traversal of a complete drive is as it was sealed, images aside."""
+    """Return whether every traversal of a complete drive is as it was sealed, images aside."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:
         return False

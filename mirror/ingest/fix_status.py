@@ -88,7 +88,7 @@ def count_backward(stamps: Int64) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _is_usable(lon_or_x: float, lat_or_y: float, geodetic: bool) -> bool:
-    """Whether a position is finite and on the globe, or within `LOCAL_LIMIT_M`."""
+    """Return whether a position is finite and on the globe, or within `LOCAL_LIMIT_M`."""
     if geodetic:
         return abs(lon_or_x) <= 180.0 and abs(lat_or_y) <= 90.0
     return abs(lon_or_x) < LOCAL_LIMIT_M and abs(lat_or_y) < LOCAL_LIMIT_M
@@ -96,7 +96,7 @@ def _is_usable(lon_or_x: float, lat_or_y: float, geodetic: bool) -> bool:
 
 @njit(cache=True, nogil=True, inline="always")
 def _is_next_fix(index: int, after: int, fixes: Fixes) -> bool:
-    """Whether row ``after`` is a usable fix at another position and a later time than row ``index``."""
+    """Return whether row ``after`` is a usable fix at another position and a later time than row ``index``."""
     lon_or_x, lat_or_y = fixes.lon_or_x, fixes.lat_or_y
     return (
         fixes.stamps_ns[after] > fixes.stamps_ns[index]
@@ -252,7 +252,7 @@ def _standing_reach2(index: int, run_end: int, stamps: Int64, limits: CleaningLi
 
 @njit(cache=True, nogil=True, inline="always")
 def _is_spike(dx: float, dy: float, dt: float, ex: float, ey: float, dt2: float, limits: CleaningLimits) -> bool:
-    """Whether a fix fails the acceleration test.
+    """Return whether a fix fails the acceleration test.
 
     Args:
         dx: step to the fix in metres, along x.
@@ -277,7 +277,7 @@ def _is_spike(dx: float, dy: float, dt: float, ex: float, ey: float, dt2: float,
 def _is_reachable(
     index: int, before: int, scale_x: float, scale_y: float, fixes: Fixes, limits: CleaningLimits
 ) -> bool:
-    """Whether the step between two fixes passes the speed test."""
+    """Return whether the step between two fixes passes the speed test."""
     dt = (fixes.stamps_ns[index] - fixes.stamps_ns[before]) * 1e-9
     x = unwrap(fixes.lon_or_x[index] - fixes.lon_or_x[before], fixes.geodetic) * scale_x
     y = (fixes.lat_or_y[index] - fixes.lat_or_y[before]) * scale_y

@@ -90,7 +90,7 @@ def _missing_images_named(recording: Recording) -> Iterator[None]:
 def _is_unchanged(
     path: Path, recording: Recording, source: Source, layout: Layout, options: IngestOptions, settings: Settings
 ) -> bool:
-    """Whether the drive is complete in the dataset as its recording is now.
+    """Return whether the drive is complete in the dataset as its recording is now.
 
     Raises:
         RecordingError: the id belongs to another recording, or to this one before it changed.
@@ -118,7 +118,7 @@ def _is_unchanged(
 
 
 def _same_source(layout: Layout, drive_id: str, source: Source, configuration: str) -> bool:
-    """Whether a complete drive of the dataset was made of just this, with just these options; True if there is none."""
+    """Return whether a complete drive of the dataset has just this input and these options; True if there is none."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:
         return True

@@ -277,7 +277,7 @@ def _judge(tracks: Sequence[_DriveTrack], rois: Sequence[Roi], trigger: Trigger)
 
 
 def _apart(one: Roi, other: Roi) -> bool:
-    """Whether two circles do not overlap; circles of different frames never do."""
+    """Return whether two circles do not overlap; circles of different frames never do."""
     from mirror.geometry.geodesy import surface_distance_m
 
     if one.frame != other.frame:

@@ -139,7 +139,7 @@ def write_traversal(
 
 
 def _has_source_bytes(folder: Path, drive: DrivePasses, number: int) -> bool:
-    """Whether the images of a complete traversal have the bytes of the recording's files; videos are not compared."""
+    """Return whether the images of a complete traversal have the bytes of the recording's; videos are not compared."""
     wanted = ["camera", "exposure_start_ns", "sha256"]
     rows = read_table(folder / "images.parquet", IMAGES, wanted).to_pylist()
     written = {(row["camera"], row["exposure_start_ns"]): row["sha256"] for row in rows}

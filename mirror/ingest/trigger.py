@@ -82,7 +82,7 @@ class Pass:
 
     @property
     def accepted(self) -> bool:
-        """Whether the pass is a traversal."""
+        """Return whether the pass is a traversal."""
         return self.rule is None
 
 

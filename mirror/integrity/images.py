@@ -139,7 +139,7 @@ class ImageFileReader:
         return same, True, pixels.shape[1], pixels.shape[0], _spread(pixels)
 
     def _whole(self, row: int, size: int) -> bool:
-        """Whether a file of that size holds all bytes of an image."""
+        """Return whether a file of that size holds all bytes of an image."""
         offset, length = int(self._offset[row]), int(self._length[row])
         return offset >= 0 and length > 0 and size >= offset + length
 
@@ -153,7 +153,7 @@ class ImageFileReader:
 
 
 def leaves_dataset(uri: str) -> bool:
-    """Whether an image's relative uri leads out of the dataset."""
+    """Return whether an image's relative uri leads out of the dataset."""
     return ".." in uri and ".." in PurePosixPath(uri).parts
 
 

@@ -164,7 +164,7 @@ class SceneView:
         return first, last
 
     def has_valid_poses(self, rows: slice) -> bool:
-        """Whether recorded poses can be interpolated: there are some, forward in time, finite and of unit length."""
+        """Return whether recorded poses can be interpolated: some exist, forward in time, finite, of unit length."""
         motion = self.motion
         return (
             rows.stop > rows.start

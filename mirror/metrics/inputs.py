@@ -185,7 +185,7 @@ def channels_last(value: Pixels, what: str, layout: Layout | None) -> AnyArray:
 
 
 def is_batch(layout: Layout | None) -> bool:
-    """Whether a layout is that of several images."""
+    """Return whether a layout is that of several images."""
     return layout in _BATCH
 
 

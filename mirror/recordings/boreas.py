@@ -53,7 +53,7 @@ class BoreasReader:
     expects = "a folder boreas-YYYY-MM-DD-HH-MM with camera_poses.csv or applanix/camera_poses.csv"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder has the name of a sequence and a pose file."""
+        """Return whether the folder has the name of a sequence and a pose file."""
         return _NAME.fullmatch(path.resolve().name) is not None and _pose_file(path) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> BoreasRecording:

@@ -55,7 +55,7 @@ class DgpReader:
     expects = "a folder with one scene_*.json"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds one scene file."""
+        """Return whether the folder holds one scene file."""
         return len(_scene_files(path)) == 1
 
     def open(self, path: Path, options: Mapping[str, str]) -> DgpRecording:

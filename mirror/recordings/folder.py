@@ -52,7 +52,7 @@ class FolderReader:
     expects = "a folder with recording.json"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds ``recording.json``."""
+        """Return whether the folder holds ``recording.json``."""
         return find_file(path, DOCUMENT_NAME) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> FolderRecording:

@@ -173,7 +173,7 @@ def _read_listed_files(table: Path, images: set[str], *, named: bool) -> tuple[I
 
 
 def _is_image_name(name: str | None) -> bool:
-    """Whether a cell is the name of an image, without a path."""
+    """Return whether a cell is the name of an image, without a path."""
     return name is not None and not {"/", "\\"} & set(name) and f".{name.rpartition('.')[2].lower()}" in _CODECS
 
 

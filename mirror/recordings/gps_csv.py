@@ -76,7 +76,7 @@ class CsvReader:
     expects = "a .csv or .tsv file with time and position, or a folder that holds only such files"
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file has a table's suffix, or a folder holds only tables and the first has a usual header."""
+        """Return whether a file has a table's suffix, or a folder holds only tables, the first with a usual header."""
         if path.is_file():
             return path.suffix.lower() in _TABLES
         children = list(path.iterdir())

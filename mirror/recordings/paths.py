@@ -101,7 +101,7 @@ def not_a_file_error(path: Path) -> RecordingError:
 
 
 def is_remote_uri(uri: str) -> bool:
-    """Whether a uri is absolute and refers to another machine: no local scheme, no ``..``, no chain with ``::``."""
+    """Return whether a uri is absolute and on another machine: no local scheme, no ``..``, no chain with ``::``."""
     return (
         _SCHEME.match(uri) is not None
         and uri.partition("://")[0] not in _LOCAL

@@ -297,7 +297,7 @@ class Reader(Protocol):
     expects: str
 
     def recognises(self, path: Path) -> bool:
-        """Whether the path has this format, judged by names alone (fast; opens at most one small file)."""
+        """Return whether the path has this format, judged by names alone (fast; opens at most one small file)."""
         ...
 
     def open(self, path: Path, options: Mapping[str, str]) -> Recording:

@@ -54,7 +54,7 @@ def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
 
 
 def is_decodable(data: bytes) -> bool:
-    """Whether the header of a JPEG or PNG states a size that a camera can have: a small file can hold 10^9 pixels."""
+    """Return whether the header of a JPEG or PNG states a size of camera images: a small file can hold 10^9 pixels."""
     try:
         width, height = read_raster_size(data, "image")
     except RecordingError:
@@ -72,7 +72,7 @@ def require_complete_image(data: bytes, file: str | PurePath) -> tuple[int, int]
 
 
 def has_end_marker(data: bytes, codec: str) -> bool:
-    """Whether the last `TAIL_BYTES` of an image contain its end marker; True for other codecs.
+    """Return whether the last `TAIL_BYTES` of an image contain its end marker; True for other codecs.
 
     Args:
         data: the encoded bytes, or at least the last `TAIL_BYTES` of them.

@@ -142,7 +142,7 @@ def find_reader(path: str | Path, reader: str | None = None) -> Reader:
 
 
 def is_drive_of_folder(path: Path, reader: str | None = None) -> bool:
-    """Whether a path that does not exist may name a drive of the folder above it.
+    """Return whether a path that does not exist may name a drive of the folder above it.
 
     Args:
         path: the path.

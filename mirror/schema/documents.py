@@ -20,7 +20,7 @@ CANONICAL_CAMERAS = ("front_wide", "front_narrow", "front_left", "front_right", 
 
 
 def is_identifier(text: str) -> bool:
-    """Whether a text is a valid id: letters, digits, ``_`` and ``-``, so that it can name a folder."""
+    """Return whether a text is a valid id: letters, digits, ``_`` and ``-``, so that it can name a folder."""
     return re.fullmatch(IDENTIFIER, text) is not None
 
 

@@ -193,7 +193,7 @@ def _matches(folder: Path, signs: _Signs) -> bool:
 
 
 def _has_format(path: Path, value: str) -> bool:
-    """Whether a JSON document has this ``format``; a broken document counts if only MIRROR uses its name."""
+    """Return whether a JSON document has this ``format``; a broken document counts if only MIRROR uses its name."""
     is_unique_name = path.name not in ("manifest.json", "run.json", "result.json", "views.json")
     try:
         if not path.is_file() or path.stat().st_size > _MAX_BYTES:

@@ -40,7 +40,7 @@ def unpack_secret_seed(text: str) -> int:
 
 
 def is_secret_seed(seed: int) -> bool:
-    """Whether a seed is a secret one, or derived from a secret one."""
+    """Return whether a seed is a secret one, or derived from a secret one."""
     return seed >> _BITS == 1
 
 

@@ -85,7 +85,7 @@ class ParsedError(Exception):
 
 @pytest.fixture
 def parses(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], bool]:
-    """Whether a command line has valid arguments; the verb itself does not run."""
+    """Return whether a command line has valid arguments; the verb itself does not run."""
 
     def stop(arguments: object) -> NoReturn:
         raise ParsedError

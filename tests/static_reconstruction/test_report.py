@@ -23,7 +23,7 @@ REPORT = STUDY.out / "README.md"
 
 
 def has_run(group: Name) -> bool:
-    """Whether an outcome of this group, and not of `comparison`, is published."""
+    """Return whether an outcome of this group, and not of `comparison`, is published."""
     known = groups(load_declaration())
     shared = set(known["comparison"].jobs) if group != "comparison" else set()
     published = {Job(**outcome["job"]) for outcome in read_records(STUDY.outcomes).outcomes}

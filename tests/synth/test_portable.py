@@ -99,7 +99,7 @@ POSES = "SE3 Poses poses aside _INSTALLED error.draw ego[rows] body"
 
 
 def is_processor_dependent(node: ast.AST, *, is_compiled: bool) -> bool:
-    """Whether a node of a module calls numpy's or the C library's elementary functions, BLAS or LAPACK.
+    """Return whether a node of a module calls numpy's or the C library's elementary functions, BLAS or LAPACK.
 
     Kernels compute small integer powers by products.
     """

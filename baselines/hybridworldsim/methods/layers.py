@@ -86,7 +86,7 @@ def layer_source(dataset: Dataset, task: ReconstructionTask) -> str:
 
 
 def has_estimated_points(dataset: Dataset, task: ReconstructionTask) -> bool:
-    """Whether all training traversals of a task's scene have the points that `layers_for` would estimate."""
+    """Return whether all training traversals of a task's scene have the points that `layers_for` would estimate."""
     training = _training_view(dataset, task)
     return set(training.traversals()) <= _traversals_with(
         training, "points", f"{task.initialise or PLANE_SWEEP}@{_version(dataset, task)}"

@@ -77,7 +77,7 @@ def sum_differences(rendered: Any, stereo: Any, known: Any, x: Any, y: Any, grad
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _is_surrounded(known: Any, row: Any, column: Any) -> Any:
-    """Whether all 5 x 5 pixels around are known, within the image."""
+    """Return whether all 5 x 5 pixels around are known, within the image."""
     if not known[row, column]:
         return False
     for i in range(max(row - 2, 0), min(row + 3, known.shape[0])):

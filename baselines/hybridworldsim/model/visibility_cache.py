@@ -109,7 +109,7 @@ def _pack_visibility(numbers: Tensor, rows: Tensor) -> UInt8:
 
 
 def _is_worth_decoding(bits: UInt8, numbers: Int64) -> Bool:
-    """Whether the bit of each number is set, or the number is newer than the bits."""
+    """Return whether the bit of each number is set, or the number is newer than the bits."""
     flags = np.concatenate([np.unpackbits(bits).view(np.bool_), [True]])
     worth: Bool = flags[np.minimum(numbers, len(flags) - 1)]
     return worth

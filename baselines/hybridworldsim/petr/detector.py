@@ -71,5 +71,5 @@ class LastLayer(nn.Module):
 
 
 def is_finite(output: HeadOutput) -> bool:
-    """Whether all outputs of the last layer are finite."""
+    """Return whether all outputs of the last layer are finite."""
     return bool(torch.isfinite(output.logits[-1]).all() and torch.isfinite(output.codes[-1]).all())

@@ -329,7 +329,7 @@ def _shape_error(name: str, tensor: Tensor, expected: str) -> UsageError:
 
 
 def _has_finite_sum(table: Tensor) -> bool:
-    """Whether the sum of a table is finite: a cheap test that all its numbers are finite."""
+    """Return whether the sum of a table is finite: a cheap test that all its numbers are finite."""
     if has_kernels(table):
         from hybridworldsim.rasterizer.cpu import tables
 

@@ -75,7 +75,7 @@ def take_rows_with_column(table: Tensor, ids: Tensor, column: Tensor) -> Tensor:
 
 
 def has_kernels(table: Tensor) -> bool:
-    """Whether compiled kernels support a table: float32 on the CPU."""
+    """Return whether compiled kernels support a table: float32 on the CPU."""
     return table.device.type == "cpu" and table.dtype == torch.float32
 
 

@@ -53,7 +53,7 @@ class TrainableMethod(Protocol):
 
     @property
     def reads_depth(self) -> bool:
-        """Whether the method learns from depth maps; otherwise none are read."""
+        """Return whether the method learns from depth maps; otherwise none are read."""
         ...
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:

@@ -50,7 +50,7 @@ class DensityControl:
 
     @property
     def is_active(self) -> bool:
-        """Whether image gradients are still needed."""
+        """Return whether image gradients are still needed."""
         return self._round < self.settings.rounds
 
     def before_backward(self, meta: dict[str, Any]) -> None:

@@ -129,7 +129,7 @@ _DIFFERENCES: Final = (("ttc_s", "ttc_abs_s"), ("offset_m", "offset_abs_m"), ("l
 
 
 def _verdict(figures: Mapping[str, float], ceiling: Mapping[str, float], bars: Mapping[str, float]) -> str:
-    """Whether the bar is met; a ceiling that is not known does not help."""
+    """Return whether the bar is met; a ceiling that is not known does not help."""
     missed = []
     for name, key in (("tau", "tau"), ("collision", "accuracy"), ("off_road", "accuracy")):
         value, best = figures[name], ceiling.get(name, math.inf)
@@ -161,7 +161,7 @@ def _lights(study: Study) -> Iterator[str]:
 
 
 def _references(study: Study) -> Iterator[str]:
-    """Whether policies that read no image have equal logs in all worlds."""
+    """Return whether policies that read no image have equal logs in all worlds."""
     worlds = [*study.declaration.worlds, *study.plan().methods]
     compared, equal = 0, 0
     for name in study.declaration.references["names"]:

@@ -139,7 +139,7 @@ def run_stages(study: Study, progress: ProgressReporter, *, only: str | None = N
 
 
 def is_finished(study: Study, stage: Stage) -> bool:
-    """Whether a stage is recorded, and if it is of rollouts, whether all of them count."""
+    """Return whether a stage is recorded, and if it is of rollouts, whether all of them count."""
     if stage.name not in study.records.stages:
         return False
     world = stage.name.removeprefix("drive-")

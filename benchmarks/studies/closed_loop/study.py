@@ -143,7 +143,7 @@ class Study:
         return Plan(tuple(figures["seeds"]), tuple(figures["methods"]), float(figures["estimate_h"]))
 
     def is_current(self, key: RolloutKey) -> bool:
-        """Whether a rollout is recorded with the networks, models and triggers of the last records."""
+        """Return whether a rollout is recorded with the networks, models and triggers of the last records."""
         row = self.records.rollouts.get(key)
         return row is not None and all(row[name] == value for name, value in self.provenance(key).items())
 

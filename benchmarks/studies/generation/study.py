@@ -151,7 +151,7 @@ class Study:
         return sum(float(self._read(path)["core_s"]) for path in sorted((self.folder / "figures").glob("*.json")))
 
     def is_void(self) -> bool:
-        """Whether the comparison of conditioning is void: the off model does not beat a copy of the last frame.
+        """Return whether the comparison of conditioning is void: the off model does not beat a copy of the last frame.
 
         The frames are generated from recorded ones, as the copy is.
         """

@@ -78,7 +78,7 @@ class Group:
         ]  # fmt: skip
 
     def has(self, job: Job) -> bool:
-        """Whether a job is shown in the group."""
+        """Return whether a job is shown in the group."""
         own = job.core_minutes in self.minutes and job.width_px == self.width_px
         return own and job.entry in self.shown and job.scene in self.scenes and job.seed in self.seeds
 

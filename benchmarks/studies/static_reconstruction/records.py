@@ -46,7 +46,7 @@ class Records:
 
 
 def is_current(outcome: Document) -> bool:
-    """Whether an outcome is of the committed declaration and of its row's settings as they are now."""
+    """Return whether an outcome is of the committed declaration and of its row's settings as they are now."""
     job = Job(**outcome["job"])
     entry = entries().get(job.entry)
     same_settings = entry is not None and outcome.get("settings") == entry.settings(job.seed)
@@ -54,7 +54,7 @@ def is_current(outcome: Document) -> bool:
 
 
 def is_done(job: Job, folder: Path) -> bool:
-    """Whether a working folder has a job's outcome, and it is current."""
+    """Return whether a working folder has a job's outcome, and it is current."""
     path = outcome_file(folder, job)
     return path.is_file() and is_current(json.loads(path.read_text()))
 

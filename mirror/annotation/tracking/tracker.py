@@ -222,7 +222,7 @@ def _fit(
 
 
 def _is_stationary(time_s: Float64, position: Float64, sigma: Float64) -> bool:
-    """Whether positions agree with one place: by their scatter, and by the slope of a straight line through them."""
+    """Return whether positions agree with one place: by their scatter, and by the slope of a line through them."""
     weight = sigma**-2
     mean = weight @ position / weight.sum()
     residual = (position - mean) / sigma[:, None]

@@ -42,7 +42,7 @@ def hash_inputs(view: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
 
 
 def has_layer(layout: Layout, traversal_id: str, source: str, version: str, inputs: Mapping[str, str]) -> bool:
-    """Whether a traversal has the layer already.
+    """Return whether a traversal has the layer already.
 
     Raises:
         DatasetError: it has, and it was made from other inputs.

@@ -153,7 +153,7 @@ class _Door:
             yield Leak(name, f"{error}: nothing states what it holds")
 
     def _is_one_image(self, name: str) -> bool:
-        """Whether a file is one image that leaves, and nothing else: its hash decides."""
+        """Return whether a file is one image that leaves, and nothing else: its hash decides."""
         own = self._shown.get(name, ())
         return len(own) == 1 and own[0].codec != "video" and own[0].offset == 0
 

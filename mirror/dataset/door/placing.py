@@ -56,7 +56,7 @@ def place_file(source_root: Path, name: str, target_root: Path) -> None:
 
 
 def is_same_file(source: Path, target: Path) -> bool:
-    """Whether a target exists and has the bytes of its source: the same file, or equal hashes."""
+    """Return whether a target exists and has the bytes of its source: the same file, or equal hashes."""
     try:
         if target.is_symlink() or not target.is_file() or target.stat().st_size != source.stat().st_size:
             return False

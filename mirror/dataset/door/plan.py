@@ -102,7 +102,7 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
 
 
 def _leaves(name: str, newest: Mapping[str, str | None]) -> bool:
-    """Whether a document leaves: all but those of layers that do not."""
+    """Return whether a document leaves: all but those of layers that do not."""
     parts = PurePosixPath(name).parts
     if parts[0] != "traversals" or parts[2] != "layers":
         return True

@@ -98,7 +98,7 @@ class Secrets:
                 self.search.add(data, digest)
 
     def _is_unchanged(self, kept: Kept, sha256: str) -> bool:
-        """Whether bytes are those of an image that a redaction did not change: they leave."""
+        """Return whether bytes are those of an image that a redaction did not change: they leave."""
         return kept.why is Why.ORIGINAL and self._departure.shown[kept.file.key].sha256 == sha256
 
     def _hash_pixels(self, size: tuple[int, int]) -> Iterator[tuple[str, Kept]]:

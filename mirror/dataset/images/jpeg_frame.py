@@ -92,7 +92,7 @@ class JpegFrame:
         return -(-self.width // (8 * most_h)) * -(-self.height // (8 * most_v))
 
     def is_complete(self) -> bool:
-        """Whether scans have given every bit of every coefficient: the image ends here."""
+        """Return whether scans have given every bit of every coefficient: the image ends here."""
         return all((one.bits == 0).all() for one in self.components)
 
 

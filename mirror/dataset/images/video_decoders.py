@@ -155,7 +155,7 @@ class _Reader:
         return frame
 
     def is_near(self, last: int | None, pts: int) -> bool:
-        """Whether decoding on from the last frame costs no more than a seek to a key frame."""
+        """Return whether decoding on from the last frame costs no more than a seek to a key frame."""
         rate, unit = self._stream.average_rate, self._stream.time_base
         if last is None or not rate or not unit:
             return False

@@ -31,7 +31,7 @@ def fidelity_metrics(protocol: Protocol) -> list[EditFidelity]:
 
 
 def has_fidelity(view: RenderView, inputs: ScoringInputs) -> bool:
-    """Whether a view is scored against the exact truth: its vehicles move, and the organiser has rendered them."""
+    """Return whether a view is scored against the exact truth: its vehicles move, and the organiser rendered it."""
     return bool(
         inputs.hidden is not None
         and fidelity_metrics(inputs.protocol)

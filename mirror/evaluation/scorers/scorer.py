@@ -59,7 +59,7 @@ class Scorer(Protocol):
     """Version of the scorer's values: increased when they change, so that stored values are not reused."""
 
     def hidden_use(self, plan: Plan) -> HiddenUse:
-        """Whether the views need the organiser's hidden truth because nobody recorded theirs."""
+        """Return whether the views need the organiser's hidden truth because nobody recorded theirs."""
 
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the names of the weights that each metric needs; metrics without weights may be left out.

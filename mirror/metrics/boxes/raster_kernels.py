@@ -49,5 +49,5 @@ def _whole(coordinate: float, size: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _right_of(x: float, y: float, upper: Float64, lower: Float64) -> bool:
-    """Whether a point lies on a side that goes down, or to the right of it."""
+    """Return whether a point lies on a side that goes down, or to the right of it."""
     return (x - upper[0]) * (lower[1] - upper[1]) >= (y - upper[1]) * (lower[0] - upper[0])

@@ -134,7 +134,7 @@ def _moved(a: CovarianceRoot, b: CovarianceRoot) -> float:
 
 
 def _identical(a: FeatureStatistics, b: FeatureStatistics) -> bool:
-    """Whether both are the same numbers: their distance is exactly 0."""
+    """Return whether both are the same numbers: their distance is exactly 0."""
     if a is b:
         return True
     if a.count != b.count or not np.array_equal(a.mean, b.mean):

@@ -108,7 +108,7 @@ class VideoFeatures:
         return (resize_video(frames, self.crop) / 127.5 - 1.0).permute(1, 0, 2, 3)
 
     def check(self, clip: AnyArray) -> None:
-        """Whether a clip can be taken.
+        """Return whether a clip can be taken.
 
         Raises:
             UsageError: another shape, too short, or not as long as those before.

@@ -68,7 +68,7 @@ class CorrectedPsnr:
 
     @property
     def full_rank(self) -> bool:
-        """Whether the image's colours determine the warp."""
+        """Return whether the image's colours determine the warp."""
         return self.rank == self.terms
 
 

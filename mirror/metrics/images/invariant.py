@@ -23,12 +23,9 @@ from typing import Final, overload
 import numpy as np
 
 from mirror.arrays import AnyArray, Float64, Int64
-from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.images.pairs import ROUNDING_VARIANCE, Pair, as_pairs
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
-
-ROUNDING_VARIANCE: Final = 1.0 / (12.0 * 255.0**2)
-"""Variance of the rounding of values in [0, 1] to 8 bits: it keeps the score of equal and of grey images finite."""
 
 _ROWS: Final = 64
 # Directions of the regressors below this share of the largest are rounding.

@@ -11,6 +11,9 @@ from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
 from mirror.metrics.inputs import Layout, Pixels, as_images, as_masks
 
+ROUNDING_VARIANCE: Final = 1.0 / (12.0 * 255.0**2)
+"""Variance of the rounding of values in [0, 1] to 8 bits: it keeps scores of equal and of grey images finite."""
+
 _DTYPES: Final = ("uint8", "uint16", "float32", "float64")
 _LEAST, _MOST = 1e-60, 1e60
 
@@ -33,7 +36,7 @@ class Pair:
 
     @property
     def empty(self) -> bool:
-        """Whether the mask selects no pixel."""
+        """Return whether the mask selects no pixel."""
         return self.mask is not None and not self.mask.any()
 
     def selected(self, image: AnyArray) -> AnyArray:

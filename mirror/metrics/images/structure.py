@@ -36,7 +36,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
-from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.images.pairs import ROUNDING_VARIANCE, Pair, as_pairs
 from mirror.metrics.images.structure_kernels import multiply_bands, sum_scores
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
@@ -55,9 +55,6 @@ WINDOW_SIGMA_PX: Final = 3.0
 
 WEIGHT_VARIANCE: Final = 0.02**2
 """Variance of the truth, as a part of the squared data range, at which a window has half the weight."""
-
-ROUNDING_VARIANCE: Final = 1.0 / (12.0 * 255.0**2)
-"""Variance of the rounding of values in [0, 1] to 8 bits."""
 
 _REACH: Final = 3.0
 """Half the width of a gaussian window, in standard deviations."""

@@ -13,7 +13,7 @@ from mirror.metrics.safety.rectangle_kernels import contact_time, signed_gap
 
 @njit(cache=True, nogil=True)
 def _overlap(ego: Float64, agent: Float64, halves: Float64, other: int) -> bool:
-    """Whether two boxes (x, y, yaw) touch."""
+    """Return whether two boxes (x, y, yaw) touch."""
     dx, dy = agent[0] - ego[0], agent[1] - ego[1]
     reach = math.hypot(halves[0, 0], halves[0, 1]) + math.hypot(halves[other, 0], halves[other, 1])
     if dx * dx + dy * dy > reach * reach:

@@ -87,7 +87,7 @@ class SafetyFigure:
 
     @property
     def is_valid(self) -> bool:
-        """Whether there is a value."""
+        """Return whether there is a value."""
         return self.reason is None
 
 

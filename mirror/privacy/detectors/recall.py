@@ -32,7 +32,7 @@ class RegionRecall(Document):
 
     @property
     def is_enough(self) -> bool:
-        """Whether the plates are enough to tell, and the shares at least `ALL` and `NEAR`."""
+        """Return whether the plates are enough to tell, and the shares at least `ALL` and `NEAR`."""
         counted = self.plates >= LEAST_PLATES and self.near_plates > 0
         return counted and self.covered >= ALL * self.plates and self.near_covered >= NEAR * self.near_plates
 

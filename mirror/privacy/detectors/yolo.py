@@ -93,7 +93,7 @@ def decode_yolo(output: Float64, threshold: float) -> tuple[Float64, Float64]:
 
 
 def _has_corners(rows: Float64) -> bool:
-    """Whether rows are left, top, right, bottom, score and class: the class is whole, right and bottom are larger."""
+    """Return whether rows are left, top, right, bottom, score, class: a whole class, right and bottom larger."""
     return bool((rows[:, 5] == np.rint(rows[:, 5])).all() and (rows[:, 2:4] >= rows[:, :2]).all())
 
 

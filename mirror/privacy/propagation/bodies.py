@@ -51,7 +51,7 @@ def find_hidden(
 
 
 def _crosses(start: Float64, line: Float64, low: Float64, high: Float64) -> Bool:
-    """Whether lines (N, P, 3) from starts (N, 1, 3) have passed cuboids with edges (N, 1, 3) before they end.
+    """Return whether lines (N, P, 3) from starts (N, 1, 3) have passed cuboids with edges (N, 1, 3) before they end.
 
     The slab method (T. Kay and J. Kajiya, SIGGRAPH 1986). A line that ends in a cuboid has not passed it: two boxes of
     one vehicle hide nothing of each other.

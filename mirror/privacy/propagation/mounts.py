@@ -61,7 +61,7 @@ def find_mount(category: str, height_m: float, *, is_front: bool) -> Mount | Non
 
 
 def is_vehicle(category: str) -> bool:
-    """Whether objects of a category carry number plates."""
+    """Return whether objects of a category carry number plates."""
     return category.lower() in VEHICLES or bool(category_words(category) & VEHICLES)
 
 

@@ -179,12 +179,12 @@ def _bounds(camera: Camera, points: Float64) -> Float64 | None:
 
 
 def _is_seen(seen: Bool) -> bool:
-    """Whether enough of a plate is seen at some height, from the places (R, C) that are."""
+    """Return whether enough of a plate is seen at some height, from the places (R, C) that are."""
     return bool((seen.mean(axis=1) >= _LEAST_SEEN).any())
 
 
 def _is_expected(region: Region, end: _End) -> bool:
-    """Whether a detected plate has the size, and the place across the vehicle, that its box lets expect."""
+    """Return whether a detected plate has the size, and the place across the vehicle, that its box lets expect."""
     left, top, right, bottom = end.plate_px
     held = min(region.right_px, right) - max(region.left_px, left), region.size_px[1]
     is_whole = held[0] >= _LEAST_HELD * (right - left) and held[1] >= _LEAST_HELD * (bottom - top)
@@ -192,7 +192,7 @@ def _is_expected(region: Region, end: _End) -> bool:
 
 
 def _is_at_end(region: Region, end: _End) -> bool:
-    """Whether a region may be a plate, or a part of one, at an end of a vehicle."""
+    """Return whether a region may be a plate, or a part of one, at an end of a vehicle."""
     (u, v), (width, height) = region.centre_px, region.size_px
     largest = end.plate_px[2:] - end.plate_px[:2]
     return bool(

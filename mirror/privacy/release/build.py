@@ -276,7 +276,7 @@ def _renamed_split(split: SplitDocument, traversals: Mapping[str, str], manifest
 
 
 def _is_near_end(layout: Layout, drive: DriveDocument, traversal_id: str, seconds: float) -> bool:
-    """Whether a traversal begins or ends within some seconds of an end of its drive."""
+    """Return whether a traversal begins or ends within some seconds of an end of its drive."""
     if not seconds:
         return False
     stamps = read_table(layout.recorded(traversal_id) / "ego_poses.parquet", EGO_POSES, ["timestamp_ns"])

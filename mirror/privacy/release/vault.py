@@ -85,7 +85,7 @@ def open_vault(folder: Path, outside_of: Iterable[Path], retain_days: int | None
 
 
 def is_expired(vault: Vault) -> bool:
-    """Whether the vault should have been deleted."""
+    """Return whether the vault should have been deleted."""
     return (
         vault.retain_until is not None and datetime.datetime.now(datetime.UTC).date().isoformat() > vault.retain_until
     )

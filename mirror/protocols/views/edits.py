@@ -90,7 +90,7 @@ def _select_vehicles(boxes: FrameBoxes, vehicles: Vehicles, frame: Frame) -> Int
 def _shows_vehicle(
     camera: Camera, world_SE3_camera: Poses, world_SE3_box: Poses, sizes_m: Float64, vehicles: Vehicles
 ) -> bool:
-    """Whether the bounds of any box cover enough pixels of the raster, and lie inside it by a large enough share."""
+    """Return whether the bounds of any box cover enough pixels of the raster, and lie in it by a large enough share."""
     projected = project_boxes(camera, world_SE3_camera.inverse() @ world_SE3_box, sizes_m)
     bounds = projected.bounds_px
     areas = np.where(projected.visible, np.prod(bounds[:, 2:] - bounds[:, :2], axis=1), 0.0)

@@ -91,7 +91,7 @@ class Argoverse2Reader:
     expects = f"a log folder of Argoverse 2 with {_POSES}"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds a log's poses."""
+        """Return whether the folder holds a log's poses."""
         return path.is_dir() and find_file(path, _POSES) is not None
 
     def open(self, path: Path, options: Mapping[str, str]) -> Argoverse2Recording:

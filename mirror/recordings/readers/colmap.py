@@ -57,7 +57,7 @@ class ColmapReader:
     expects = "a folder with images/ and a model of COLMAP in sparse/NUMBER, sparse, colmap or itself, or FOLDER/DRIVE"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds a model and a folder of images."""
+        """Return whether the folder holds a model and a folder of images."""
         return path.is_dir() and (path / "images").is_dir() and bool(model_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
@@ -258,7 +258,7 @@ class ColmapRecording:
         return chosen[np.argsort(self._stamps[chosen], kind="stable")]
 
     def _overlap(self, by_id: Mapping[int, Int64]) -> bool:
-        """Whether images of several cameras are mixed in time or differ in size, so that the cameras are different."""
+        """Return whether images of several cameras are mixed in time or differ in size: the cameras are different."""
         cameras = [self.model.cameras[key] for key in by_id]
         if len({(camera.width_px, camera.height_px) for camera in cameras}) > 1:
             return True

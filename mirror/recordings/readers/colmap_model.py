@@ -314,7 +314,7 @@ def _images_text(file: Path) -> list[_Row]:
 
 
 def _is_points(line: str) -> bool:
-    """Whether a line lists points: triples of x, y and the point's id, or nothing."""
+    """Return whether a line lists points: triples of x, y and the point's id, or nothing."""
     words = line.split()
     try:
         return len(words) % 3 == 0 and all(map(math.isfinite, map(float, words)))

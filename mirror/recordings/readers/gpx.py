@@ -30,7 +30,7 @@ class GpxReader:
     expects = "a file *.gpx with track points that have times"
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file has the suffix ``.gpx``."""
+        """Return whether a file has the suffix ``.gpx``."""
         return path.is_file() and path.suffix.lower() == ".gpx"
 
     def open(self, path: Path, options: Mapping[str, str]) -> TrackRecording:

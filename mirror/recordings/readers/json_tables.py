@@ -131,7 +131,7 @@ class _Objects(io.RawIOBase):
         self._ended = False
 
     def is_empty(self) -> bool:
-        """Whether the list has no object."""
+        """Return whether the list has no object."""
         return _END.fullmatch(self._held) is not None
 
     def readable(self) -> bool:

@@ -59,7 +59,7 @@ class Kitti360Reader:
     expects = f"a KITTI-360 folder with {_POSES}/<drive>/poses.txt and calibration/, or FOLDER/<drive>"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds poses and calibrations."""
+        """Return whether the folder holds poses and calibrations."""
         return (path / _POSES).is_dir() and (path / "calibration").is_dir()
 
     def drives(self, path: Path) -> Sequence[str]:

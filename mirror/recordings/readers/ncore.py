@@ -59,7 +59,7 @@ class NcoreReader:
     expects = "a folder with NAME.ncore4*.zarr.itar or NAME.ncore4*.zarr, or FOLDER/NAME"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds stores."""
+        """Return whether the folder holds stores."""
         return path.is_dir() and any(_STORE.fullmatch(child.name) for child in path.iterdir())
 
     def drives(self, path: Path) -> Sequence[str]:
@@ -138,7 +138,7 @@ class NcoreRecording:
 
     @property
     def _is_geodetic(self) -> bool:
-        """Whether the global frame is earth-centred, earth-fixed."""
+        """Return whether the global frame is earth-centred, earth-fixed."""
         pose = self._global
         return pose is not None and _SURFACE_M[0] < float(np.linalg.norm(pose.translation[0])) < _SURFACE_M[1]
 

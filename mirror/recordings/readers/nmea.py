@@ -29,7 +29,7 @@ class NmeaReader:
     expects = "a file *.nmea with sentences RMC, and GGA for heights"
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file has the suffix ``.nmea`` or ``.nma``."""
+        """Return whether a file has the suffix ``.nmea`` or ``.nma``."""
         return path.is_file() and path.suffix.lower() in _SUFFIXES
 
     def open(self, path: Path, options: Mapping[str, str]) -> TrackRecording:

@@ -68,7 +68,7 @@ class NuplanReader:
     expects = "a log database of nuPlan, *.db"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the file is a database with nuPlan's tables."""
+        """Return whether the file is a database with nuPlan's tables."""
         if path.suffix != ".db" or not is_database(path):
             return False
         with open_database(path) as database:

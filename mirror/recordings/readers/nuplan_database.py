@@ -28,7 +28,7 @@ _ARRAY_PARTS: Final = {
 
 
 def is_database(file: Path) -> bool:
-    """Whether a file begins as SQLite files do."""
+    """Return whether a file begins as SQLite files do."""
     if not file.is_file():
         return False
     with file.open("rb") as opened:
@@ -94,7 +94,7 @@ class Database:
         return self._connection.execute(query).fetchall()
 
     def has_tables(self, names: Sequence[str]) -> bool:
-        """Whether all of these tables exist."""
+        """Return whether all of these tables exist."""
         found = {row[0] for row in self._connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         return set(names) <= found
 

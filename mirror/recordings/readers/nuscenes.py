@@ -73,7 +73,7 @@ class NuscenesReader:
     expects = "a nuScenes folder with v1.0-mini, v1.0-trainval or v1.0-test, or FOLDER/SCENE"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds a version folder with tables, or is one."""
+        """Return whether the folder holds a version folder with tables, or is one."""
         return bool(_version_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
@@ -142,7 +142,7 @@ def _version_folders(path: Path) -> list[Path]:
 
 
 def _has_tables(root: Path, folder: Path) -> bool:
-    """Whether a folder has at least three of the tables; a missing one is an error of the scenes."""
+    """Return whether a folder has at least three of the tables; a missing one is an error of the scenes."""
     prefix = "" if folder == root else folder.name + "/"
     return sum(find_file(root, f"{prefix}{table}.json") is not None for table in TABLES) >= 3
 

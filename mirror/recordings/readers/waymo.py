@@ -110,7 +110,7 @@ class WaymoReader:
     expects = f"a folder with {_POSES}/*.parquet and any other components of Waymo v2, or FOLDER/SEGMENT"
 
     def recognises(self, path: Path) -> bool:
-        """Whether the folder holds a component of Waymo v2; without the poses, opening it names what is missing."""
+        """Return whether the folder holds a component of Waymo v2; without poses, opening it names what is missing."""
         return path.is_dir() and bool(_components(path))
 
     def drives(self, path: Path) -> Sequence[str]:

@@ -189,7 +189,7 @@ def _drop_blocking_cars(cars: Sequence[ParkedCar], rng: np.random.Generator) -> 
 
 
 def _is_blocking(car: ParkedCar, other: ParkedCar) -> bool:
-    """Whether another car is parked directly in front of a car."""
+    """Return whether another car is parked directly in front of a car."""
     place, other_place = car.motion.placement, other.motion.placement
     dx, dy = other_place.x_m - place.x_m, other_place.y_m - place.y_m
     cos, sin = scalars.cos(place.yaw_rad), scalars.sin(place.yaw_rad)

@@ -47,7 +47,7 @@ def select_non_overlapping(places: Float64, halves: Float64, fixed: Bool, within
 
 @njit(cache=True, nogil=True)
 def _overlap(dx: float, dy: float, yaw: float, other: float, half: Float64, half_other: Float64) -> bool:
-    """Whether two rectangles overlap: no side of either separates them."""
+    """Return whether two rectangles overlap: no side of either separates them."""
     cos, sin = scalars.cos(yaw), scalars.sin(yaw)
     cos_other, sin_other = scalars.cos(other), scalars.sin(other)
     c, s = abs(cos * cos_other + sin * sin_other), abs(sin * cos_other - cos * sin_other)

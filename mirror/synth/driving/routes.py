@@ -165,7 +165,7 @@ class Streets:
 
 
 def _joins(path: Path, begin: Float64, end: Float64) -> bool:
-    """Whether a path leads from near one point to near another."""
+    """Return whether a path leads from near one point to near another."""
     return bool(arrays.hypot(*(path.line[0] - begin)) < _BESIDE_M and arrays.hypot(*(path.line[-1] - end)) < _BESIDE_M)
 
 

@@ -68,7 +68,7 @@ def build_ground_index(triangles: Float64) -> GroundIndex:
 
 @njit(cache=True, nogil=True)
 def _overlaps_cell(triangle: Float64, left: float, bottom: float) -> bool:
-    """Whether a triangle (3, 3) overlaps the cell with this lower left corner; tests its edges' half planes."""
+    """Return whether a triangle (3, 3) overlaps the cell with this lower left corner; tests its edges' half planes."""
     for corner in range(3):
         other = (corner + 1) % 3
         ax, ay = triangle[corner, 0], triangle[corner, 1]

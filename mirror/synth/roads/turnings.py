@@ -141,7 +141,7 @@ def assign_right_of_way(
 
 
 def _goes_first(crossing: Crossing, other: Turning, mine: Turning) -> bool:
-    """Whether ``mine`` has to wait for ``other``."""
+    """Return whether ``mine`` has to wait for ``other``."""
     other_arm, arm = crossing.arms[other.start.arm], crossing.arms[mine.start.arm]
     if other_arm.minor != arm.minor:
         return arm.minor

@@ -163,7 +163,7 @@ def _build_row(
 
 
 def _is_at_corner(beside: _Side, first: int, last: int, taken: shapely.Geometry) -> bool:
-    """Whether another street runs beside a lot."""
+    """Return whether another street runs beside a lot."""
     places = np.array(
         [
             beside.at(max(first - _CORNER, 0), beside.edge_m + 5.0),

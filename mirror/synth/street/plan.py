@@ -81,7 +81,7 @@ class Plan:
         return self.ground_index.height_m(x_m, y_m)
 
     def is_free(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, clear_m: float = 0.0) -> Bool:
-        """Whether positions (...,) are open land, at least ``clear_m`` from every road, square and lot."""
+        """Return whether positions (...,) are open land, at least ``clear_m`` from every road, square and lot."""
         places = shapely.points(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
         return np.asarray(
             (shapely.distance(self.roads, places) > clear_m) & (shapely.distance(self.lot_area, places) > clear_m)

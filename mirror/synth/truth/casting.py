@@ -123,7 +123,7 @@ def _cast_faces(
 def _is_inside(
     corners: Float64, first: int, count: int, normal: Float64, origin: Float64, ray: Float64, t: float
 ) -> bool:
-    """Whether a point in the plane of a face is inside the face: on the inner side of all its edges."""
+    """Return whether a point in the plane of a face is inside the face: on the inner side of all its edges."""
     x, y, z = origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2]
     last = first + count - 1
     ax, ay, az = corners[last, 0] - x, corners[last, 1] - y, corners[last, 2] - z

@@ -83,7 +83,7 @@ def boxes_in_view(drive: SynthDrive, schedule: ImageSchedule) -> pa.Table:
 
 
 def _in_view(drive: SynthDrive, ego_SE3_box: Poses, size_m: tuple[float, float, float]) -> Bool:
-    """Whether some camera has each of N boxes in view, large enough: (N,)."""
+    """Return whether some camera has each of N boxes in view, large enough: (N,)."""
     in_view = np.zeros(len(ego_SE3_box), np.bool_)
     for name, camera in drive.vehicle.cameras.items():
         rows = np.flatnonzero(~in_view)

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
-from mirror.metrics.images.invariant import ROUNDING_VARIANCE, psnr_invariant
+from mirror.metrics.images.invariant import psnr_invariant
+from mirror.metrics.images.pairs import ROUNDING_VARIANCE
 from tests.metrics.images.references import ellipse, street
 
 

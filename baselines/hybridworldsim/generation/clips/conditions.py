@@ -78,7 +78,7 @@ def stack_conditions(windows: Sequence[Conditions]) -> Conditions:
 
 
 def _ring(ego_SE3_camera: Float64) -> Tensor:
-    """Whether a view attends to another (V, V): to itself, the one before it and the one behind it in the round.
+    """Return whether a view attends to another (V, V): to itself, the one before it and the one behind it in the round.
 
     The round goes by the azimuths of the optical axes, so that it does not depend on the order of the views.
     """

@@ -143,7 +143,7 @@ class TransformerConfig:
         return 1 + self.reference_channels // self.latent_channels
 
     def takes_size(self, size_px: tuple[int, int]) -> bool:
-        """Whether images of this height and width are whole tokens, within the table of positions."""
+        """Return whether images of this height and width are whole tokens, within the table of positions."""
         return all(0 < side <= self.grid * self.token_px and side % self.token_px == 0 for side in size_px)
 
     @property

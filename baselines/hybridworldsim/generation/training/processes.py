@@ -37,11 +37,11 @@ class Processes:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes files."""
+        """Return whether this process writes files."""
         return self.rank == 0
 
     def any(self, flag: bool) -> bool:
-        """Whether the flag is set in some process; all must ask."""
+        """Return whether the flag is set in some process; all must ask."""
         if self.count == 1:
             return flag
         shared = torch.tensor(float(flag), device=self.device)
@@ -74,7 +74,7 @@ ALONE: Final = Processes()
 
 
 def leads_process() -> bool:
-    """Whether this process is the only one or the leading one of those that ``torchrun`` started: it prints."""
+    """Return whether this process is the only one or the leading one of those that ``torchrun`` started: it prints."""
     return int(os.environ.get("RANK", "0")) == 0
 
 

@@ -47,7 +47,7 @@ class InitialisationLayers:
         return self.layout.layer(traversal_id, kind, self.source, self.version)
 
     def has(self, traversal_id: str, kind: str) -> bool:
-        """Whether a layer is complete.
+        """Return whether a layer is complete.
 
         Raises:
             DatasetError: it is complete, and was made from other inputs.
@@ -75,7 +75,7 @@ class InitialisationLayers:
         return True
 
     def is_complete(self, traversal_id: str) -> bool:
-        """Whether a traversal has all layers."""
+        """Return whether a traversal has all layers."""
         return all(self.has(traversal_id, kind) for kind in self.kinds)
 
     def writer(self, traversal_id: str, kind: str) -> LayerWriter | None:

@@ -177,7 +177,7 @@ def _compute_splats(
 
 
 def _are_rotations(quats: Tensor) -> Tensor:
-    """Whether quaternions (N, 4) have a length of a rotation (N,)."""
+    """Return whether quaternions (N, 4) have a length of a rotation (N,)."""
     w, x, y, z = quats.detach().unbind(-1)
     squares = w * w + x * x + y * y + z * z
     return (squares >= QUATERNION_MIN**2) & (squares <= QUATERNION_MAX**2)
@@ -206,7 +206,7 @@ def _project_pinhole(means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, hei
 
 
 def _is_ellipse(splats: _Splats) -> Tensor:
-    """Whether (N,) a covariance is invertible and all values are finite."""
+    """Return whether (N,) a covariance is invertible and all values are finite."""
     fields = (splats.means2d, splats.covariances, splats.determinants[:, None], splats.compensations[:, None])
     finite = splats.sound & torch.cat(fields, dim=-1).isfinite().all(-1)
     return finite & (splats.determinants > 0.0) & (splats.covariances[:, ::2] > 0.0).all(-1)

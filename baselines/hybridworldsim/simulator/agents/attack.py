@@ -188,7 +188,7 @@ def _cost(script: Script, case: _Case) -> float:
 
 
 def _touches(times: Float64, poses: Float64, attacker: Attacker, others: Float64) -> bool:
-    """Whether the manoeuvre touches an agent that keeps its velocity."""
+    """Return whether the manoeuvre touches an agent that keeps its velocity."""
     actors = [(poses, np.array([attacker.length_m, attacker.width_m]) / 2.0)]
     for x, y, yaw, speed, half_length, half_width, _ in others:
         line = np.column_stack(

@@ -225,7 +225,7 @@ def _way_from(stage: Stage, names: tuple[str, ...]) -> tuple[Way, tuple[Halt, ..
 
 
 def _is_near(box: Float64, other: Float64, gap_m: float) -> bool:
-    """Whether another box is in the lane of a box, or touches it nearly, within a gap before or behind it."""
+    """Return whether another box is in the lane of a box, or touches it nearly, within a gap before or behind it."""
     cos, sin = math.cos(box[2]), math.sin(box[2])
     dx, dy = other[0] - box[0], other[1] - box[1]
     along, aside = abs(cos * dx + sin * dy), abs(cos * dy - sin * dx)

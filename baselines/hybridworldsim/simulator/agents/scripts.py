@@ -64,7 +64,7 @@ class Script:
         return self.shift_m * offset, self.shift_m * rate / self.shift_s
 
     def has_ended(self, since_s: float, speed_mps: float, own_speed_mps: float) -> bool:
-        """Whether the agent has its final offset and speed."""
+        """Return whether the agent has its final offset and speed."""
         target = own_speed_mps if self.speed_mps is None else self.speed_mps
         shifts_s = 0.0 if not self.shift_m else self.shift_s
         if self.stay_s is not None:

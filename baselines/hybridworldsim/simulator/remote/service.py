@@ -164,7 +164,7 @@ class SensorService:
             budget.take(count)
 
     def _is_rendered(self, width: int, height: int) -> bool:
-        """Whether images of this size are rendered."""
+        """Return whether images of this size are rendered."""
         limits = self._limits
         return min(width, height) >= 1 and max(width, height) <= limits.side_px and width * height <= limits.pixels
 

@@ -158,7 +158,7 @@ class RunFolder:
 
     @property
     def _is_untrained(self) -> bool:
-        """Whether nothing has been saved yet, because the run failed early."""
+        """Return whether nothing has been saved yet, because the run failed early."""
         return self.outcome is None and not self._checkpoint.exists() and not self._curves.exists()
 
     @property
@@ -282,7 +282,7 @@ def lock_run(path: Path) -> Iterator[None]:
 
 
 def is_occupied(path: Path) -> bool:
-    """Whether a path is a file, or a folder that holds more than temporary files of a killed process."""
+    """Return whether a path is a file, or a folder that holds more than temporary files of a killed process."""
     if not path.is_dir():
         return path.exists()
     return any(not (entry.name.startswith(".") and entry.name.endswith(TEMPORARY)) for entry in path.iterdir())

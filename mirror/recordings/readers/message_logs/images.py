@@ -29,7 +29,7 @@ def image_codec(data: bytes) -> str | None:
 
 
 def is_key_packet(data: bytes, suffix: str) -> bool:
-    """Whether a packet in Annex B format begins a group of frames that decode without earlier ones."""
+    """Return whether a packet in Annex B format begins a group of frames that decode without earlier ones."""
     start = data.find(b"\0\0\1")
     while 0 <= start < len(data) - 3:
         kind = data[start + 3]

@@ -36,7 +36,7 @@ class _LogReader(ABC):
         """Open one file."""
 
     def recognises(self, path: Path) -> bool:
-        """Whether the path is a log, or a folder of consecutive logs with ``metadata.yaml`` or ``topics.toml``."""
+        """Return whether the path is a log, or a folder of logs with ``metadata.yaml`` or ``topics.toml``."""
         if path.is_file():
             return self._is_log(path)
         if not path.is_dir() or not any((path / mark).is_file() for mark in _FOLDER_MARKS):

@@ -64,7 +64,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
 
 
 def _is_near(plan: Plan, place: Float64) -> bool:
-    """Whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
+    """Return whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
     within = float(arrays.hypot(place[0], place[1])) < plan.roi.radius_m + _DETAIL_RANGE_M
     return within and plan.roads.distance(shapely.Point(place[:2])) < _DETAIL_RANGE_M
 

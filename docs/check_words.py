@@ -1,4 +1,7 @@
-"""Refuses retired words: ``python docs/check_words.py``; the glossary's table lists them (docs/glossary.md)."""
+"""Refuses retired words and summary lines without a verb: ``python docs/check_words.py``.
+
+The glossary's table lists the retired words (docs/glossary.md).
+"""
 
 from __future__ import annotations
 
@@ -68,6 +71,9 @@ ALLOWED = {
     ),
 }
 """The files in which a retired word stays because it is serialized or is an option."""
+CLAUSE = r"(?:What|Whether|Which|Who|Whose|How|When|Where|Why|Those)\b"
+CLAUSES = re.compile(rf'^ *(?:async )?(?:def .*|\).*):\n +r?"""({CLAUSE}.*?)(?:"""|$)', re.M)
+"""Functions whose documentation begins with a clause instead of a verb, such as "Return whether"."""
 
 
 def retired() -> list[str]:
@@ -78,7 +84,7 @@ def retired() -> list[str]:
 
 
 def main() -> int:
-    """Print each place with a retired word; 1 if there is one."""
+    """Print each place with a retired word or a summary line without a verb; 1 if there is one."""
     words = re.compile(rf"\b({'|'.join(map(re.escape, retired()))})\b")
     files = [*ROOT.glob("*.md"), *(file for place in PLACES for file in (ROOT / place).rglob("*.[pm][yd]"))]
     hits = 0
@@ -87,6 +93,10 @@ def main() -> int:
         text = file.read_text()
         if name == "docs/glossary.md":
             text = text.partition("## Retired words")[0]
+        for clause in CLAUSES.finditer(text) if file.suffix == ".py" else ():
+            hits += 1
+            number = text.count("\n", 0, clause.start(1)) + 1
+            print(f"{name}:{number}: {clause[1][:40]!r}: begin with a verb, such as 'Return whether'")
         for number, line in enumerate(text.splitlines(), start=1):
             for word in words.findall(line):
                 if name != "docs/check_words.py" and name not in ALLOWED.get(word, ()):

@@ -17,7 +17,7 @@ from mirror.installation import install_command
 
 _OWN: Final = ("mirror", "hybridworldsim", "mirror_baselines", "mirror_leaderboard")
 _loaded: Final[dict[str, str]] = {}
-"""What plug-ins were loaded: the file of a module, or the folder of a package, and how messages call it."""
+"""Plug-ins that were loaded: the file of a module, or the folder of a package, and its name in messages."""
 
 
 @dataclass(frozen=True)

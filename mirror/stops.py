@@ -32,7 +32,7 @@ _SHOW_CURSOR: Final = b"\x1b[?25h"
 
 
 def interrupted(command: str) -> str:
-    """What is said of a command that was interrupted; of one that serves until it is stopped, that it was stopped."""
+    """Say that a command was interrupted; of one that serves until it is stopped, that it was stopped."""
     is_server = command.split()[1:2] in (["view"], ["serve"])
     return f"{command}: stopped" if is_server else f"{command}: interrupted: run the same command again"
 

@@ -147,7 +147,7 @@ def format_tables(found: Mapping[str, Mapping[str, Means]], nothing: Mapping[str
 
 
 def _find_gain(found: Mapping[str, Mapping[str, Means]], row: str, attack: str, metric: str) -> float:
-    """What an attack gains for a row, as a part of the gap."""
+    """Return the gain of an attack for a row, as a part of the gap."""
     return (found[row][attack][metric] - found[row][HONEST][metric]) / find_gap(found, metric)
 
 

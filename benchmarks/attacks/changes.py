@@ -16,7 +16,7 @@ from mirror_baselines.smoothed_nearest_frame import smooth_image
 
 @dataclass(frozen=True)
 class Material:
-    """What a participant has of a view.
+    """A participant's knowledge of a view.
 
     Attributes:
         render: (H, W, 3) the honest render.

@@ -1,4 +1,4 @@
-"""What refined calibrations gain in the PSNR of a reconstruction: ``python -m benchmarks calibration gain``.
+"""Gain of refined calibrations in the PSNR of a reconstruction: ``python -m benchmarks calibration gain``.
 
 One block of the synthetic street, driven three times by day, is reconstructed three times with the same number of steps
 and the same seed, from three layers of calibrations of all its traversals:

@@ -114,7 +114,7 @@ def pass_keys(passes: Iterable[Pass]) -> set[tuple[str, int, str | None]]:
 
 
 def brute_force(made: Traffic) -> Bool:
-    """Which poses are inside which ROIs on a sphere (R, N): numpy over all pairs, in blocks that fit the cache."""
+    """Mark which poses are inside which ROIs on a sphere (R, N): numpy over all pairs, in blocks that fit the cache."""
     lon, lat = (np.radians(axis) for axis in coordinates(made.track))
     centres = np.radians([[roi.longitude_deg or 0.0, roi.latitude_deg or 0.0] for roi in made.rois])
     inside = np.empty((len(made.rois), len(lon)), bool)

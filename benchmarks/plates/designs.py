@@ -25,7 +25,7 @@ NAVY: Final = (26, 36, 92)
 
 @dataclass(frozen=True)
 class Design:
-    """How a plate looks, but for its characters.
+    """Look of a plate, but for its characters.
 
     Attributes:
         name: family of countries.

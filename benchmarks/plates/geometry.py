@@ -17,7 +17,7 @@ FOCAL: Final = 0.714
 
 @dataclass(frozen=True)
 class Stance:
-    """How a plate stands before the camera.
+    """Pose of a plate before the camera.
 
     Attributes:
         width_px: extent of the plate along the rows of the image.

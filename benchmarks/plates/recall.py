@@ -40,7 +40,7 @@ def covered_shares(corners: Float64, mask: Bool) -> Float64:
 
 @dataclass
 class PlateTally:
-    """What was counted in the images of the test.
+    """Counts in the images of the test.
 
     Attributes:
         how: margins of the redaction.

@@ -83,7 +83,7 @@ def read_plates(operator: Operator, width_px: int, plates: int, seed: int = 0) -
 
 
 def _photograph(operator: Operator, text: str, size: float, shift: Float64, rng: np.random.Generator) -> Float64:
-    """What is published: a noisy image, redacted, and encoded as a JPEG."""
+    """Make what is published: a noisy image, redacted, and encoded as a JPEG."""
     image, box = _draw(text, size, shift)
     noisy = np.clip(image + rng.normal(0.0, _NOISE, image.shape), 0.0, 255.0).astype(np.uint8)
     encoded = cv2.imencode(".jpg", operator(noisy, box), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]

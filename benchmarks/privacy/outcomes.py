@@ -1,4 +1,4 @@
-"""What detectors found in rendered images, beside the truth: a file with a line an image, to which lines are appended.
+"""Findings of detectors in rendered images, beside the truth: a file with a line an image, to which lines are appended.
 
 The file holds no pixels, and neither coverage nor the fallback: those are counted from it, so that other margins and
 another fallback cost no rendering and no detection.

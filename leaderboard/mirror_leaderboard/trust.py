@@ -1,4 +1,4 @@
-"""What a board's site may show: measured entries with the organiser's signature, reported ones that were reviewed."""
+"""Entries that a site may show: measured ones with the organiser's signature, reported ones that were reviewed."""
 
 from __future__ import annotations
 

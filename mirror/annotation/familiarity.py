@@ -1,4 +1,4 @@
-"""What an annotator was trained on, and which frames do not look like it: a document beside a layer of boxes."""
+"""Training data of an annotator, and frames that do not look like it: a document beside a layer of boxes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TrainingData(Document):
 
 
 def read_training_data(dataset: Dataset, layer: str) -> dict[str, TrainingData]:
-    """What the annotator of a layer states, by traversal; empty where it states nothing.
+    """Read what the annotator of a layer states, by traversal; empty where it states nothing.
 
     Args:
         dataset: a view; traversals without the layer are left out.

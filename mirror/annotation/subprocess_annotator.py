@@ -39,7 +39,7 @@ class SubprocessAnnotator:
 
     @property
     def restarts(self) -> int:
-        """How often the program was killed."""
+        """The number of times that the program was killed."""
         return self._program.restarts
 
     def annotate(self, frame: Frame) -> Detections:

@@ -56,7 +56,7 @@ class Intrinsics:
         return dict(zip(self.parameters, np.sqrt(np.diag(self.covariance)).tolist()))
 
     def doubts(self) -> list[str]:
-        """What limits the lens, in words; empty: nothing was found."""
+        """Limits of the lens, in words; empty: nothing was found."""
         found = []
         if len(self.image_rms_px) < ENOUGH_IMAGES:
             found.append(f"{len(self.image_rms_px)} images were used: {ENOUGH_IMAGES} to 30 determine a lens well")

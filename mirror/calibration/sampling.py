@@ -136,7 +136,7 @@ def track_traversal(
 
 
 def measure_spacing(frames: Sequence[Frame]) -> ImageSpacing:
-    """How far apart at least two frames of a traversal are."""
+    """Return how far apart at least two frames of a traversal are."""
     return ImageSpacing.of(stack_poses([frame.world_SE3_ego for frame in frames]), [one.timestamp_ns for one in frames])
 
 

@@ -1,4 +1,4 @@
-"""Why the images of a drive cannot be tracked, with the measured spacing and the one that tracking needs."""
+"""Reasons why the images of a drive cannot be tracked, with the measured spacing and the one that tracking needs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class PairAttempt:
 
 @dataclass(frozen=True)
 class ImageSpacing:
-    """How far apart the images of a drive are: medians over neighbouring ones.
+    """Spacing of the images of a drive: medians over neighbouring ones.
 
     Attributes:
         distance_m: distance between them.

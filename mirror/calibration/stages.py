@@ -122,7 +122,7 @@ def rotation_of_row(row: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.float
 
 
 def _drive_starts(dataset: Dataset) -> dict[str, int]:
-    """When each drive first entered a scene."""
+    """Return when each drive first entered a scene."""
     starts: dict[str, int] = {}
     for row in dataset.table("traversals", ["drive_id", "entry_ns"]).to_pylist():
         starts[row["drive_id"]] = min(row["entry_ns"], starts.get(row["drive_id"], row["entry_ns"]))

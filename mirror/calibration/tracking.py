@@ -71,7 +71,7 @@ class PairTracks:
 
 @dataclass(frozen=True, eq=False)
 class RigTracks:
-    """What tracking found in the images of a rig.
+    """Tracks in the images of a rig.
 
     Attributes:
         pairs: the pairs with enough tracks.
@@ -202,7 +202,7 @@ def track_rig(
 def fit_one_pose(
     camera: Camera, first_px: Float64, second_px: Float64, within_px: float, second: Camera | None = None
 ) -> Bool:
-    """Which of N tracks fit one relative pose: RANSAC with the five-point essential matrix, a fixed random seed.
+    """Mark which of N tracks fit one relative pose: RANSAC with the five-point essential matrix, a fixed random seed.
 
     The test does not use the mounting of the camera, so an error of the mounting removes no track.
 
@@ -255,7 +255,7 @@ def _flow(first: TrackedImage, second: TrackedImage, points: Float32, begin: Flo
 
 
 def _predict(corners: Float32, camera: Camera, second_SE3_first: Poses) -> Float32:
-    """Where corners would be if they were at the assumed distance; where that is outside, they stay."""
+    """Predict where corners are if they are at the assumed distance; where that is outside, they stay."""
     rays = camera.unproject(corners.astype(np.float64) + OPENCV_OFFSET_PX)
     points = second_SE3_first.transform(_ASSUMED_DISTANCE_M * rays.direction)[0]
     seen = camera.project(points)
@@ -263,7 +263,7 @@ def _predict(corners: Float32, camera: Camera, second_SE3_first: Poses) -> Float
 
 
 def _inside(mask: Bool, points: Float32) -> Bool:
-    """Which points (N, 2) lie on True pixels."""
+    """Mark the points (N, 2) that lie on True pixels."""
     height, width = mask.shape
     column, row = np.round(points[:, 0]).astype(np.int64), np.round(points[:, 1]).astype(np.int64)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)

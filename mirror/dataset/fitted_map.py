@@ -22,7 +22,7 @@ from mirror.schema.road_map import MapArea, MapLane, RoadMap
 WIDTH_M: Final = 3.25
 """Least width of a fitted lane."""
 MARGIN_M: Final = 0.5
-"""How far the drivable area reaches beyond half of that width from a driven line."""
+"""Reach of the drivable area beyond half of that width from a driven line."""
 VEHICLE_WIDTH_M: Final = 1.9
 """Width of the vehicles that drove: a corridor is wider than the spread of its lines by this."""
 _STEP_M: Final = 1.0

@@ -30,7 +30,7 @@ _OTHERS: Final = {
     FolderKind.BUNDLE: "a published dataset, and no submission given",
     FolderKind.SUBMISSION: "a submission (of renders), and no dataset given",
 }
-"""What is wrong with a folder that cannot hold rollouts, by its kind."""
+"""Faults of folders that cannot hold rollouts, by their kind."""
 _KEYS: Final = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
 
 
@@ -163,7 +163,7 @@ def _require_one_policy(rollouts: dict[Path, Rollout]) -> None:
 
 
 def _identify(scored: Sequence[ScoredRollout]) -> DatasetIdentity:
-    """What was driven: the world as the split, its data, and the scenarios with their seeds as the plan."""
+    """Identify what was driven: the world as the split, its data, the scenarios with their seeds as the plan."""
     first = scored[0].rollout
     maps = sorted({one.rollout.files[MAP_FILE].sha256 for one in scored})
     stated = first.dataset_hash or first.model_hash

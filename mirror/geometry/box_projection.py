@@ -172,7 +172,7 @@ def _clip(vertices: Float64, near: float) -> Float64:
 
 
 def _steps(camera: Camera, edges: Float64) -> AnyArray:
-    """How many chords each box's edges are followed in: a power of two, or 0 for a box that is wholly behind."""
+    """Return the number of chords along each box's edges: a power of two, or 0 for a box that is wholly behind."""
     start, end = edges[..., 0, :], edges[..., 1, :]
     angle = np.arctan2(np.linalg.norm(np.cross(start, end), axis=-1), np.einsum("nei,nei->ne", start, end))
     widest = np.asarray(np.fmax.reduce(angle, axis=1, initial=-1.0))
@@ -230,7 +230,7 @@ def _project_edges(camera: Camera, edges: Float64, steps: int) -> tuple[Float64,
 
 
 def _last_in_range(camera: Camera, inside: AnyArray, outside: AnyArray) -> AnyArray:
-    """Where the way from directions in the lens's range to others leaves it: (c^2 |p|^2 = z^2, a quadratic)."""
+    """Find where the way from directions in the lens's range to others leaves it: c^2 |p|^2 = z^2, a quadratic."""
     cosine = np.cos(camera.angle_limit_rad * _RIM_SHARE)
     inside = inside / np.linalg.norm(inside, axis=-1, keepdims=True)
     way = outside / np.linalg.norm(outside, axis=-1, keepdims=True) - inside
@@ -245,7 +245,7 @@ def _last_in_range(camera: Camera, inside: AnyArray, outside: AnyArray) -> AnyAr
 
 
 def _border_crossings(curves: Float64, size: Float64) -> Float64:
-    """Where the chords of curves (N, E, P, 2) cross the four lines of the raster's border: (N, C, 2)."""
+    """Find where the chords of curves (N, E, P, 2) cross the four lines of the raster's border: (N, C, 2)."""
     found = []
     start, end = curves[:, :, :-1], curves[:, :, 1:]
     for axis in (0, 1):
@@ -272,7 +272,7 @@ def _seen_through(boxes: _Boxes, rays: Float64, pixels: Float64, near: float) ->
 
 
 def _ends_at_rim(camera: Camera, boxes: _Boxes, lost: Bool) -> Bool:
-    """Which boxes (N,) are seen up to the lens's range: an edge leaves it, or all of it lies behind one face."""
+    """Mark boxes (N,) that are seen up to the lens's range: an edge leaves it, or all of it lies behind one face."""
     if camera.lens.forward_only:
         return lost
     rays, pixels = _rim(camera)

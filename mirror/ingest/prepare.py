@@ -80,7 +80,7 @@ def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settin
 
 @contextmanager
 def _missing_images_named(recording: Recording) -> Iterator[None]:
-    """Where images are missing, an error says how many, and names the option that accepts the drive without them."""
+    """Let an error of missing images say how many, and name the option that accepts the drive without them."""
     try:
         yield
     except RecordingError as error:

@@ -164,5 +164,5 @@ class IngestReport:
 
     @property
     def linked(self) -> int:
-        """How many of them are hard links."""
+        """The number of hard links among them."""
         return sum(one.linked for one in self.traversals)

@@ -43,7 +43,7 @@ from mirror.schema.folders import FolderKind, require_output_folder
 Result = TypeVar("Result")
 
 _FATAL = (UsageError, DatasetError)
-"""What is not one recording's fault, and would meet the next one too."""
+"""Errors that are not one recording's fault, and would meet the next one too."""
 
 
 class _StoppedError(BaseException):

@@ -103,7 +103,7 @@ def course(poses: PoseSlice, *, geodetic: bool) -> Float64:
 
 
 def assign_frames(mid_ns: Mapping[str, Int64], reference: str) -> dict[str, list[int | None]]:
-    """Which frame each image belongs to.
+    """Assign each image to a frame.
 
     A frame is an exposure of the reference camera; of every other camera it takes the image nearest in time, if that
     is within half a period and has no nearer frame.

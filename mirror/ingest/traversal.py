@@ -255,7 +255,7 @@ def select_images(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStrea
 
 
 def images_without_pose(drive: DrivePasses, number: int) -> int:
-    """How many images of all cameras are exposed within an accepted pass, but in a gap of the poses.
+    """Count the images of all cameras that are exposed within an accepted pass, but in a gap of the poses.
 
     Args:
         drive: judged.

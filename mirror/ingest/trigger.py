@@ -181,7 +181,7 @@ class Trigger:
         return np.array([[roi, kept[0], kept[-1]] for roi in range(rois)], np.int64)
 
     def _step_rule(self, track: CleanTrack) -> StepRule:
-        """Which fixes of a track count for its path."""
+        """Return the rule by which fixes of a track count for its path."""
         sigma_m = np.empty(0) if track.sigma_m is None else track.sigma_m
         return StepRule(sigma_m, self.options.step_sigmas, self.options.min_step_m)
 

@@ -92,7 +92,7 @@ def _without_bad_values(track: Track) -> Track:
 
 
 def _off_the_globe(track: Track) -> Bool:
-    """Which (N,) rows have a position, but one that is infinite or that no vehicle can be at."""
+    """Mark rows (N,) whose position is infinite or one that no vehicle can be at."""
     limits = (180.0, 90.0)
     lon_or_x, lat_or_y = track.longitude_deg, track.latitude_deg
     if lon_or_x is None or lat_or_y is None:

@@ -95,7 +95,7 @@ class SceneView:
 
     @cached_property
     def motion(self) -> Motion:
-        """How the vehicle moves, over `all_poses`."""
+        """The vehicle's motion over `all_poses`."""
         return Motion(self.all_poses)
 
     @cached_property
@@ -105,7 +105,7 @@ class SceneView:
 
     @cached_property
     def frames(self) -> FrameAssignment:
-        """Which of `images` make up frames."""
+        """The frames that `images` make up."""
         return assign_frames(
             self.images, [None if item.rig is None else item.rig.reference_camera for item in self.traversals]
         )

@@ -1,4 +1,4 @@
-"""What the host does around a method: it checks the folder of a model, writes its document, and measures costs."""
+"""Hosting of a method: the host checks the folder of a model, writes its document, and measures costs."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callab
 
 
 def method_label(name: str) -> str:
-    """How documents call a method: its entry point, or ``FILE.py:OBJECT`` without the folder of the file."""
+    """Return a method's name in documents: its entry point, or ``FILE.py:OBJECT`` without the folder of the file."""
     return Path(name).name if is_file_reference(name) else name
 
 

@@ -99,7 +99,7 @@ def redact(pixels: UInt8, regions: Iterable[Region], how: Redaction) -> tuple[UI
 
 
 def _replacement(part: UInt8, operator: Operator, levels: int) -> UInt8:
-    """What stands in place of pixels (h, w[, C]): made of their means only."""
+    """Make what stands in place of pixels (h, w[, C]), of their means only."""
     cells = 1 if operator == "fill" else MOST_CELLS
     rows, columns = min(cells, part.shape[0]), min(cells, part.shape[1])
     means = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)

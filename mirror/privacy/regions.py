@@ -91,7 +91,7 @@ def grown_box(region: Region, share: float, width_px: int, height_px: int) -> tu
 
 
 def region_mask(regions: Iterable[Region], grow: float, width_px: int, height_px: int) -> Bool:
-    """Which pixels (H, W) lie in one of the enlarged regions."""
+    """Mark the pixels (H, W) that lie in one of the enlarged regions."""
     mask = np.zeros((height_px, width_px), np.bool_)
     for region in regions:
         box = grown_box(region, grow, width_px, height_px)

@@ -139,7 +139,7 @@ def _packets(file: Path, pts: Int64) -> Iterator[tuple[Stream, Iterator[av.Packe
 
 
 def _identity(packet: av.Packet[Stream]) -> int:
-    """What names a packet's frame in the source: its time stamp, or its number in a raw stream."""
+    """Return the name of a packet's frame in the source: its time stamp, or its number in a raw stream."""
     number = packet.pts if packet.opaque is None else packet.opaque
     if not isinstance(number, int):
         raise TypeError(f"a packet is named by {number!r}, which is no number")

@@ -1,4 +1,4 @@
-"""What pydantic says about a value, in the words of a message."""
+"""Problems that pydantic finds in values, in the words of a message."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _PATTERNS: Final = {
     IDENTIFIER: "should be letters, digits, _ and -, with a letter or a digit first, and at most 120 characters",
     r"^(https?://[^\s<>\"']*)?$": "should be an address that begins with http:// or https://",
 }
-"""What the patterns of documents ask for, in words: a message shows no regular expression."""
+"""The patterns of documents in words: a message shows no regular expression."""
 
 
 def describe_problem(details: ErrorDetails) -> str:
-    """What is wrong with a value: one of `pydantic.ValidationError.errors`, without the name of the exception."""
+    """Say what is wrong with a value: one of `pydantic.ValidationError.errors`, without the name of the exception."""
     if details["type"] == "string_pattern_mismatch":
         pattern = details.get("ctx", {}).get("pattern", "")
         return _PATTERNS.get(pattern, "the text has another form than documented")
@@ -26,13 +26,13 @@ def describe_problem(details: ErrorDetails) -> str:
 
 
 def describe_expected(details: ErrorDetails) -> str:
-    """What a right value is, such as ``a number greater than 0``."""
+    """Say what a right value is, such as ``a number greater than 0``."""
     expected = describe_problem(details).removeprefix("Input should be ")
     return f"a number {expected}" if expected.startswith(("greater", "less")) else expected
 
 
 def describe_problems(every: Sequence[ErrorDetails]) -> tuple[str, str]:
-    """What is wrong with a document, and where: all problems at once.
+    """Say what is wrong with a document, and where: all problems at once.
 
     Args:
         every: `pydantic.ValidationError.errors`.

@@ -21,12 +21,12 @@ REQUIRED_FILES: Final = (STATES_FILE, SCENARIO_FILE, MAP_FILE)
 """Files of every rollout, beside ``run.json``. Images and videos are optional."""
 
 World = Literal["exact", "reconstructed", "generated", "boxes"]
-"""What renders the images: the synthetic street, a trained model, a generative model, or wireframes of boxes."""
+"""The source of the images: the synthetic street, a trained model, a generative model, or wireframes of boxes."""
 Ending = Literal["duration", "collision", "route_end", "left_street", "policy", "interrupted"]
-"""Why a rollout ended: its time was over; the ego touched an agent; it came to the end of its route; it left the part
-of the street that can be rendered; the policy failed or was too slow; the user interrupted it."""
+"""The reason of a rollout's end: its time was over; the ego touched an agent; it came to the end of its route; it left
+the part of the street that can be rendered; the policy failed or was too slow; the user interrupted it."""
 MapSource = Literal["synthetic", "file", "dataset", "fitted"]
-"""Where the road map is from: the synthetic street; a file that the user named; the recorded map of the dataset; fitted
+"""The source of the road map: the synthetic street; a file that the user named; the recorded map of the dataset; fitted
 to the driven lines of the recordings."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -23,7 +23,7 @@ def texture(height: int = 480, width: int = 640, seed: int = 1) -> np.ndarray:
 
 
 def view_of_plane(image: np.ndarray, camera: Camera, camera_SE3_plane: Poses, per_m: float = 60.0) -> np.ndarray:
-    """What a pinhole sees of a textured plane z = 0."""
+    """Render a textured plane z = 0 for a pinhole."""
     rays = camera.rays().direction.reshape(-1, 3)
     plane = camera_SE3_plane.inverse()
     origin, ends = plane.transform(np.zeros((1, 3)))[0], plane.transform(rays)[0]

@@ -53,7 +53,7 @@ DATASET_FIRST = (
 
 
 def printed_help(command: str) -> str:
-    """What ``mirror COMMAND --help`` prints."""
+    """Return what ``mirror COMMAND --help`` prints."""
     # The frames of the help need an encoding that has them.
     output = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
     with redirect_stdout(output):

@@ -26,7 +26,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def refused(fleet: Path, capsys: pytest.CaptureFixture[str], words: str) -> str:
-    """What a command line with folders of the fleet says when it ends with 2."""
+    """Return what a command line with folders of the fleet says when it ends with 2."""
     assert main(words.format(fleet=fleet).split()) == 2
     return capsys.readouterr().err
 

@@ -39,7 +39,7 @@ EXPECTED = {
 
 
 def convert(folder: Path, out: Path, **options: Any) -> None:
-    """What the example does, with these words."""
+    """Do what the example does, with these words."""
     runpy.run_path(str(ROOT / "examples" / "lund_recording.py"))["main"](folder, out, **options)
 
 

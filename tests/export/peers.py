@@ -64,5 +64,5 @@ INPUTS = {name: partial(_make_input, name) for name in EXPORTS}
 
 
 def result(name: str) -> Any:
-    """What a toolkit read."""
+    """Return what a toolkit read."""
     return json.loads((RESULTS / name / "result.json").read_text())

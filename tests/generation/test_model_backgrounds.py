@@ -68,7 +68,7 @@ def test_a_scene_is_generated_over_a_model_in_the_appearance_asked_for(
 
 
 def rendered(street: Dataset, model: Path, traversal: str, appearance: str) -> UInt8:
-    """What the model renders at the frames behind the seeds."""
+    """Return what the model renders at the frames behind the seeds."""
     plan = plan_scene(street, traversal, hz=10.0, trajectory=None, references=T, count=FRAMES)
     rig = rig_of(street.where(traversal=traversal).frames(), ("front_wide",), SIZE, PIXELS)
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]

@@ -32,7 +32,7 @@ def gaussian_velocity(mean: float, deviation: float):
 
 
 def exact_end(noise: Tensor, mean: float, deviation: float) -> Tensor:
-    """Where the flow leads: the marginals stay normal, so that noise is only scaled and moved."""
+    """Return where the flow leads: the marginals stay normal, so that noise is only scaled and moved."""
     return mean + deviation * noise
 
 

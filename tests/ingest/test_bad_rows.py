@@ -204,7 +204,7 @@ def test_parquet_names_its_rows(tmp_path: Path) -> None:
 
 
 def test_a_bad_row_in_one_of_several_files(tmp_path: Path) -> None:
-    """What is text in one file and numbers in the next is one column all the same."""
+    """A column of text in one file and of numbers in the next is one column all the same."""
     path = folder(tmp_path / "drive", {250: put(1, "east")})
     header, *lines = (path / "poses.csv").read_text().splitlines(keepends=True)
     (path / "poses.csv").unlink()

@@ -85,7 +85,7 @@ def stored(out: Path, report: IngestReport) -> tuple[np.ndarray, float]:
 
 
 def in_gap(lost: np.ndarray) -> np.ndarray:
-    """Which images lie between two poses with a lost one between them."""
+    """Mark images between two poses with a lost one between them."""
     kept = STAMPS[~lost]
     before = np.searchsorted(kept, IMAGES_NS) - 1
     inside = (before >= 0) & (before + 1 < len(kept))

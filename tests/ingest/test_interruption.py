@@ -43,7 +43,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(fleet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What comes of a run that nobody disturbs."""
+    """The dataset of a run that nobody disturbs."""
     out = tmp_path_factory.mktemp("undisturbed") / "whole"
     ingest_recordings(sorted(fleet.glob("drive_*")), SCENES, out)
     return out

@@ -25,7 +25,7 @@ def base(tmp_path: Path) -> Base:
 
 
 def problem(base: Base, tmp_path: Path, write: WriteOptions | None = None) -> str:
-    """Why the recording is refused; nothing is left of it in the dataset."""
+    """Return why the recording is refused; nothing is left of it in the dataset."""
     report = ingest_recordings([base.path], [base.roi], tmp_path / "d", IngestOptions(write=write or WriteOptions()))
     assert len(report.failures) == 1, report
     assert not list((tmp_path / "d").glob("traversals/*/recorded/manifest.json"))

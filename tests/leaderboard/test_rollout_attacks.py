@@ -61,7 +61,7 @@ def street() -> Street:
 
 @pytest.fixture(scope="module")
 def asked(tmp_path_factory: pytest.TempPathFactory) -> RolloutPlan:
-    """What the organiser asked for: one scenario with two seeds."""
+    """The organiser's request: one scenario with two seeds."""
     folder = tmp_path_factory.mktemp("scenarios")
     for seed in (0, 1):
         write_scenario(folder / f"follow-{seed}.toml", SCENARIO.model_copy(update={"seed": seed}))

@@ -177,7 +177,7 @@ def _read(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, torch.Tensor
 
 
 def _read_document(path: Path, kind: str) -> dict[str, Any]:
-    """What a file says of its model, without the tensors."""
+    """Read what a file says of its model, without the tensors."""
     from safetensors import SafetensorError, safe_open
 
     try:

@@ -12,7 +12,7 @@ from typing import Literal
 from mirror.errors import UsageError
 
 Extent = Literal["square", "ellipse"]
-"""Which pixels a Gaussian reaches. `square`: the tiles that touch the square of three sigmas of the longer axis, for
+"""The pixels that a Gaussian reaches. `square`: the tiles that touch the square of three sigmas of the longer axis, for
 any opacity (up to 1.4). `ellipse`: all pixels at which alpha reaches `ALPHA_MIN` (from 1.5 on)."""
 
 ALPHA_MIN = 1.0 / 255.0

@@ -46,7 +46,7 @@ def plate_loss(
 
 
 def assign(cells: Tensor, boxes: Tensor, is_plate: Tensor, is_ignored: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Which cells find which plate: those near its middle whose stride fits its width.
+    """Assign plates to cells: those near its middle whose stride fits its width.
 
     Returns:
         The plate (B, N) of each cell, whether the cell finds one (B, N), and whether it lies at one that is ignored.

@@ -27,7 +27,7 @@ class Drives:
 
 
 def assign_drives(streets: Streets, seed: int) -> Drives:
-    """What each drive of a seed is for; `mirror synth` names drives by their scene and their number from 1."""
+    """Assign each drive of a seed its use; `mirror synth` names drives by their scene and their number from 1."""
     from mirror.synth.fleet.presets import PRESETS
 
     training, known, held_out = list[str](), list[str](), list[str]()

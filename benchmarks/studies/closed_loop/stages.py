@@ -250,7 +250,7 @@ def _pilot(study: Study, progress: ProgressReporter) -> Figures:
 
 
 def choose_plan(study: Study, figures: Figures) -> Figures:
-    """What is driven: the first plan whose estimate is within the budget, or the last one."""
+    """Choose what is driven: the first plan whose estimate is within the budget, or the last one."""
     declared = study.declaration
     methods, seeds = declared.reconstruction["methods"], declared.scenarios["seeds"]
     plans = [Plan(tuple(seeds), tuple(methods))]

@@ -136,7 +136,7 @@ class Study:
         return float(figures["scales"].get(scenario, 1.0))
 
     def plan(self) -> Plan:
-        """What is driven: everything, or less if the pilot's estimate is over the budget."""
+        """Return what is driven: everything, or less if the pilot's estimate is over the budget."""
         figures = self.records.stages.get(PILOT)
         if figures is None:
             return Plan(tuple(self.declaration.scenarios["seeds"]), tuple(self.declaration.reconstruction["methods"]))

@@ -18,7 +18,7 @@ STAGE: Final = "crops"
 _LEAST_CROPS: Final = 100
 
 _Chosen: TypeAlias = Mapping[str, Bool]
-"""Which crops of each clip count."""
+"""The crops of each clip that count."""
 
 
 def measure_crops(study: Study, least_crops: int = _LEAST_CROPS) -> Figures:

@@ -29,7 +29,7 @@ from mirror.progress import ProgressReporter
 FILE: Final = Path(__file__).with_name("end_to_end.toml")
 OUTCOMES: Final = Path(__file__).with_name("end_to_end.jsonl")
 NAME: Final = "end_to_end"
-"""What the experiment's declaration calls this part, and its folder in the study's."""
+"""The name of this part in the experiment's declaration, and of its folder in the study's."""
 DISTANCES: Final = "distances"
 
 

@@ -11,7 +11,7 @@ from benchmarks.studies.generation.score_files import EMPTY
 from benchmarks.studies.generation.study import Study
 
 _Row = tuple[str, str, float, float, bool]
-"""What is measured, the bar, both figures, and whether the loss is a ratio; other losses are positive if worse."""
+"""The quantity, the bar, both figures, and whether the loss is a ratio; other losses are positive if worse."""
 
 
 def format_addition(study: Study, addition: Study) -> list[str]:

@@ -17,7 +17,7 @@ BEGIN: Final = "<!-- generation study: written by `python -m benchmarks generati
 END: Final = "<!-- generation study: end -->"
 
 _Row = tuple[str, str, str, str]
-"""What is measured, the bar, the figure, and whether it is met: yes, no, void, or not run."""
+"""The quantity, the bar, the figure, and whether it is met: yes, no, void, or not run."""
 
 
 def format_report(study: Study, addition: Study | None = None) -> str:

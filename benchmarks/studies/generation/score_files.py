@@ -18,7 +18,7 @@ EMPTY: Final = "background"
 
 
 def scores_file(study: Study, name: str, clip_id: str) -> Path:
-    """Where the scores of a clip are: of a model, of the truth, or of the empty background."""
+    """Return the path of the scores of a clip: of a model, of the truth, or of the empty background."""
     return study.folder / "scores" / name / f"{clip_id}.npz"
 
 

@@ -66,5 +66,5 @@ class Arguments:
 
     @property
     def source(self) -> Path:
-        """Where records are read."""
+        """The folder of the records that are read."""
         return self.outcomes if self.published else self.data

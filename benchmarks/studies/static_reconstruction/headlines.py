@@ -25,7 +25,7 @@ _COMPARISONS: Final = (
 
 
 def summary_table(results: Sequence[JobResult], declaration: Declaration) -> str:
-    """How far both of ours are ahead of MTGS-style, in each comparison and in the paper."""
+    """Write the leads of both of ours over MTGS-style, in each comparison and in the paper."""
     titles = ["", "training PSNR, dB", "by street", "PSNR\\* of the held-out traversal, dB", "by street"]
     rows = []
     for label, name, baseline in _COMPARISONS:
@@ -83,7 +83,7 @@ def budget_table(results: Sequence[JobResult], group: Group) -> str:
 
 
 def tuning_cell_table(results: Sequence[JobResult], declaration: Declaration) -> str:
-    """What cells of MTGS-style's grid come to with the budget of the comparison."""
+    """Write what cells of MTGS-style's grid come to with the budget of the comparison."""
     group = groups(declaration)["comparison"]
     entries = {
         (1.0, 2.0): _TUNED,

@@ -110,7 +110,7 @@ TABLES: Final[Mapping[str, Callable[..., str]]] = {
     "exact-street": lambda published, name: exact_street_table(published.records().exact_street, published.group(name)),
     **{part: partial(_truth, part) for part in TRUTH_TABLES},
 }  # fmt: skip
-"""What makes each table, by the first word of its command."""
+"""The maker of each table, by the first word of its command."""
 
 
 def render_report(text: str, file: Path, records: Path) -> str:

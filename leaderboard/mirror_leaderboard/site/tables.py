@@ -130,7 +130,7 @@ def _format_row(
 
 
 def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
-    """What tells the row from others of its method: the version if another one is on the board, and the setting."""
+    """List what tells the row from others of its method: the version if another is on the board, the setting."""
     others = {other.version for other in board.entries if isinstance(other, Measured) and other.method == entry.method}
     if isinstance(entry, Measured) and len(others) > 1:
         yield f"version {entry.version}"

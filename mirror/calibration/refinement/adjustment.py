@@ -245,7 +245,7 @@ class Adjuster:
         )  # fmt: skip
 
     def is_near(self, state: RigState, tracks: FeatureTracks) -> Bool:
-        """Which observations (M,) are of points near enough; far ones may be clouds, which move."""
+        """Mark the observations (M,) of points near enough; far ones may be clouds, which move."""
         apart = state.points[tracks.track] - self.rigs.world_SE3_ego.translation[tracks.image]
         return np.asarray(np.linalg.norm(apart, axis=1) < FARTHEST_M, np.bool_)
 

@@ -57,7 +57,7 @@ class ImageFile(NamedTuple):
 
 @dataclass(eq=False)
 class DatasetFiles:
-    """What a dataset names.
+    """Files that a dataset names.
 
     Attributes:
         documents: documents, manifests and tables with their SHA-256, as a manifest states it; None: not stated.

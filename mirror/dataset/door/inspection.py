@@ -135,7 +135,7 @@ class _Door:
         self._packets = secrets.packets()
 
     def findings(self, name: str, data: bytes, sha256: str) -> Iterator[Leak | SameBytes]:
-        """What is wrong with a file, and the images in it that have the bytes of others."""
+        """Find what is wrong with a file, and the images in it that have the bytes of others."""
         if self._stated.get(name, sha256) != sha256:
             yield Leak(name, "other bytes than its source has, or than its table or manifest states")
             return

@@ -1,4 +1,4 @@
-"""What of a dataset may leave, and what must not: by traversal, camera and time, in whatever file an image lies."""
+"""Parts of a dataset that may or must not leave: by traversal, camera and time, in whatever file an image lies."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """What may leave and what must not.
+    """Images that may leave and that must not.
 
     Attributes:
         files: the files that leave, relative to the dataset, with their SHA-256 where a table or manifest states it.

@@ -1,4 +1,4 @@
-"""What must not leave, by content: the hashes of its bytes, of its pixels and of the packets of its videos."""
+"""Contents that must not leave: the hashes of its bytes, of its pixels and of the packets of its videos."""
 
 from __future__ import annotations
 

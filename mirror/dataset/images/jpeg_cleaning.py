@@ -30,7 +30,7 @@ HuffmanTable: TypeAlias = tuple[bytes, bytes]
 
 @dataclass
 class _Decoder:
-    """What a decoder knows while it reads the segments of an image.
+    """State of a decoder that reads the segments of an image.
 
     Attributes:
         found: what the image holds beside its pixels, in words.

@@ -152,7 +152,7 @@ def _end_of_scan(data: bytes, start: int, file: str | PurePath) -> int:
 
 
 def _names(marker: int, body: bytes) -> set[str]:
-    """What a segment holds that is no part of the pixels."""
+    """Name what a segment holds that is no part of the pixels."""
     if marker == _COM:
         return {"comment"}
     if not 0xE0 <= marker <= 0xEF:

@@ -15,7 +15,7 @@ from mirror.protocols.views.view import RenderView
 STAND_IN_PREFIX: Final = "st_"
 
 HiddenUse: TypeAlias = Literal["required", "optional", "unused"]
-"""Whether a scorer uses the organiser's hidden truth; without optional one, some metrics are unavailable."""
+"""A scorer's use of the organiser's hidden truth; without optional one, some metrics are unavailable."""
 
 Values: TypeAlias = Mapping[str, float | int | str | None]
 """Values of a job by name, such as a metric's; the key ``<name>.reason`` states why a value is NaN."""

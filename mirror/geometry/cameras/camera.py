@@ -197,7 +197,7 @@ class Camera:
         return {name: getattr(self, name) for name in _COLUMNS}
 
     def undistort_maps(self, target: Camera) -> tuple[Float32, Float32]:
-        """Where each pixel of a target camera at the same place looks into this camera's images.
+        """Find where each pixel of a target camera at the same place looks into this camera's images.
 
         Returns:
             Two (H, W) maps for ``cv2.remap``, in OpenCV's pixel coordinates; -1 where this camera sees nothing.

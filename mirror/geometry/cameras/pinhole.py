@@ -58,7 +58,7 @@ def _seen_rim(camera: Camera, reach: float) -> Float64:
 
 
 def _on_plane(direction: Float64, reach: float) -> Float64:
-    """Where rays (N, 3) meet the plane z = 1, those within a radius."""
+    """Find where rays (N, 3) meet the plane z = 1, those within a radius."""
     front = direction[direction[:, 2] > 0.0]
     points = front[:, :2] / front[:, 2:]
     return np.asarray(points[np.hypot(*points.T) <= reach])

@@ -134,7 +134,7 @@ def _distortion_range(view: SceneView) -> Iterator[Finding]:
 
 
 def _valid_share(camera: Camera) -> float:
-    """How far the ways from the principal point to the middles of the edges have rays.
+    """Return the share of the ways from the principal point to the middles of the edges that has rays.
 
     Not to the corners: those of a fisheye are dark.
     """
@@ -248,7 +248,7 @@ def _symmetry(view: SceneView) -> Iterator[Finding]:
 
 
 def _difference(mounted: Motion, left: int, right: int) -> str | None:
-    """How a pair differs from being mirrored at the plane y = 0; None: it does not."""
+    """Describe how a pair differs from being mirrored at the plane y = 0; None: it does not."""
     mirror = np.array([1.0, -1.0, 1.0])
     place = float(np.linalg.norm(mounted.position[left] - mirror * mounted.position[right]))
     axis = rotate(quaternion_normalise(mounted.rotation[[left, right]]), np.array([0.0, 0.0, 1.0]))

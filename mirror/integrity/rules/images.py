@@ -37,7 +37,7 @@ def _missing(view: SceneView) -> Iterator[Finding]:
 
 
 def _stay(view: SceneView, uris: Sequence[str]) -> list[bool]:
-    """Which images a published bundle leaves out: withheld ones, and those that a redaction replaces."""
+    """Mark the images that a published bundle leaves out: withheld ones, and those that a redaction replaces."""
     redacted = {item.traversal_id for item in view.traversals if any(kind == REDACTION for kind, _, _ in item.layers)}
     recorded = {f"traversals/{traversal_id}/recorded/" for traversal_id in redacted}
     return [uri in view.dataset.withheld or "/".join([*uri.split("/")[:3], ""]) in recorded for uri in uris]
@@ -65,7 +65,7 @@ def _byte_length(view: SceneView) -> Iterator[Finding]:
 
 
 def _repeated(images: TableRows, rows: Int64) -> Bool:
-    """Which of some rows have a uri that other rows of the table have too."""
+    """Mark the rows among some whose uri other rows of the table have too."""
     uri = images.data.column("uri")
     asked = uri.take(pa.array(rows))
     found = pc.value_counts(uri.filter(pc.is_in(uri, value_set=asked.combine_chunks())))

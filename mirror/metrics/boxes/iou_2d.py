@@ -116,7 +116,7 @@ def hull_iou(
     valid: Numbers | None = None,
     silhouette: Numbers | None = None,
 ) -> RegionIou:
-    """How well a mask agrees with a projected 3D box: the editing accuracy, in three variants.
+    """Compare a mask with a projected 3D box: the editing accuracy, in three variants.
 
     All are counted on pixels (`polygon_mask`), within the image and within ``valid``. ``mask_hull``: the mask with
     the box's hull. ``box_box``: the tight upright rectangle of the mask with that of the hull's pixels, so that a mask

@@ -46,7 +46,7 @@ class Curve:
 
 
 NO_MATCHES: Final = Curve(np.zeros(101), np.zeros(101), {name: np.ones(101) for name in TP_ERRORS})
-"""What a class has that is not in the truth, or of which nothing is found."""
+"""The value of a class that is not in the truth, or of which nothing is found."""
 
 
 def trace(score: Float64, matched: Bool, truths: int, errors: Mapping[str, Float64]) -> Curve:

@@ -122,7 +122,7 @@ def _overlap(a: CovarianceRoot, b: CovarianceRoot) -> _Overlap:
 
 
 def _moved(a: CovarianceRoot, b: CovarianceRoot) -> float:
-    """How far rounding in one covariance moves twice the overlap.
+    """Estimate how far rounding in one covariance moves twice the overlap.
 
     To first order by |C1^-½ C2^½|, or where C1 is singular by the inequality of Powers and Størmer (1970),
     |C1^½ - C1'^½|_F² <= |C1 - C1'|_*; the smaller of both bounds.

@@ -67,7 +67,7 @@ class SsimSettings:
 
     @property
     def radius(self) -> int:
-        """How far the window reaches, in pixels."""
+        """The window's reach in pixels."""
         return self.size // 2
 
 
@@ -151,7 +151,7 @@ def _taps(window: str, size: int, sigma_px: float) -> Float64:
 
 
 def _reach(part: slice, radius: int, length: int) -> tuple[slice, tuple[int, int]]:
-    """What windows on a part of an axis reach, and by how much they reach beyond the image."""
+    """Return the pixels that windows on a part of an axis reach, and how far they reach beyond the image."""
     first, last = part.start - radius, part.stop + radius
     return slice(max(first, 0), min(last, length)), (max(-first, 0), max(last - length, 0))
 

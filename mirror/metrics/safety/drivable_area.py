@@ -1,4 +1,4 @@
-"""Whether the ego stays on the drivable area, and with what margin."""
+"""Drivable-area compliance of the ego, and its margin."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 from mirror.metrics.safety.state_log import StateLog
 
 NUPLAN_TOLERANCE_M = 0.3
-"""How far outside a corner may be (nuPlan, ``drivable_area_compliance``)."""
+"""Distance outside at which a corner may be (nuPlan, ``drivable_area_compliance``)."""
 _ACCURACY_M = 1e-3
 _SIGNS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
 
@@ -101,7 +101,7 @@ def _segments(rings: Sequence[npt.ArrayLike], origin: Float64) -> tuple[Float64,
 
 
 def inside_area(points_m: npt.ArrayLike, rings: Sequence[npt.ArrayLike]) -> Bool:
-    """Which points (P, 2) lie in an area; rings as `drivable_area_compliance` takes them."""
+    """Mark the points (P, 2) that lie in an area; rings as `drivable_area_compliance` takes them."""
     from mirror.metrics.safety.drivable_area_kernels import signed_distances
 
     points = np.asarray(points_m, np.float64)

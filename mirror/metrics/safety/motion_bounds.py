@@ -1,4 +1,4 @@
-"""Whether consecutive states of a log can be those of bodies: nothing jumps, and the ego moves like a vehicle."""
+"""Bounds on consecutive states of a log: nothing jumps, and the ego moves like a vehicle."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ AHEAD_DEG: Final = 30.0
 BEHIND_DEG: Final = 150.0
 """An agent is behind if it is seen at more than this angle."""
 NAVSIM_OFFSETS_S: Final = (0.0, 0.3, 0.6, 0.9)
-"""How far ahead NAVSIM compares the ego at constant velocity with the agents' logged future."""
+"""Time ahead for which NAVSIM compares the ego at constant velocity with the agents' logged future."""
 
 
 @dataclass(frozen=True, eq=False)

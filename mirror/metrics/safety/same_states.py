@@ -1,4 +1,4 @@
-"""Whether two logs state the same drive: the same actors at the same stamps, in the same places."""
+"""Comparison of two logs of one drive: the same actors at the same stamps, in the same places."""
 
 from __future__ import annotations
 

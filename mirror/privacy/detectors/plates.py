@@ -111,7 +111,7 @@ class ChinesePlates:
 
 
 def find_agreed(boxes: Float64, scores: Float64) -> Bool:
-    """Which of N boxes are kept: those with a score above `_SURE`, and likely ones that several boxes agree with."""
+    """Mark boxes (N,) that are kept: with a score above `_SURE`, or likely ones that several boxes agree with."""
     if not len(boxes):
         return np.zeros(0, np.bool_)
     count = (overlaps(boxes, boxes) > _AGREEMENT).sum(axis=1)
@@ -120,7 +120,7 @@ def find_agreed(boxes: Float64, scores: Float64) -> Bool:
 
 
 def find_shaped(boxes: Float64, scores: Float64, width_px: int) -> Bool:
-    """Which of N boxes have the shape of a plate, and its size in an image of this width unless they are confident."""
+    """Mark which of N boxes have a plate's shape, and its size in an image of this width unless they are confident."""
     width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
     shaped: Bool = width >= _LEAST_ASPECT * height
     sized = (width <= _WIDEST * width_px) & (height <= _TALLEST * width_px)

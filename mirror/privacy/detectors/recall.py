@@ -16,7 +16,7 @@ ALL: Final = 0.90
 
 
 class RegionRecall(Document):
-    """How many synthetic plates with the shapes of a region are covered to 90 % of their area.
+    """Counts of synthetic plates with the shapes of a region that are covered to 90 % of their area.
 
     Attributes:
         plates: number of plates from 64 px.

@@ -24,7 +24,7 @@ _CABIN: Final = ((-0.30, -0.45, 0.0), (0.15, 0.45, 0.40))
 def find_hidden(
     points: Float64, camera_SE3_box: Poses, size_m: Float64, category: Sequence[str], *, margin_m: float = 0.0
 ) -> Bool:
-    """Which points are behind the body of a vehicle.
+    """Mark the points that are behind the body of a vehicle.
 
     Args:
         points: (P, 3) in the camera frame.

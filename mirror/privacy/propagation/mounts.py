@@ -38,7 +38,7 @@ _MOTORCYCLE: Final = Mount(0.30, 1.20, 0.20)
 
 
 def find_mount(category: str, height_m: float, *, is_front: bool) -> Mount | None:
-    """Where the front or the rear of a vehicle carries its plate.
+    """Find where the front or the rear of a vehicle carries its plate.
 
     Args:
         category: category of the box.

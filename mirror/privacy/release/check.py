@@ -276,7 +276,7 @@ def _read_sources(
 def _redetected(
     view: ReleaseView, detectors: Sequence[DetectorChoice], workers: int, timeout_s: float, bar: ProgressReporter
 ) -> tuple[list[Finding], list[str]]:
-    """What detectors find in the images of the release and logged regions do not cover."""
+    """Return what detectors find in the images of the release and logged regions do not cover."""
     # Missing weights are an error of the command, not of every image.
     for choice in detectors:
         choice.make()

@@ -1,4 +1,4 @@
-"""Where a view shows its edits: the hulls of edited vehicles before and after, and the pixels in and around them."""
+"""The region of a view's edits: the hulls of edited vehicles before and after, and the pixels in and around them."""
 
 from __future__ import annotations
 

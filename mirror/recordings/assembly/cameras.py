@@ -26,7 +26,7 @@ VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi")
 
 @dataclass(frozen=True)
 class CameraInput:
-    """What is given of a camera.
+    """Given images and times of a camera.
 
     Attributes:
         name: the camera's name.

@@ -1,4 +1,4 @@
-"""What a track cannot give, in words."""
+"""Notes of what a track cannot give, in words."""
 
 from __future__ import annotations
 

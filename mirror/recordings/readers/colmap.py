@@ -210,7 +210,7 @@ class ColmapRecording:
         return np.array([stamp_of[group] for group in groups], np.int64)
 
     def _group(self, row: int, stem: str) -> str:
-        """What the images of one instant share: their frame, or else their names without the folder."""
+        """Return what the images of one instant share: their frame, or else their names without the folder."""
         image = self.model.images.image_id[row]
         frame = self.model.frame_of.get(image)
         shared = frame is not None and self._frame_sizes[frame] > 1

@@ -45,7 +45,7 @@ def _holds_model(path: Path, folder: str) -> bool:
 
 
 def name_choice(models: Mapping[str, int], folder: str) -> tuple[str, ...]:
-    """What `mirror info` and `mirror ingest` say of a folder with several models."""
+    """Say for `mirror info` and `mirror ingest` that a folder has several models."""
     if len(models) < 2:
         return ()
     listed = ", ".join(f"{name} ({count} images)" for name, count in models.items())

@@ -31,7 +31,7 @@ NO_STAMP: Final = np.iinfo(np.int64).min
 """In a list of stamps by frame: the frame has none."""
 
 RANGE_M: Final = 80.0
-"""How near a static object is to the vehicle in the frames in which it has a box."""
+"""Largest distance of a static object from the vehicle in the frames in which it has a box."""
 
 _FOLDERS: Final = ("train_full", "train", "test")
 _STATIC: Final = -1

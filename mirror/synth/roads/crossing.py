@@ -16,7 +16,7 @@ from mirror.synth.roads.line import Line
 from mirror.synth.roads.section import Section
 
 Control = Literal["signal", "priority", "joint"]
-"""Who goes first: traffic lights decide; signs decide; no lanes cross, a lane only branches off or merges."""
+"""The rule of who goes first: traffic lights decide; signs decide; no lanes cross, they only branch off or merge."""
 
 _STRAIGHT_RAD: Final = math.radians(150.0)
 _ARC_PIECES: Final = 6

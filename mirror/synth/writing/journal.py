@@ -140,6 +140,6 @@ def _lock(folder: Path) -> Iterator[None]:
 
 
 def _flag(argument: str) -> str:
-    """How `mirror synth` names an argument."""
+    """Return the option of `mirror synth` for an argument."""
     names = {"toolkit": "version of the toolkit", "effects": "--without", "seed": "--seed or --secret"}
     return names.get(argument, f"--{argument}")

@@ -36,7 +36,7 @@ class SecretDocument(Document):
 
 
 class RecordedSeed(NamedTuple):
-    """What recordings of the synthetic street were made from.
+    """Origin of recordings of the synthetic street.
 
     Attributes:
         preset: preset of the recordings.

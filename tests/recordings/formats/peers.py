@@ -106,5 +106,5 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
 
 
 def result(name: str) -> Any:
-    """What a toolkit read."""
+    """Return what a toolkit read."""
     return json.loads((RESULTS / name / "result.json").read_text())

@@ -45,7 +45,7 @@ class ClipBoxes:
         )
 
     def at(self, frame: int) -> ClipBoxes:
-        """Those of one frame."""
+        """Return the boxes of one frame."""
         return self[self.frame == frame]
 
 

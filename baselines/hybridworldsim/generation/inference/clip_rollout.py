@@ -137,7 +137,7 @@ def roll_out_clip(
 
 
 def views_with_boxes(clip: Clip, frame: int) -> Bool:
-    """Which views (V,) of a frame show some box."""
+    """Mark the views (V,) of a frame that show some box."""
     return np.asarray(clip_hulls(clip, frame).any(axis=(1, 2)))
 
 

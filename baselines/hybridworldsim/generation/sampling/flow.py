@@ -18,7 +18,7 @@ TIMESTEPS: Final = 1000.0
 """Time step of noise alone."""
 
 Weighting: TypeAlias = Literal["velocity", "epsilon", "x0"]
-"""Whose mean square error the loss is: that of the velocity, of the noise, or of the clean latents."""
+"""The mean square error that is the loss: that of the velocity, of the noise, or of the clean latents."""
 
 _LOGIT_NORMAL: Final = (0.4, 1.0)
 _HIGH_NOISE: Final = (1.8, 1.0)

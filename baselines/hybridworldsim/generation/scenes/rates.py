@@ -41,7 +41,7 @@ def rate_of(timestamps_ns: Sequence[int]) -> float:
 
 
 def rate_note(rates_hz: Sequence[float], trained_hz: tuple[float, float] | None) -> str:
-    """What a user must know of rates; empty if they are those of the training.
+    """Say what a user must know of rates; empty if they are those of the training.
 
     Args:
         rates_hz: rates at which frames are generated.

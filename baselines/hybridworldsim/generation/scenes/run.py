@@ -39,7 +39,7 @@ from mirror.schema.render_folder import finish_render_folder, start_render_folde
 DOCUMENT: Final = "generated.json"
 VIDEO: Final = "video.mp4"
 PIXELS: Final = Pixels(space="undistorted", max_width_px=8192)
-"""How lenses are undistorted: to 70 degrees off the axis at most, as the protocols of generation have it."""
+"""Undistortion of lenses: to 70 degrees off the axis at most, as the protocols of generation have it."""
 _STATE: Final = "state.safetensors"
 _COUNTS: Final = ("generated_views", "kept_views")
 

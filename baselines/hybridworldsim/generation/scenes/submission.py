@@ -53,7 +53,7 @@ class SubmissionRequest:
 
     @property
     def method(self) -> Method:
-        """What the submission states of the generator."""
+        """The submission's statement of the generator."""
         if self.files.base is None:
             return Method(
                 name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"

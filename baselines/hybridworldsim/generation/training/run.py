@@ -246,7 +246,7 @@ def read_clip_captions(path: Path | None, config: TransformerConfig, clips: list
 
 
 def captions_document(path: Path | None) -> dict[str, str]:
-    """What a run's settings state of its captions; nothing without, so that such runs keep their documents."""
+    """Return what a run's settings state of its captions; nothing without, so that such runs keep documents."""
     return {} if path is None else {"captions": file_sha256(path)}
 
 

@@ -74,7 +74,7 @@ class FamiliarInputs(Document):
         return _distances(image_statistics(images), np.array(self.mean), np.array(self.covariance))
 
     def are_unfamiliar(self, images: UInt8) -> Bool:
-        """Which of N images do not look like the training images."""
+        """Mark which of N images do not look like the training images."""
         return np.asarray(self.distances(images) > self.limit, np.bool_)
 
 

@@ -112,7 +112,7 @@ KINDS: Final[dict[str, Kind]] = {
     "foxglove_msgs/FrameTransform": "transforms",
     "foxglove_msgs/FrameTransforms": "transforms",
 }
-"""What the reader makes of a message type."""
+"""Kinds of content that the reader makes of message types."""
 _REQUIRED: Final = object()
 RAW_IMAGES: Final = ("sensor_msgs/Image", "foxglove.RawImage", "foxglove_msgs/RawImage")
 """Types of images without compression, which the reader refuses by name."""

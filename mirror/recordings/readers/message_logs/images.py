@@ -215,7 +215,7 @@ class MessageVideo:
 def stored_messages(
     logs: tuple[MessageLog, ...], topic: Topic, log: Int64, places: Sequence[Place], order: Int64
 ) -> StoredMessages:
-    """Where the messages of a camera are, in the order of their stamps.
+    """Return where the messages of a camera are, in the order of their stamps.
 
     Args:
         logs: the files of the drive.

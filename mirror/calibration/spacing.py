@@ -13,6 +13,8 @@ from mirror.geometry import Poses, matrix_from_quaternion
 
 _TOO_FAR = 1.5
 """Images are too far apart if their spacing is this many times the steps with which tracking is measured."""
+_MOVING = 0.05
+"""The vehicle moves between two images that are more than this many steps apart: 17 cm, which no fix feigns."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,9 @@ class PairAttempt:
 
 @dataclass(frozen=True)
 class ImageSpacing:
-    """Spacing of the images of a drive: medians over neighbouring ones.
+    """Spacing of the images of a drive: medians over neighbouring ones between which the vehicle moves.
+
+    Images of a standing vehicle would hide how far apart those of the drive are.
 
     Attributes:
         distance_m: distance between them.
@@ -54,11 +58,17 @@ class ImageSpacing:
         """
         turns = matrix_from_quaternion(poses.rotation)
         course = np.degrees(np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0])))
-        return cls(
-            float(np.median(np.linalg.norm(np.diff(poses.translation, axis=0), axis=1))),
-            float(np.median(np.abs(np.diff(course)))),
-            float(np.median(np.diff(np.asarray(stamps_ns, np.int64)))) * 1e-9,
+        pairs = np.stack(
+            [
+                np.linalg.norm(np.diff(poses.translation, axis=0), axis=1),
+                np.abs(np.diff(course)),
+                np.diff(np.asarray(stamps_ns, np.int64)) * 1e-9,
+            ],
+            axis=1,
         )
+        usual = FrameChoice()
+        moving = np.hypot(pairs[:, 0] / usual.step_m, pairs[:, 1] / usual.step_deg) > _MOVING
+        return cls(*np.median(pairs[moving] if moving.any() else pairs, axis=0).tolist())
 
     def steps(self, choice: FrameChoice) -> float:
         """The spacing in steps of a choice of frames."""

@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
 
 _CHECK_EXAMPLES = (
-    "mirror calibrate check demo/dataset --out calibration",
-    "mirror calibrate check demo/dataset --stage factory --out calibration-factory --json",
+    "mirror calibrate check demo/calibration/dataset --out calibration",
+    "mirror calibrate check demo/calibration/dataset --stage factory --out calibration-factory --json",
 )
 _REFINE_EXAMPLES = (
-    "mirror calibrate refine demo/dataset",
-    "mirror calibrate refine demo/dataset --frames 20 --version 20-frames --json",
+    "mirror calibrate refine demo/calibration/dataset",
+    "mirror calibrate refine demo/calibration/dataset --frames 20 --version 20-frames --json",
 )
 
 

@@ -29,9 +29,13 @@ class Arguments:
 
     out: Path
     """A new or empty folder, or the folder of an interrupted run with the same options."""
-    preset: Literal["demo", "quick", "tiny", "block", "reconstruction", "benchmark", "annotation", "paper"] = "demo"
+    preset: Annotated[
+        Literal["demo", "quick", "tiny", "block", "calibration", "reconstruction", "benchmark", "annotation", "paper"],
+        help_text(metavar="NAME"),
+    ] = "demo"
     """demo: two scenes. quick: one small scene. tiny: two traversals, for tests. benchmark: four scenes of eight
-    traversals. block, reconstruction: one and three blocks of a street.
+    traversals. block, reconstruction: one and three blocks of a street. calibration: one drive with images at the
+    rate that `mirror calibrate` needs.
     annotation: small images of ten scenes, to train `mirror annotate train`.
     paper: ten scenes in six cities, with images that are rendered when they are loaded."""
     scenes: Annotated[int | None, help_text(default="all of the preset")] = None

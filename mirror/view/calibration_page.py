@@ -15,6 +15,7 @@ from mirror.calibration.estimate import AXES
 from mirror.calibration.localisation import PAPER_PERCENT
 from mirror.calibration.stages import JUMP_CM, JUMP_DEG, StageDifference
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics
+from mirror.counting import count_of
 from mirror.html import html_table, style_sheet
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
@@ -87,10 +88,13 @@ def _verdict(found: FleetStatistics) -> str:
     why = {
         "pass": f"at least 99.7 % of the traversals are below {LIMIT_DEG:g} degrees",
         "fail": f"fewer than 99.7 % of the traversals are below {LIMIT_DEG:g} degrees",
-        "too few": f"too few traversals for a verdict: a pass needs {found.needed} without a failure",
+        "too few": f"too few traversals for a verdict on the fleet: a pass needs {found.needed} without a failure",
     }[found.verdict]
+    headline: str = found.verdict
     if not found.samples:
-        why = f"no camera could be checked: the tables below give the reasons; {why}"
+        headline, why = "not checked", f"no camera could be checked: the tables below give the reasons; {why}"
+    elif found.verdict == "too few":
+        headline = f"{found.samples_below} of {count_of(found.samples, 'traversal')} below {LIMIT_DEG:g} degrees"
     tiles = {
         "traversals below 0.3 deg": f"{found.samples_below} of {found.samples}",
         "bounds of that share": f"{found.share_lower:.1%} to {found.share_upper:.1%}",
@@ -102,7 +106,7 @@ def _verdict(found: FleetStatistics) -> str:
         "vehicles": f"{found.vehicles}",
     }
     cells = "".join(f'<div class="tile"><b>{value}</b><span>{name}</span></div>' for name, value in tiles.items())
-    return f'<p class="verdict">{found.verdict}</p><p>{why}</p><div class="tiles">{cells}</div>'
+    return f'<p class="verdict">{headline}</p><p>{why}</p><div class="tiles">{cells}</div>'
 
 
 def _histogram(angles: Sequence[float | None]) -> str:

@@ -179,6 +179,18 @@ def test_images_that_are_too_far_apart_are_named_with_the_rate_they_need(tmp_pat
     assert "vehicle moves" not in message
 
 
+def test_a_standing_vehicle_does_not_hide_how_far_apart_images_are() -> None:
+    """Three of four pairs are of the halt; a remedy by their spacing would name the step that is in use."""
+    x = np.array([0.0, 30.0, 30.0, 30.0, 30.01, 30.0, 30.0, 60.0])
+    poses = Poses(np.tile([1.0, 0.0, 0.0, 0.0], (8, 1)), np.stack([x, 0 * x, 0 * x], axis=1))
+    spacing = ImageSpacing.of(poses, [number * 2_000_000_000 for number in range(8)])
+    assert spacing == ImageSpacing(30.0, 0.0, 2.0)
+    standing = ImageSpacing.of(poses[1:7], [number * 2_000_000_000 for number in range(6)])
+    assert (standing.distance_m, standing.interval_s) == (0.0, 2.0)
+    few = [PairAttempt("a", 400, 3)]
+    assert "record at a higher rate" in str(untracked_error(few, 25, spacing, spacing))
+
+
 def test_the_error_of_untracked_images_names_the_measured_cause() -> None:
     far, near = ImageSpacing(15.0, 0.0, 1.0), ImageSpacing(3.0, 0.0, 0.2)
     few = [PairAttempt("a", 400, 3), PairAttempt("a", 380, 12)]

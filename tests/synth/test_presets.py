@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mirror.errors import UsageError
+from mirror.geometry import matrix_from_quaternion
 from mirror.synth.driving.routes import ROUTES
 from mirror.synth.fleet import PRESETS
 from mirror.synth.fleet.drives import make_drive, make_drives
@@ -66,6 +67,22 @@ def test_a_drive_does_not_depend_on_the_number_of_drives() -> None:
         assert again.vehicle == drive.vehicle
     named = make_drive("demo", 3, "guangzhou-urban-09")
     assert (named.condition, named.seed) == (by_id[named.drive_id].condition, by_id[named.drive_id].seed)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_calibration_preset_has_a_bend_at_the_rate_that_tracking_needs(seed: int) -> None:
+    preset, (drive,) = make_drives("calibration", seed)
+    time_s = np.arange(0.0, drive.truth.duration_s, 1.0 / preset.image_hz)
+    poses = drive.truth.poses(time_s)
+    inside = np.linalg.norm(poses.translation[:, :2], axis=1) <= drive.roi.radius_m
+    forward = matrix_from_quaternion(poses.rotation)[inside][:, :2, 0]
+    way_m = np.linalg.norm(np.diff(poses.translation[inside], axis=0), axis=1)
+    # The figures of docs/calibration.md hold for images 3.5 m or 12 degrees apart, and the check for 20 of them.
+    assert inside.sum() >= 15 and way_m.sum() >= 60.0 and way_m.max() < 1.5 * 3.5
+    cosines = np.clip((forward[:-1] * forward[1:]).sum(axis=1) / np.linalg.norm(forward[0]) ** 2, -1.0, 1.0)
+    assert np.degrees(np.arccos(cosines)).max() < 1.5 * 12.0
+    total = np.degrees(np.arccos(np.clip(forward[0] @ forward[-1], -1.0, 1.0)))
+    assert total > 60.0
 
 
 def test_repeated_recipes_have_different_dates() -> None:

@@ -113,6 +113,13 @@ def _block(roi: Roi, yaw_deg: float, radius_m: float, first: int) -> Site:
     return Site(places.with_radius(roi, radius_m), yaw_deg, 7.5, make_recipes(routes, _SEVEN, 5, first), bustle=0.6)
 
 
+def _calibration() -> Preset:
+    """A bend by day with images at most 3.5 m apart: roll, pitch and yaw of each camera are observable in it."""
+    recipes = (Recipe("turn", "day", "clear", "2025-08-20", "saloon"),)
+    site = Site(places.with_radius(places.GUANGZHOU_URBAN, 50.0), 24.0, 7.5, recipes, bustle=0.4)
+    return Preset("calibration", (site,), traversals=1, width_px=480, image_hz=2.0)
+
+
 def _reconstruction() -> Preset:
     sites = (
         _block(places.GUANGZHOU_URBAN, 24.0, 50.0, 0),
@@ -167,6 +174,7 @@ PRESETS: Final = {
             image_hz=0.3,
         ),
         Preset("block", (_block(places.KARLSRUHE_CAMPUS, -61.0, 50.0, 2),), 5, 240, image_hz=0.5),
+        _calibration(),
         _reconstruction(),
         _benchmark(),
         Preset("annotation", _ten_scenes(), traversals=3, width_px=192, image_hz=0.25),
@@ -175,8 +183,9 @@ PRESETS: Final = {
 }
 """All presets, by name. ``tiny`` is for tests, ``quick`` and ``demo`` are for demonstrations, ``block`` and
 ``reconstruction`` have one and three blocks of a street, ``benchmark`` has four kinds of scene in six conditions,
-``annotation`` has small images of ten scenes in six cities, to train detectors, and ``paper`` is as large as the
-paper's dataset: ten scenes in six cities, seven vehicle types, images on demand."""
+``calibration`` has one drive at the rate that calibration needs, ``annotation`` has small images of ten scenes in six
+cities, to train detectors, and ``paper`` is as large as the paper's dataset: ten scenes in six cities, seven vehicle
+types, images on demand."""
 
 
 def resolve_preset(preset: str, scenes: int | None = None, traversals: int | None = None) -> tuple[Preset, int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,5 +15,18 @@ UInt8: TypeAlias = npt.NDArray[np.uint8]
 Bool: TypeAlias = npt.NDArray[np.bool_]
 AnyArray: TypeAlias = npt.NDArray[Any]
 
+_Array = TypeVar("_Array", bound=AnyArray)
+
 Records: TypeAlias = Any
 """A structured array, or one record of it; compiled kernels read its fields as attributes, which numpy's types lack."""
+
+
+def read_only(array: _Array) -> _Array:
+    """Return a view that cannot be written to.
+
+    Numba compiles a kernel once more for arrays that cannot be written to, such as those of a Parquet file, than for
+    others; kernels that get views of one kind are compiled once.
+    """
+    view = array.view()
+    view.flags.writeable = False
+    return view

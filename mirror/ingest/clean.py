@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mirror.arrays import Float64, Int64, UInt8
+from mirror.arrays import Float64, Int64, UInt8, read_only
 from mirror.errors import RecordingError
 from mirror.ingest.fix_status import (
     DUPLICATE,
@@ -62,7 +62,7 @@ class CleanTrack:
 
     def fixes(self) -> Fixes:
         """The track's arrays for compiled functions."""
-        return Fixes(self.timestamp_ns, self.lon_or_x, self.lat_or_y, self.status, self.geodetic)
+        return _pack_fixes(self.timestamp_ns, self.lon_or_x, self.lat_or_y, self.status, self.geodetic)
 
 
 def clean(
@@ -84,7 +84,7 @@ def clean(
     """
     stamps, lon_or_x, lat_or_y, geodetic = _track_arrays(track)
     order: Int64 | None = None
-    backward, row = count_backward(stamps)
+    backward, row = count_backward(read_only(stamps))
     if backward:
         if options.backward_time == "refuse":
             raise RecordingError(
@@ -96,7 +96,7 @@ def clean(
             )
         order = np.argsort(stamps, kind="stable")
         stamps, lon_or_x, lat_or_y = stamps[order], lon_or_x[order], lat_or_y[order]
-    fixes = Fixes(stamps, lon_or_x, lat_or_y, np.zeros(len(stamps), np.uint8), geodetic)
+    fixes = _pack_fixes(stamps, lon_or_x, lat_or_y, np.zeros(len(stamps), np.uint8), geodetic)
     limits = CleaningLimits(
         float(options.max_speed_mps), float(options.max_acceleration_mps2), float(options.noise_m), float(min_step_m)
     )
@@ -128,6 +128,11 @@ def clean(
     if sigma is not None and order is not None:
         sigma = sigma[order]
     return CleanTrack(stamps, lon_or_x, lat_or_y, fixes.status, order, geodetic, sigma), report
+
+
+def _pack_fixes(stamps_ns: Int64, lon_or_x: Float64, lat_or_y: Float64, status: UInt8, geodetic: bool) -> Fixes:
+    """Pack arrays for compiled functions, as one type, whether readers give arrays that can be written to or not."""
+    return Fixes(read_only(stamps_ns), read_only(lon_or_x), read_only(lat_or_y), status, geodetic)
 
 
 def _track_arrays(track: Track) -> tuple[Int64, Float64, Float64, bool]:

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from mirror.arrays import Int64, Records
+from mirror.arrays import Int64, Records, read_only
 from mirror.ingest.clean import CleanTrack
 from mirror.ingest.grid import Circles, Grid, build_grid, candidate_stretches
 from mirror.ingest.path import FIGURES, Figures, StepRule, cut_standstills, measure_passes
@@ -183,7 +183,7 @@ class Trigger:
     def _step_rule(self, track: CleanTrack) -> StepRule:
         """Return the rule by which fixes of a track count for its path."""
         sigma_m = np.empty(0) if track.sigma_m is None else track.sigma_m
-        return StepRule(sigma_m, self.options.step_sigmas, self.options.min_step_m)
+        return StepRule(read_only(sigma_m), self.options.step_sigmas, self.options.min_step_m)
 
     def _judge_passes(
         self,

@@ -6,9 +6,11 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
+from mirror.arrays import read_only
 from mirror.errors import RecordingError
 from mirror.ingest.clean import CleanTrack, clean
 from mirror.recordings.protocol import Track
@@ -180,6 +182,14 @@ def test_input_is_not_written_to() -> None:
     clean(Track(timestamp_ns=stamps, x_m=x, y_m=y), CleaningOptions())
     np.testing.assert_array_equal(stamps, before[0])
     np.testing.assert_array_equal(x, before[1])
+
+
+def test_arrays_that_cannot_be_written_to_need_no_other_kernels() -> None:
+    stamps, x = np.arange(20) * 10**8, np.arange(20.0)
+    tracks = [Track(timestamp_ns=stamps, x_m=x, y_m=np.zeros(20))]
+    tracks.append(Track(timestamp_ns=read_only(stamps), x_m=read_only(x), y_m=read_only(np.zeros(20))))
+    first, second = (clean(track, CleaningOptions())[0].fixes() for track in tracks)
+    assert numba.typeof(first) == numba.typeof(second)
 
 
 def test_strided_and_narrow_columns_are_read_alike() -> None:

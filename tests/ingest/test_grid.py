@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mirror.arrays import AnyArray, Bool, Float64
+from mirror.arrays import AnyArray, Bool, Float64, read_only
 from mirror.geometry.geodesy import surface_distance_m
 from mirror.ingest.fix_status import KEPT, RESTART, Fixes
 from mirror.ingest.grid import Circles, build_grid, candidate_stretches
@@ -23,7 +23,8 @@ ROIS = st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9), st.sampled_fro
 def stretches(lon_or_x: Float64, lat_or_y: Float64, status: AnyArray, rois: Float64, geodetic: bool) -> list:
     """Sorted stretches by the grid; ``rois``: (R, 3) centre and radius."""
     circles = Circles(*(np.ascontiguousarray(column) for column in rois.T))
-    fixes = Fixes(np.arange(len(lon_or_x)), lon_or_x, lat_or_y, status.astype(np.uint8), geodetic)
+    places = (read_only(np.ascontiguousarray(axis)) for axis in (np.arange(len(status)), lon_or_x, lat_or_y))
+    fixes = Fixes(*places, status.astype(np.uint8), geodetic)
     found = candidate_stretches(fixes, circles, build_grid(circles, geodetic))
     return sorted(map(tuple, found.tolist()))
 

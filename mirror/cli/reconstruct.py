@@ -175,9 +175,7 @@ def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> No
     reached = "" if result.psnr_db is None else f"{result.psnr_db:.2f} dB on training images "
     steps = "" if result.steps is None else f"after {result.steps} steps, "
     core_s, wall_s = result.core_s or 0.0, result.wall_s or 0.0
-    print(
-        f"{scene}: {reached} on training images{steps}, {core_s / 60.0:.1f} core-minutes, {wall_s / 60.0:.1f} minutes"
-    )
+    print(f"{scene}: {reached}{steps}, {core_s / 60.0:.1f} core-minutes, {wall_s / 60.0:.1f} minutes")
     counts = [
         count_of(len(result.blocks), "block") if result.blocks else None,
         None if result.pictures is None else f"{result.pictures} images",

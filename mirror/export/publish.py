@@ -32,7 +32,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import BUNDLE, PUBLISHING, Bundle
 from mirror.schema.documents import FileEntry, SplitDocument
-from mirror.schema.files import sha256_bytes, write_bytes, write_json
+from mirror.schema.files import remove_temporaries, sha256_bytes, write_bytes, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.links import require_inside
 
@@ -137,6 +137,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     _refuse_large_folders(layout, departure.files)
     # The folder counts as a bundle again once its new document is written.
     write_bytes(out / PUBLISHING, b"")
+    remove_temporaries(out)
     require_inside(out, BUNDLE).unlink(missing_ok=True)
     _remove_others(out, frozenset(departure.files))
     stated = _copy(layout, out, departure, progress)

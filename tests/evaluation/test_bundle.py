@@ -196,8 +196,13 @@ def test_an_interrupted_call_continues_and_a_stricter_one_removes(root: Path, tm
     with pytest.raises(KeyboardInterrupt):
         publish(root, str(out), options(protocols=()), progress=Interrupted())
     assert not (out / "bundle.json").exists()
+    # A killed process leaves its unfinished files, also beside the folders of the dataset.
+    killed = [out / f".{name}.12345.tmp" for name in ("dataset.json", "README.md")]
+    for file in killed:
+        file.write_bytes(b"half of")
     loose = published(publish(root, str(out), options(protocols=())))
     assert not (out / PUBLISHING).exists()
+    assert not [file for file in killed if file.exists()]
     (out / ".git").mkdir()
     (out / ".git" / "config").write_text("a repository of the host")
     training = small(groups='[[groups]]\nname = "training"\nroles = ["train"]\n')

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,9 @@ import torch
 
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
-from hybridworldsim.model.storage import load_block, save_block
+from hybridworldsim.model.storage import FORMAT, load_block, save_block
 from hybridworldsim.training.viewpoint import Source, to_viewpoint
-from mirror.errors import DatasetError
+from mirror.errors import DatasetError, SchemaError
 from mirror.metrics.images.psnr import psnr
 from tests.street.streets import SOURCES, street, view
 
@@ -76,6 +77,19 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         load_block(tmp_path / "text")
     save_file({"a": torch.zeros(1)}, tmp_path / "other")
     with pytest.raises(DatasetError, match="format None"):
+        load_block(tmp_path / "other")
+    entry = {"block": '{"index": [0, 0], "origin_m": [0, 0, 0]}', "radius_m": "1", "sources": "[]", "about": "{}"}
+    broken = [
+        {},
+        *({**entry, name: "[" * 50_000} for name in entry),
+        *({**entry, name: "7"} for name in ("block", "sources", "about")),
+    ]
+    for one in broken:
+        save_file({"a": torch.zeros(1)}, tmp_path / "other", {"hybridworldsim": json.dumps({"format": FORMAT, **one})})
+        with pytest.raises(SchemaError, match="other: "):
+            load_block(tmp_path / "other")
+    save_file({"a": torch.zeros(1)}, tmp_path / "other", {"hybridworldsim": "[" * 50_000})
+    with pytest.raises(SchemaError, match="nested too deep"):
         load_block(tmp_path / "other")
 
 

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 from torch import nn
 
 from hybridworldsim.model.blocks import Block
@@ -25,13 +25,14 @@ from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.loop import REPORTS, Options, train
+from hybridworldsim.training.run.checkpoint import FORMAT, read_checkpoint
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome, is_occupied, read_run
 from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.run.previews import Preview
 from hybridworldsim.training.trainable_method import StepReport
 from hybridworldsim.training.training_image import TrainingImage
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT
 from tests.training.street import SETTINGS, Painted, initial, trainer, view, views
@@ -292,9 +293,14 @@ def test_lock_allows_one_process(tmp_path: Path) -> None:
 def test_broken_checkpoint_is_named_in_the_error(tmp_path: Path) -> None:
     run(tmp_path / "run")
     path = tmp_path / "run" / "checkpoint.safetensors"
+    state = {name: table.clone() for name, table in load_file(path).items()}
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(DatasetError, match=r"checkpoint\.safetensors"):
         run(tmp_path / "run")
+    for position in ("", "[" * 50_000, "[]", '{"steps": "many"}', '{"sums": {"losses": {"rgb": 1}}}'):
+        save_file(state, path, {"format": FORMAT, "position": position})
+        with pytest.raises(SchemaError, match=r"checkpoint\.safetensors"):
+            read_checkpoint(path)
 
 
 def edited(**changes):

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
+from pydantic import RootModel
 from torch import nn
 
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
 from hybridworldsim.generation.network.configuration import TransformerConfig
 from hybridworldsim.generation.network.transformer import Transformer
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.files import write_bytes
-from mirror.schema.strict_json import decode_json
+from mirror.schema.files import parse_json, write_bytes
 
 _GENERATOR: Final = "mirror-generator/1"
 _AUTOENCODER: Final = "mirror-autoencoder/1"
@@ -24,6 +24,10 @@ _REMEDY: Final = (
     "name a file that `mirror generate train` wrote; `mirror generate scene --base NAME --vae FOLDER` loads released"
     " weights of OpenDWM"
 )
+
+
+class ModelDocument(RootModel[dict[str, Any]]):
+    """The configuration and format of a model, in the metadata of its file."""
 
 
 def write_generator(
@@ -185,7 +189,7 @@ def _read_document(path: Path, kind: str) -> dict[str, Any]:
             metadata = file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise _unreadable(path, kind, error) from error
-    document: dict[str, Any] = decode_json(metadata.get("document", "{}"))
+    document = parse_json(metadata.get("document", "{}").encode(), ModelDocument, path).root
     if document.get("format") != kind:
         found = document.get("format")
         problem = "tensors that state no format" if found is None else f"of format {found!r}"

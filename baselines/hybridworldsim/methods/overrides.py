@@ -102,5 +102,5 @@ def _parse_value(name: str, text: str) -> Any:
 
     try:
         return json.loads(text, parse_constant=refuse_number)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import torch
+from pydantic import BaseModel, Json
 from torch import Tensor
 
 from hybridworldsim.model.appearance import AppearanceLatents
@@ -19,11 +20,26 @@ from hybridworldsim.model.street import Street
 from hybridworldsim.training.state import load
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import DatasetError
-from mirror.schema.files import write_bytes
+from mirror.schema.files import parse_json, write_bytes
 
 FORMAT: Final = "hybridworldsim.block/2"
 _ENTRY: Final = "hybridworldsim"
 _TABLES: Final = ("offsets", "codes", "log_scales", "quats", "logits")
+
+
+class FormatEntry(BaseModel):
+    """The format that the metadata of a file states."""
+
+    format: str | None = None
+
+
+class BlockEntry(BaseModel):
+    """The metadata of a block's file: JSON with texts of JSON in it."""
+
+    block: Json[Block]
+    radius_m: float
+    sources: Json[list[Source]]
+    about: Json[dict[str, Any]]
 
 
 def save_block(
@@ -70,24 +86,23 @@ def load_block(path: Path) -> tuple[Block, Street, dict[str, Any]]:
 
     Raises:
         DatasetError: the file is missing, cannot be read, or has another format.
+        SchemaError: its metadata are not those of a block.
     """
     from safetensors import SafetensorError, safe_open
 
     try:
         with safe_open(path, "pt") as file:
-            metadata = json.loads((file.metadata() or {}).get(_ENTRY, "{}"))
-            if metadata.get("format") != FORMAT:
-                raise DatasetError(f"format {metadata.get('format')!r}", file=path, expected=FORMAT)
+            text = (file.metadata() or {}).get(_ENTRY, "{}").encode()
+            stated = parse_json(text, FormatEntry, path).format
+            if stated != FORMAT:
+                raise DatasetError(f"format {stated!r}", file=path, expected=FORMAT)
+            entry = parse_json(text, BlockEntry, path)
             tables = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (OSError, SafetensorError) as error:
         raise DatasetError(f"cannot be read: {error}", file=path, expected=f"a block, {FORMAT}") from error
-    block = json.loads(metadata["block"])
-    block = Block(tuple(block["index"]), tuple(block["origin_m"]), block["size_m"], block["overlap_m"])
-    street = _empty_street(
-        tables, float(metadata["radius_m"]), [Source(*pair) for pair in json.loads(metadata["sources"])]
-    )
+    street = _empty_street(tables, entry.radius_m, entry.sources)
     load(street, {f"model.{name}": table for name, table in tables.items()})
-    return block, street, json.loads(metadata["about"])
+    return entry.block, street, entry.about
 
 
 def _to_stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Final
 
+from pydantic import RootModel
 from torch import Tensor
 
 from mirror.errors import DatasetError
-from mirror.schema.files import write_bytes
+from mirror.schema.files import parse_json, write_bytes
 
 FORMAT: Final = "mirror-checkpoint/1"
 _REMEDY: Final = "remove the file to train the block from the beginning"
@@ -55,6 +56,10 @@ class Position:
     sums: Sums = Sums()
 
 
+class CheckpointPosition(RootModel[Position]):
+    """The position as JSON."""
+
+
 def write_checkpoint(path: Path, state: Mapping[str, Tensor], position: Position) -> None:
     """Write a checkpoint; if the process is killed meanwhile, the previous one remains.
 
@@ -73,6 +78,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], Position]:
 
     Raises:
         DatasetError: the file is broken or is not a checkpoint.
+        SchemaError: its position is not that of a run.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -84,7 +90,4 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], Position]:
         raise DatasetError(f"cannot be read ({error})", file=path, expected="a checkpoint", remedy=_REMEDY) from error
     if metadata.get("format") != FORMAT:
         raise DatasetError(f"of format {metadata.get('format')!r}", file=path, expected=FORMAT, remedy=_REMEDY)
-    document = json.loads(metadata["position"])
-    sums = document.pop("sums")
-    losses = {name: (total, count) for name, (total, count) in sums.pop("losses").items()}
-    return state, Position(**document, sums=Sums(**sums, losses=losses))
+    return state, parse_json(metadata.get("position", "").encode(), CheckpointPosition, path).root

@@ -78,8 +78,9 @@ def finish(root: Path) -> dict[str, tuple[int, int]]:
     """
     annotator, describer = Known(), Words()
     found = annotate(mirror.open(root), annotator)
-    described = describe_frames(mirror.open(root), describer, root.parent / "words.jsonl")
     tracks, masks = track_layer(mirror.open(root), "other@1"), mask_layer(mirror.open(root), "other@1", MaskOptions())
+    # Last, because a description depends on all layers of boxes.
+    described = describe_frames(mirror.open(root), describer, root.parent / "words.jsonl")
     return {
         "annotate": (len(found.kept) + found.resumed, annotator.calls),
         "describe": (described.kept, describer.calls),

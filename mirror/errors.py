@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 from pathlib import PurePath
+from typing import Final
 
 
 class ExitCode(IntEnum):
@@ -95,3 +96,15 @@ class SchemaError(MirrorError):
 
 class DatasetError(MirrorError):
     """A dataset is missing, incomplete, locked, stale, or in conflict with the request."""
+
+
+ANOTHER_PLACE: Final = "choose another place"
+
+
+class UnwritableError(DatasetError):
+    """A file cannot be written where it belongs."""
+
+    def name_option(self, option: str) -> None:
+        """Say by which option of the verb another place is chosen."""
+        if self.remedy is not None and f"{ANOTHER_PLACE} with" not in self.remedy:
+            self.remedy = self.remedy.replace(ANOTHER_PLACE, f"{ANOTHER_PLACE} with {option}")

@@ -8,8 +8,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mirror.stops import run_process
+
+if TYPE_CHECKING:
+    from mirror.errors import UnwritableError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     from mirror.cli.verbs import RENAMED, all_commands, find_command
-    from mirror.errors import ExitCode
+    from mirror.errors import ExitCode, UnwritableError
     from mirror.version import __version__
 
     if not words or words[0] in ("-h", "--help", "help"):
@@ -53,7 +58,23 @@ def _run(words: list[str]) -> int:
         hint = f" Did you mean `mirror {near[0]}`?" if near else ""
         print(f"mirror: no verb {verb!r}.{hint} `mirror --help` lists them.", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
-    return int(import_module(command.module).main(rest))
+    try:
+        return int(import_module(command.module).main(rest))
+    except UnwritableError as error:
+        _name_place(error, rest)
+        raise
+
+
+def _name_place(error: UnwritableError, words: Sequence[str]) -> None:
+    """Name the option that gave the place which cannot be written."""
+    if error.file is None:
+        return
+    file = Path(error.file).resolve()
+    for word, following in zip(words, [*words[1:], ""]):
+        option, equals, value = word.partition("=")
+        place = value if equals else following
+        if option.startswith("--") and place and file.is_relative_to(Path(place).resolve()):
+            error.name_option(option)
 
 
 def _help() -> str:

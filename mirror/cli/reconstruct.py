@@ -109,18 +109,19 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.cli.layers import with_named_layers
     from mirror.dataset.working_copy import update_working_copy
-    from mirror.dataset.writing import open_to_write
+    from mirror.dataset.writing import naming_option, open_to_write
     from mirror.methods.hosting import reconstruct
     from mirror.methods.training_images import list_scored_training_images
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
     protocol = load_protocol(arguments.protocol, masked=arguments.masks)
-    dataset = (
-        open_to_write(arguments.dataset)
-        if arguments.layers is None
-        else update_working_copy(Path(arguments.dataset), arguments.layers, arguments.split, place="--layers")
-    ).with_layers(calibrations=arguments.calibrations)
+    if arguments.layers is not None:
+        dataset = update_working_copy(Path(arguments.dataset), arguments.layers, arguments.split, place="--layers")
+    else:
+        with naming_option(Path(arguments.dataset), "--layers FOLDER"):
+            dataset = open_to_write(arguments.dataset)
+    dataset = dataset.with_layers(calibrations=arguments.calibrations)
     scaled = protocol.model_copy(
         update={"pixels": protocol.pixels.model_copy(update={"max_width_px": arguments.width})}
     )
@@ -146,7 +147,7 @@ def main(argv: Sequence[str]) -> int:
         if arguments.hold_out
         else frozenset(),
     )
-    with progress_bar(quiet=arguments.json) as bar:
+    with progress_bar(quiet=arguments.json) as bar, naming_option(Path(arguments.dataset), "--layers FOLDER"):
         result = reconstruct(arguments.method, method, dataset, task, arguments.out, bar)
     if arguments.json:
         more = {"folder": str(result.folder), "scene": scene, "withheld": len(task.withheld)}

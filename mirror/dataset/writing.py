@@ -14,6 +14,7 @@ from mirror.dataset.layout import Layout, complete_manifest, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.opening import find_staleness
 from mirror.dataset.store import Store
+from mirror.errors import UnwritableError
 
 
 def open_to_write(path: str | os.PathLike[str]) -> Dataset:
@@ -40,6 +41,25 @@ def open_to_write(path: str | os.PathLike[str]) -> Dataset:
         with writer_lock(layout, wait=False):
             build_index(layout.root)
     return open_dataset(path)
+
+
+@contextmanager
+def naming_option(root: Path, option: str) -> Iterator[None]:
+    """Name the option by which a verb writes elsewhere, where a file of the dataset cannot be written in the block.
+
+    Args:
+        root: folder of the dataset.
+        option: the option, with its value.
+
+    Raises:
+        UnwritableError: as the block raises it, with the option in its remedy.
+    """
+    try:
+        yield
+    except UnwritableError as error:
+        if error.file is not None and Path(error.file).resolve().is_relative_to(root.resolve()):
+            error.name_option(option)
+        raise
 
 
 @contextmanager

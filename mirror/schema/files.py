@@ -6,6 +6,7 @@ a failed write leaves the previous file as it was.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -21,7 +22,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ValidationError
 
-from mirror.errors import DatasetError, SchemaError
+from mirror.errors import ANOTHER_PLACE, DatasetError, SchemaError, UnwritableError
 from mirror.schema.casting import cast_exactly
 from mirror.schema.parquet_memory import require_memory
 from mirror.schema.problems import describe_problem
@@ -34,6 +35,7 @@ Model = TypeVar("Model", bound=BaseModel)
 TEMPORARY = ".tmp"
 """Suffix of the names of unfinished files."""
 
+_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
 _UNFINISHED = re.compile(r"\..+\.[0-9]+\.tmp", re.DOTALL)
 _VERSION_KEY = b"mirror_schema_version"
 _TABLE_KEY = b"mirror_table"
@@ -70,21 +72,25 @@ def remove_temporaries(folder: Path) -> None:
                 Path(place, name).unlink(missing_ok=True)
 
 
-def unwritable_error(path: Path, error: OSError) -> DatasetError:
-    """Make the error for a file that could not be written; it names what blocks the path, or the system's reason."""
+def unwritable_error(path: Path, error: OSError) -> UnwritableError:
+    """Make the error for a file that could not be written; it names what blocks the path, or the system's reason.
+
+    `mirror` adds the option that names the place, where the verb has one.
+    """
     blocked = next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None)
     if blocked is not None or path.is_dir():
-        return DatasetError(
+        return UnwritableError(
             f"cannot be written: {blocked} is a file" if blocked is not None else "cannot be written: it is a folder",
             file=path,
             expected="the path of a file, in a folder or in folders that do not exist yet",
-            remedy="choose another path",
+            remedy=ANOTHER_PLACE,
         )
-    return DatasetError(
+    first = "make the folder writable" if error.errno in _FORBIDDEN else "free space"
+    return UnwritableError(
         f"cannot be written: {error.strerror or error}",
         file=path,
         expected="a writable folder with room for the file",
-        remedy="free space or choose another place, then run the same command again: it resumes where it stopped",
+        remedy=f"{first} or {ANOTHER_PLACE}, then run the same command again: it resumes where it stopped",
     )
 
 

@@ -7,6 +7,8 @@ import math
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -827,6 +829,31 @@ def test_a_dataset_that_is_only_read_stays_as_it_was(
         words = reconstruct(dataset, tmp_path / "more", "--layers", folder)
         assert said(capsys, *words, code=ExitCode.COULD_NOT_RUN)["place"] == "--layers"
     assert tree(Path(dataset.root)) == before and not (tmp_path / "more").exists()
+
+
+def run_read_only(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run `mirror` where a folder is mounted read-only: root passes over permissions, and no write passes this."""
+    mount = f"mount --bind {folder} {folder} && mount -o remount,ro,bind {folder}"
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True, check=False).returncode:
+        pytest.skip("this system does not let this user mount in a namespace of its own")
+    command = [sys.executable, "-m", "mirror.cli.main", *map(str, words)]
+    mounted = ["unshare", "-rm", "sh", "-c", f'{mount} && exec "$@"', "sh", *command]
+    return subprocess.run(mounted, capture_output=True, text=True, check=False)
+
+
+def test_a_dataset_that_cannot_be_written_names_the_option_for_layers(dataset: Dataset, tmp_path: Path) -> None:
+    root = Path(dataset.root)
+    words = reconstruct(dataset, tmp_path / "model", "--steps", 1, "--initialise", "sparse")
+    run = run_read_only(root, *words)
+    assert run.returncode == ExitCode.COULD_NOT_RUN
+    assert f"{root}" in run.stderr and "Read-only file system" in run.stderr
+    assert "make the folder writable or choose another place with --layers FOLDER" in " ".join(run.stderr.split())
+    # What the verb writes elsewhere is named by its own option.
+    shut = tmp_path / "shut"
+    shut.mkdir()
+    run = run_read_only(shut, *reconstruct(dataset, shut / "model", "--steps", 1, "--initialise", "made@1"))
+    assert run.returncode == ExitCode.COULD_NOT_RUN
+    assert "name another place with --out" in " ".join(run.stderr.split())
 
 
 def test_a_layer_of_boxes_is_chosen_with_an_option(

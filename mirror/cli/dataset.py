@@ -36,7 +36,8 @@ _AUDIT_EXAMPLES = (
 class Publish:
     """Write a bundle of a dataset without the images that submissions are scored against.
 
-    The bundle has a datasheet, a licence and the hash of every file. An interrupted call continues when it is repeated.
+    The bundle has a datasheet, Croissant metadata, a licence and the hash of every file. An interrupted call continues
+    when it is repeated.
     Every file is held against all images that stay, before the bundle is sealed.
 
     Exit codes: 0 done, 1 a file must not leave and nothing was sealed, 2 could not run.
@@ -60,6 +61,14 @@ class Publish:
     """Licence of the data."""
     contact: Annotated[str | None, help_text(default="none", metavar="ADDRESS")] = None
     """Where to ask for the removal of data."""
+    url: Annotated[str | None, help_text(default="none", metavar="URL")] = None
+    """Page of the dataset, for croissant.json."""
+    creator: Annotated[str | None, help_text(default="none", metavar="NAME")] = None
+    """Who made the dataset, for croissant.json."""
+    date: Annotated[str | None, help_text(default="none", metavar="YYYY-MM-DD")] = None
+    """Day of the publication, for croissant.json."""
+    citation: Annotated[str | None, help_text(default="its name, and the paper", metavar="TEXT")] = None
+    """How the dataset is cited, such as BibTeX, for croissant.json."""
     json: bool = False
     """Print JSON."""
 
@@ -114,10 +123,12 @@ def main(argv: Sequence[str]) -> int:
 def _publish(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Publish, argv, "mirror dataset publish", examples=_PUBLISH_EXAMPLES)
 
+    from mirror.export.croissant import Publication
     from mirror.export.publish import PublishOptions, publish
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
+    publication = Publication(arguments.url, arguments.creator, _iso_date(arguments.date), arguments.citation)
     options = PublishOptions(
         split=arguments.split,
         protocols=tuple(
@@ -126,6 +137,7 @@ def _publish(argv: Sequence[str]) -> int:
         name=arguments.name or arguments.dataset.resolve().name,
         licence=arguments.licence,
         contact=arguments.contact,
+        publication=publication,
     )
     with progress_bar(quiet=arguments.json) as bar:
         report = publish(arguments.dataset, arguments.out, options, progress=bar)
@@ -141,12 +153,26 @@ def _publish(argv: Sequence[str]) -> int:
     counts = f"{len(bundle.files):,} files, {size / 1e6:,.1f} MB; {len(bundle.withheld):,} images withheld"
     print(f"{arguments.out}: {counts}")
     print("README.md is the datasheet: read it, and add what only you know, before you publish the folder")
+    if missing := publication.missing():
+        print(f"croissant.json lacks what only you know, and Croissant asks for: {', '.join(missing)}")
     _print_same(report.same_bytes)
     if report.altered:
         print(f"{len(report.altered):,} images have other bytes than their table states, such as {report.altered[0]}")
     if report.as_recorded:
         print(f"{report.as_recorded:,} images show faces and plates as recorded: publish them only if you may")
     return ExitCode.DONE
+
+
+def _iso_date(text: str | None) -> str | None:
+    """Return a date if it is one."""
+    from datetime import date
+
+    from mirror.errors import UsageError
+
+    try:
+        return None if text is None else date.fromisoformat(text).isoformat()
+    except ValueError as error:
+        raise UsageError(f"{text!r}", place="--date", expected="a date such as 2026-03-01") from error
 
 
 def _refuse(leaks: Sequence[Leak], as_json: bool) -> int:

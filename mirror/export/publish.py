@@ -7,7 +7,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.lock import writer_lock
 from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
+from mirror.export.croissant import Publication, write_croissant
 from mirror.export.datasheet import write_datasheet
 from mirror.methods.training_images import list_scored_images
 from mirror.pools import thread_pool
@@ -38,6 +39,7 @@ from mirror.schema.links import require_inside
 
 LICENCE: Final = "LICENSE"
 DATASHEET: Final = "README.md"
+CROISSANT: Final = "croissant.json"
 DATASET_FOLDERS: Final = ("drives", "index", "maps", "rigs", "splits", "traversals")
 """Folders of a dataset, in which a repeated call removes files."""
 
@@ -57,6 +59,7 @@ class PublishOptions:
         name: title of the dataset.
         licence: licence of the data; None: that of the dataset.
         contact: where to ask for the removal of data.
+        publication: what ``croissant.json`` states besides.
     """
 
     split: str
@@ -64,6 +67,7 @@ class PublishOptions:
     name: str
     licence: str | None = None
     contact: str | None = None
+    publication: Publication = field(default_factory=Publication)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +149,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
         build_index(out)
     write_bytes(out / LICENCE, f"The data of this dataset is licensed under: {licence}\n".encode())
     secrets = Secrets(dataset.store, departure, progress)
-    present = {name for name in _walk(out) if name not in (DATASHEET, PUBLISHING)}
+    present = {name for name in _walk(out) if name not in (CROISSANT, DATASHEET, PUBLISHING)}
     inspection = inspect_files(read_below(out), present, departure, secrets, progress, stated=stated)
     require_unchanged(layout, before)
     as_recorded = sum(one.layer == RECORDED for one in departure.shown.values())
@@ -161,14 +165,23 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
         files={name: inspection.entries[name] for name in sorted(names)},
         withheld=departure.withheld,
     )
-    sheet = write_datasheet(dataset, bundle, name=options.name, contact=options.contact).encode()
-    write_bytes(out / DATASHEET, sheet)
-    sheet_entry = FileEntry(bytes=len(sheet), sha256=sha256_bytes(sheet))
-    files = {**bundle.files, DATASHEET: sheet_entry}
-    bundle = bundle.model_copy(update={"files": dict(sorted(files.items()))})
+    published = sorted({one.name for one in departure.shown.values()})
+    text = write_croissant(dataset, bundle, published, name=options.name, publication=options.publication)
+    bundle = _add_file(out, bundle, CROISSANT, text)
+    bundle = _add_file(
+        out, bundle, DATASHEET, write_datasheet(dataset, bundle, name=options.name, contact=options.contact)
+    )
     write_json(out / BUNDLE, bundle)
     (out / PUBLISHING).unlink()
     return PublishReport(bundle, (), inspection.same_bytes, as_recorded, altered)
+
+
+def _add_file(out: Path, bundle: Bundle, name: str, text: str) -> Bundle:
+    """Write a file that describes a bundle; returns the bundle with it."""
+    data = text.encode()
+    write_bytes(out / name, data)
+    entry = FileEntry(bytes=len(data), sha256=sha256_bytes(data))
+    return bundle.model_copy(update={"files": dict(sorted({**bundle.files, name: entry}.items()))})
 
 
 def withheld_images(

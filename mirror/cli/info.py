@@ -141,6 +141,7 @@ def _dataset_lines(summary: DatasetSummary) -> list[tuple[str, str]]:
 
 def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
     info = summary.info
+    longitudes = summary.extent.get("longitude_deg") if info.has_date else None
     lines = [
         ("drive", info.drive_id + (" (a clip)" if info.is_clip else "")),
         ("vehicle", f"{info.vehicle_id} ({info.vehicle_type})"),
@@ -150,7 +151,7 @@ def _recording_lines(summary: RecordingSummary) -> list[tuple[str, str]]:
         ("metadata", ", ".join(f"{k}: {getattr(info, k) or '--'}" for k in ("city", "light", "weather", "licence"))),
         ("files", f"{summary.files:,} ({summary.bytes / 1e6:,.1f} MB)"),
         ("poses", f"{summary.poses:,} ({summary.usable:,} usable), with {', '.join(summary.has) or 'positions only'}"),
-        ("time", _span(summary.first_ns, summary.last_ns)),
+        ("time", _span(summary.first_ns, summary.last_ns, longitudes)),
         *((name, f"{low:.6f} to {high:.6f}") for name, (low, high) in summary.extent.items()),
         ("rig", f"{summary.rig_id}, reference {summary.reference_camera}" if summary.rig_id else "none: poses only"),
     ]
@@ -189,10 +190,14 @@ def _dates(first_ns: int | None, last_ns: int | None, hours: float) -> str:
     return f"{first:%Y-%m-%d} to {last:%Y-%m-%d}, {hours:.2f} hours of traversals"
 
 
-def _span(first_ns: int | None, last_ns: int | None) -> str:
+def _span(first_ns: int | None, last_ns: int | None, longitudes_deg: tuple[float, float] | None) -> str:
     if first_ns is None or last_ns is None:
         return "--"
     from datetime import UTC, datetime
 
     first, last = (datetime.fromtimestamp(stamp / 1e9, UTC) for stamp in (first_ns, last_ns))
-    return f"{first:%Y-%m-%d %H:%M:%S} to {last:%Y-%m-%d %H:%M:%S} UTC ({(last_ns - first_ns) * 1e-9:,.1f} s)"
+    from mirror.view.times import solar_time
+
+    local = "" if longitudes_deg is None else f"; from {solar_time(first_ns, longitudes_deg[0])} solar time"
+    length = f"{(last_ns - first_ns) * 1e-9:,.1f} s"
+    return f"{first:%Y-%m-%d %H:%M:%S} to {last:%Y-%m-%d %H:%M:%S} UTC ({length}{local})"

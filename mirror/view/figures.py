@@ -10,7 +10,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
-from mirror.view.images import choose_passages, condition_order, frame_of, same_place, utc
+from mirror.view.images import choose_passages, condition_order, frame_of, same_place
 from mirror.view.plots import (
     LIGHT_COLOURS,
     conditions_figure,
@@ -21,6 +21,7 @@ from mirror.view.plots import (
     whole_numbers,
 )
 from mirror.view.privacy_figure import RemovedRegions, privacy_figure
+from mirror.view.times import longitude_of, utc_and_solar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -198,7 +199,8 @@ def place_figure(dataset: Dataset) -> Figure | None:
             axes.imshow(frame.images[camera].decode())
             axes.set_axis_off()
             about = f"{row['light']}, {row['weather']}, {camera}"
-            axes.set_title(f"{about}\n{utc(frame.timestamp_ns)}, {item.distance_m:.1f} m away", fontsize=6.5)
+            time = utc_and_solar(frame.timestamp_ns, longitude_of(row))
+            axes.set_title(f"{about}\n{time}\n{item.distance_m:.1f} m away", fontsize=6.5)
         figure.suptitle(f"One place of {scene['scene_id']} in {len(passages)} traversals", fontsize=10)
         return figure
     return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from html import escape
 from typing import Any, Final
 
@@ -17,6 +16,7 @@ from mirror.dataset.frames import Frame
 from mirror.geometry.box_projection import project_boxes
 from mirror.html import inline_image
 from mirror.schema.documents import CANONICAL_CAMERAS
+from mirror.view.times import longitude_of, utc_and_solar
 
 CATEGORY_HUES: Final = ("car", "truck", "bus", "van", "pedestrian", "cyclist", "motorcycle", "bicycle")
 _EDGE_POINTS: Final = 6
@@ -148,24 +148,12 @@ def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int
         light, weather = passage.traversal["light"], passage.traversal["weather"]
         caption = (
             f'<i class="dot {escape(light)}"></i><b>{escape(light)}, {escape(weather)}</b> '
-            f"{utc(frame.timestamp_ns)[:16]}<br>{escape(passage.traversal['vehicle_type'])}, {escape(camera)}"
+            f"{utc_and_solar(frame.timestamp_ns, longitude_of(passage.traversal))}<br>"
+            f"{escape(passage.traversal['vehicle_type'])}, {escape(camera)}"
             f"{'' if passage.is_same_direction else ', driving the other way'}"
         )
         figures.append(_figure(_inline(frame, camera, width_px), "", caption, ""))
     return f'<div class="places">{"".join(figures)}</div>'
-
-
-def solar_time(stamp_ns: int, row: Mapping[str, Any]) -> str:
-    """Format the local mean solar time of a traversal's row, such as ``09:05``; empty in a local metric frame."""
-    west_deg = None if row.get("bbox") is None else row["bbox"]["xmin"]
-    if west_deg is None:
-        return ""
-    return datetime.fromtimestamp(stamp_ns // 10**9 + round(240.0 * west_deg), UTC).strftime("%H:%M")
-
-
-def utc(stamp_ns: int) -> str:
-    """Format a timestamp in UTC."""
-    return datetime.fromtimestamp(stamp_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 def category_colours(categories: Iterable[str]) -> dict[str, str]:

@@ -30,11 +30,10 @@ from mirror.view.images import (
     place_images,
     rig_images,
     same_place,
-    solar_time,
-    utc,
 )
 from mirror.view.svg import Line, bars, scene_map, stacked_bars
 from mirror.view.tables import ledger, split_table, traversal_table
+from mirror.view.times import longitude_of, utc_and_solar
 
 LEDGER_HEADING: Final = "<h2>The ledger of refused passes</h2>"
 """By this heading a report is recognised, which may be replaced by a later one."""
@@ -252,5 +251,4 @@ def _format_rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> I
 
 def _times(frame: Frame, row: Mapping[str, Any]) -> str:
     """The time of a frame in UTC, and its local solar time where the place is known."""
-    local = solar_time(frame.timestamp_ns, row)
-    return f"{utc(frame.timestamp_ns)} UTC" + (f" ({local} solar time)" if local else "")
+    return utc_and_solar(frame.timestamp_ns, longitude_of(row))

@@ -19,22 +19,24 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
-from mirror.view.images import choose_passages, place_images, same_place, utc
+from mirror.view.images import choose_passages, place_images, same_place
 from mirror.view.report import draw_charts, draw_scene_map, format_tiles, map_legend, scene_name
+from mirror.view.times import longitude_of, solar_time, utc
 
 MARK: Final = ".made-by-mirror-report"
 _MOST_PASSAGES: Final = 24
 _IMAGE_PX: Final = 640
 _TRAVERSALS: Final = (
-    "scene_id", "traversal_id", "entry_ns", "light", "weather", "vehicle_id", "vehicle_type", "duration_s", "path_m",
-    "mean_speed_mps", "images",
+    "scene_id", "traversal_id", "entry_ns", "entry_solar", "light", "weather", "vehicle_id", "vehicle_type",
+    "duration_s", "path_m", "mean_speed_mps", "images",
 )  # fmt: skip
 _PASSES: Final = (
-    "scene_id", "drive_id", "entry_ns", "decision", "rule", "measured", "threshold", "light", "weather", "duration_s",
-    "path_m", "overlap",
+    "scene_id", "drive_id", "entry_ns", "decision", "rule", "measured", "threshold", "entry_solar", "light", "weather",
+    "duration_s", "path_m", "overlap",
 )  # fmt: skip
 _SHORT: Final = {
-    "scene_id": "scene", "traversal_id": "traversal", "entry_ns": "entry", "vehicle_id": "vehicle", "drive_id": "drive",
+    "scene_id": "scene", "traversal_id": "traversal", "entry_ns": "entry (UTC)", "entry_solar": "solar time",
+    "vehicle_id": "vehicle", "drive_id": "drive",
 }  # fmt: skip
 
 
@@ -61,6 +63,8 @@ def write_site(
     write_bytes(out / MARK, b"")
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
+    for row in traversals:
+        row["entry_solar"] = solar_time(row["entry_ns"], longitude_of(row))
     reporter.start("scenes", len(scenes))
     pages = {}
     for scene in scenes:
@@ -70,6 +74,9 @@ def write_site(
             write_bytes(out / pages[scene["scene_id"]], _scene_page(dataset, scene, own, title).encode())
         reporter.advance(1)
     passes = dataset.passes().to_pylist()
+    longitudes = {scene["scene_id"]: scene["longitude_deg"] for scene in scenes}
+    for row in passes:
+        row["entry_solar"] = solar_time(row["entry_ns"], longitudes.get(row["scene_id"]))
     tiles = format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
     parts = [
         f"<header><h1>{escape(title)}</h1>{tiles}</header>",

@@ -13,7 +13,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
-from mirror.view.images import utc
+from mirror.view.times import longitude_of, solar_time, utc
 
 _SMALLEST_M: Final = 40.0
 _GRID_COLUMNS: Final = 2
@@ -30,9 +30,8 @@ def make_layout(view: Dataset) -> Any:
     """
     from rerun import blueprint
 
-    rows = sorted(
-        view.table("traversals", ["traversal_id", "drive_id", "entry_ns", "light", "weather"]).to_pylist(), key=_entry
-    )
+    columns = ["traversal_id", "drive_id", "entry_ns", "light", "weather", "bbox"]
+    rows = sorted(view.table("traversals", columns).to_pylist(), key=_entry)
     grids, hidden = [], []
     for row in rows:
         name = row["traversal_id"]
@@ -40,7 +39,9 @@ def make_layout(view: Dataset) -> Any:
         views = [blueprint.Spatial2DView(origin=f"world/{name}/{camera}", name=camera) for camera in cameras]
         hidden += [f"- $origin/{name}/{camera}/masks/**" for camera in cameras]
         if views:
-            title = f"{row['light']}, {row['weather']}: {row['drive_id']} {utc(row['entry_ns'])[11:]}"
+            local = solar_time(row["entry_ns"], longitude_of(row))
+            time = f"{local} solar time" if local else f"{utc(row['entry_ns'])[11:]} UTC"
+            title = f"{row['light']}, {row['weather']}: {row['drive_id']} {time}"
             grids.append(blueprint.Grid(*views, name=title, grid_columns=min(len(views), _GRID_COLUMNS)))
     scene = blueprint.Spatial3DView(
         origin="world", name="scene", contents=["$origin/**", *hidden], eye_controls=_eye_controls(view)

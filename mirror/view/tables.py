@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from mirror.html import html_table
 from mirror.schema.documents import SplitDocument
-from mirror.view.images import solar_time, utc
+from mirror.view.times import longitude_of, solar_time, utc
 
 _MAX_ROWS: Final = 200
 _RULES: Final = {
@@ -26,7 +26,7 @@ def traversal_table(traversals: Sequence[Mapping[str, Any]]) -> str:
         (
             escape(row["scene_id"]),
             utc(row["entry_ns"]),
-            solar_time(row["entry_ns"], row),
+            solar_time(row["entry_ns"], longitude_of(row)),
             f'<i class="dot {escape(row["light"])}"></i>{escape(row["light"])}',
             escape(row["weather"]),
             f"{escape(row['vehicle_id'])} ({escape(row['vehicle_type'])})",

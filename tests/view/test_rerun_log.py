@@ -14,8 +14,8 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES
-from mirror.view.images import utc
 from mirror.view.rerun_log import RerunOptions, log_scene
+from mirror.view.times import solar_time
 from tests.export.street import make_street
 
 rerun_chunk = pytest.importorskip("rerun.chunk", reason="the extra view is not installed")
@@ -70,7 +70,10 @@ def test_the_layout_has_the_scene_and_a_tab_for_each_traversal(street: Dataset, 
     found: dict[str, set[str]] = {"ViewBlueprint:class_identifier": set(), "ViewBlueprint:space_origin": set()}
     tabs = set()
     rows = street.table("traversals").to_pylist()
-    titles = {f"{row['light']}, {row['weather']}: {row['drive_id']} {utc(row['entry_ns'])[11:]}" for row in rows}
+    times = [solar_time(row["entry_ns"], row["bbox"]["xmin"]) for row in rows]
+    titles = {
+        f"{row['light']}, {row['weather']}: {row['drive_id']} {time} solar time" for row, time in zip(rows, times)
+    }
     reader = rerun_chunk.RrdReader(str(out))
     (layout,) = reader.blueprints()
     for chunk in reader.stream(store=layout):

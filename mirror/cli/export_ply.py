@@ -47,6 +47,8 @@ class Arguments:
     Viewers sort near Gaussians less precisely if some are very far."""
     reach: Annotated[float, help_text(metavar="METRES")] = 150.0
     """Distance from the centre of the street; at least the extent of its blocks."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of a method that is not installed: that of the training."""
     json: bool = False
     """Print JSON."""
 
@@ -83,7 +85,8 @@ def main(argv: Sequence[str]) -> int:
     views = tuple(view for view in views if view.camera == views[0].camera)
     appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = PlyExportOptions(arguments.degree, arguments.sky, arguments.reach)
-    written = find_ply_exporter(document.method).export_ply(arguments.model, views, arguments.out, options, appearance)
+    exporter = find_ply_exporter(document.method, arguments.method)
+    written = exporter.export_ply(arguments.model, views, arguments.out, options, appearance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **asdict(written)}))
     else:

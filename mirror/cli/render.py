@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mirror.evaluation.submission.writing import Render
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import Reconstruction
-    from mirror.methods.plugin import InstalledMethod
     from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import RenderView
 
@@ -120,7 +119,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.hosting import checked_renderer
     from mirror.methods.model_document import read_reconstruction, require_held_out_images, require_matching_split
-    from mirror.methods.registry import read_licence
+    from mirror.methods.registry import method_of_model, read_licence
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
@@ -138,7 +137,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
     name, models = _models(arguments.model)
-    method = _method(arguments.method, name)
+    method = method_of_model(name, arguments.method)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol, masked=arguments.masks)
     documents = {scene: read_reconstruction(model) for scene, model in models.items()}
     for document in documents.values():
@@ -200,23 +199,6 @@ def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
             expected="models by one method, one of each scene",
         )
     return methods[0], scenes
-
-
-def _method(given: str | None, name: str) -> InstalledMethod:
-    """The method of the models: the installed one, or the file that the user names."""
-    from mirror.methods.hosting import method_label
-    from mirror.methods.registry import installed_method, load_method
-    from mirror.plugins import is_file_reference
-
-    if given is None and not is_file_reference(name):
-        return installed_method(name)
-    if given is None or method_label(given) != name:
-        raise UsageError(
-            "not given" if given is None else given, place="--method",
-            expected=f"the method of the training: {f'FOLDER/{name}' if is_file_reference(name) else name}",
-            remedy=f"add --method FOLDER/{name}" if is_file_reference(name) else "leave --method out",
-        )  # fmt: skip
-    return load_method(given)
 
 
 def _hash(models: Iterable[Path]) -> str:
@@ -282,6 +264,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
     from mirror.methods.hosting import checked_renderer
     from mirror.methods.model_document import read_reconstruction, require_matching_split
+    from mirror.methods.registry import method_of_model
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import parse_trajectory, plan_views_along
@@ -291,7 +274,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.width is not None:
         pixels = pixels.model_copy(update={"max_width_px": arguments.width})
     name, models = _models(arguments.model)
-    method = _method(arguments.method, name)
+    method = method_of_model(name, arguments.method)
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()

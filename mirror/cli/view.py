@@ -54,6 +54,8 @@ class Arguments:
     """Images of rerun that are wider are scaled down."""
     every: int = 1
     """Show every n-th frame in rerun."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of MODEL's method, if that is not installed: that of the training."""
     host: str = "127.0.0.1"
     """Address of the server for MODEL; 0.0.0.0 lets other machines connect."""
     port: int = 8080
@@ -73,6 +75,8 @@ def main(argv: Sequence[str]) -> int:
         )
     of_rerun = ("save", "boxes", "points", "poses")
     named = [f"--{name}" for name in of_rerun if getattr(arguments, name) is not None]
+    if arguments.model is None and arguments.method is not None:
+        raise UsageError(arguments.method, place="--method", expected="none without MODEL: it renders a model")
     if arguments.model is not None and named:
         raise UsageError(f"MODEL and {named[0]} exclude each other", place=named[0], expected="one of them")
     if arguments.save is not None and arguments.save.suffix != ".rrd":
@@ -120,8 +124,9 @@ def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
 
 
 def _view_model(dataset: Dataset, arguments: Arguments) -> int:
-    from mirror.methods.interactive import find_interactive
+    from mirror.methods.interactive import TrainedAppearance, open_interactive
     from mirror.methods.model_document import read_reconstruction, require_matching_split
+    from mirror.methods.registry import method_of_model
     from mirror.view.street_path import read_path
     from mirror.view.street_viewer import StreetViewer, ViewerOptions, measure_moves
 
@@ -135,7 +140,11 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     view = dataset.where(scene=document.scene, traversal=arguments.traversal or sorted(document.trained))
     view = view.with_layers(calibrations=document.calibrations)
     path = read_path(view, view.traversals()[0], arguments.camera[0] if arguments.camera else None)
-    renderer = find_interactive(document.method).open_interactive(model)
+    trained = dataset.where(traversal=sorted(document.trained))
+    rows = trained.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
+    appearances = [TrainedAppearance(**row) for row in sorted(rows, key=lambda row: row["traversal_id"])]
+    method = method_of_model(document.method, arguments.method)
+    renderer = open_interactive(document.method, method, model, appearances)
     if arguments.measure is not None:
         return _print_times(measure_moves(renderer, path, arguments.measure), as_json=arguments.json)
     viewer = StreetViewer(renderer, path, ViewerOptions(arguments.host, arguments.port))

@@ -9,7 +9,7 @@ from mirror.protocols.views.view import RenderView
 
 
 class DepthRendering(Protocol):
-    """An image with depth; all are float tensors of torch."""
+    """An image with depth; all are float tensors of torch, or float arrays of numpy."""
 
     @property
     def rgb(self) -> Any:
@@ -48,6 +48,6 @@ class CoverRenderer(Protocol):
             limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
 
         Returns:
-            What `DepthRenderer.render` returns; and the shares (H, W), 0 to 1, a float tensor of torch.
+            What `DepthRenderer.render` returns; and the shares (H, W), 0 to 1, of the same type.
         """
         ...

@@ -14,7 +14,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.methods.model_document import DOCUMENT, Costs, Reconstruction, list_trained_traversals, read_reconstruction
 from mirror.methods.plugin import InstalledMethod, ReconstructionResult, ReconstructionTask
-from mirror.plugins import is_file_reference
+from mirror.methods.registry import method_label
 from mirror.progress import ProgressReporter
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_json
@@ -101,11 +101,6 @@ def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callab
         return pixels
 
     return checked
-
-
-def method_label(name: str) -> str:
-    """Return a method's name in documents: its entry point, or ``FILE.py:OBJECT`` without the folder of the file."""
-    return Path(name).name if is_file_reference(name) else name
 
 
 def describe_task(name: str, dataset: Dataset, task: ReconstructionTask) -> Reconstruction:

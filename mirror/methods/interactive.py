@@ -1,15 +1,16 @@
-"""The interface of methods that render fast enough to move through a scene: what `mirror view` asks for."""
+"""Renderers that move through a scene: what `mirror view` asks for, and what any other method gives it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from mirror.arrays import UInt8
-from mirror.errors import UsageError
-from mirror.methods.registry import installed_method
+from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.hosting import checked_renderer
+from mirror.methods.plugin import InstalledMethod
 from mirror.protocols.views.view import RenderView
 
 
@@ -53,23 +54,43 @@ class InteractiveRenderer(Protocol):
 
 @runtime_checkable
 class InteractiveMethod(Protocol):
-    """An installed method with an interactive renderer."""
+    """A method with an interactive renderer of its own."""
 
     def open_interactive(self, model: Path) -> InteractiveRenderer:
         """Open a trained model."""
         ...
 
 
-def find_interactive(name: str) -> InteractiveMethod:
-    """Find an installed method with an interactive renderer.
+@dataclass(frozen=True)
+class PlainRenderer:
+    """The renderer of a method without an interactive one: each image has one trained appearance, none is a mixture.
 
-    Raises:
-        UsageError: no method of that name is installed, or it has no function `open_interactive`.
+    Attributes:
+        appearances: the trained appearances, in order of traversals.
+        renderer: the method's renderer.
     """
-    method = installed_method(name)
-    if not isinstance(method, InteractiveMethod):
-        raise UsageError(
-            f"method {name} has no interactive renderer", expected="a method with a function `open_interactive`",
-            remedy="render a video: mirror render DATASET MODEL --trajectory recorded",
-        )  # fmt: skip
-    return method
+
+    appearances: tuple[TrainedAppearance, ...]
+    renderer: Callable[[RenderView], UInt8]
+
+    def render(self, view: RenderView, weights: Mapping[str, float], *, moving: bool) -> UInt8:
+        """Render a view in the appearance with the greatest weight; see `InteractiveRenderer.render`."""
+        chosen = max(self.appearances, key=lambda one: weights.get(one.traversal_id, 0.0))
+        of_it = {"traversal_id": chosen.traversal_id, "light": chosen.light, "weather": chosen.weather}
+        return self.renderer(view.model_copy(update=of_it))
+
+
+def open_interactive(
+    name: str, method: InstalledMethod, model: Path, appearances: Sequence[TrainedAppearance]
+) -> InteractiveRenderer:
+    """Open a trained model to move through it.
+
+    Args:
+        name: name of the method, for messages.
+        method: the method.
+        model: folder of the model.
+        appearances: the trained traversals, for a method that has no `open_interactive`.
+    """
+    if isinstance(method, InteractiveMethod):
+        return method.open_interactive(model)
+    return PlainRenderer(tuple(appearances), checked_renderer(name, method.open(model, AppearancePolicy())))

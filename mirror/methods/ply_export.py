@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.registry import installed_method
+from mirror.methods.registry import method_of_model
 from mirror.protocols.views.view import RenderView
 
 
@@ -69,13 +69,17 @@ class PlyExporter(Protocol):
         ...
 
 
-def find_ply_exporter(name: str) -> PlyExporter:
-    """Find an installed method that can export a PLY.
+def find_ply_exporter(name: str, given: str | None = None) -> PlyExporter:
+    """Find a method that can export a PLY.
+
+    Args:
+        name: name of the method in the model's document.
+        given: ``FILE.py:OBJECT`` of a method that is not installed; None: it is installed.
 
     Raises:
-        UsageError: no method of that name is installed, or it has no function `export_ply`.
+        UsageError: the method cannot be loaded, or it has no function `export_ply`.
     """
-    method = installed_method(name)
+    method = method_of_model(name, given)
     if not isinstance(method, PlyExporter):
         raise UsageError(f"method {name} cannot export a PLY", expected="a method with a function `export_ply`")
     return method

@@ -7,13 +7,20 @@ import json
 import shutil
 import subprocess
 import sys
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import ExitCode
+from mirror.methods.hosting import describe_task
+from mirror.methods.plugin import ReconstructionTask
+from mirror.protocols.document import load_protocol
+from mirror.schema.files import write_json
 from tests.conftest import ROOT
 
 PLUGINS = ("annotator", "method", "metric", "policy", "reader")
@@ -58,6 +65,85 @@ def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: P
     done = run(tmp_path, "metric.py", dataset, "submission")
     assert done.returncode == 0, done.stderr
     assert all(float(line.split(": ")[1]) > 0.0 for line in done.stdout.splitlines())
+
+
+EXPORTING = """
+class Exporting(MeanColour):
+    def export_ply(self, model, views, out, options, appearance):
+        from mirror.methods.ply_export import PlyExport
+
+        out.write_bytes(b"ply of " + views[0].camera.encode())
+        return PlyExport(gaussians=0, bytes=out.stat().st_size, psnr_db=1.0, origin_m=(0.0, 0.0, 0.0))
+
+
+METHOD = Exporting()
+"""
+OPENING = """
+import sys
+
+import gymnasium
+
+from mirror.cli.main import main
+
+dataset, method = sys.argv[1], ("--method", "method.py:METHOD")
+drive = ("--scenario", "free-traffic", "--policy", "policy.py:Careful", "--duration", "0.2", "--width", "32")
+for words in (
+    ("view", dataset, "model", "--measure", "1", *method),
+    ("export-ply", dataset, "model", "--out", "street.ply", *method),
+    ("simulate", dataset, "model", *drive, "--no-video", "--out", "rollout", *method),
+):
+    assert main(list(words)) == 0, words
+env = gymnasium.make(
+    "hybridworldsim.gym:mirror/Street-v0", street=dataset, model="model", method="method.py:METHOD",
+    cameras=("front_wide",), width_px=32,
+)
+seen, _ = env.reset()
+print("sky", *seen["cameras"]["front_wide"][0, 0].tolist())
+"""
+
+
+def test_a_model_of_a_method_in_a_file_is_opened_by_every_verb(tiny_dataset: Dataset, tmp_path: Path) -> None:
+    dataset, method = tiny_dataset.root, ("--method", "method.py:METHOD")
+    (tmp_path / "method.py").write_text((ROOT / "examples" / "method.py").read_text() + EXPORTING)
+    (tmp_path / "opening.py").write_text(OPENING)
+    mirror(tmp_path, "reconstruct", dataset, "--split", "novel", *method, "--out", "model")
+    done = run(tmp_path, "opening.py", dataset)
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "model" / "colours.npz") as colours:
+        expected = np.floor(colours["front_wide"])
+    # The environment's sky is the method's colour: its model was opened by the file, and rendered.
+    assert np.array(done.stdout.split("sky ")[1].split(), int) == pytest.approx(expected, abs=1)
+    assert (tmp_path / "street.ply").read_bytes().startswith(b"ply of ")
+    # The rollout states which model it shows, though that has no safetensors.
+    assert json.loads((tmp_path / "rollout" / "rollout.json").read_text())["model_hash"] != sha256(b"").hexdigest()
+    serve = (sys.executable, "-m", "mirror", "serve", dataset, "model", "--port", "0", *method)
+    with subprocess.Popen([*map(str, serve)], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            assert "SensorsimService at 127.0.0.1:" in server.stdout.readline()
+        finally:
+            server.terminate()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("view", "{dataset}", "{model}"),
+        ("export-ply", "{dataset}", "{model}", "--out", "{model}.ply"),
+        ("render", "{dataset}", "{model}", "--split", "novel", "--out", "{model}-out"),
+    ],
+)
+def test_the_document_of_a_model_decides_on_no_file_that_is_run(
+    tiny_dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    task = ReconstructionTask(tiny_dataset.scenes()[0], "novel", load_protocol("static-reconstruction"))
+    (tmp_path / "model").mkdir()
+    write_json(tmp_path / "model" / "reconstruction.json", describe_task("method.py:METHOD", tiny_dataset, task))
+    (tmp_path / "method.py").write_text("raise SystemExit('it ran')")
+    given = [word.format(dataset=tiny_dataset.root, model=tmp_path / "model") for word in words]
+    for named, said in (((), "add --method FOLDER/method.py:METHOD"), (("--method", "other.py:M"), "other.py:M")):
+        assert main([*given, *named]) == ExitCode.COULD_NOT_RUN
+        assert said in capsys.readouterr().err
 
 
 def test_a_policy_in_a_file_stays_on_the_road(tmp_path: Path) -> None:

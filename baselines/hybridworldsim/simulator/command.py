@@ -53,6 +53,8 @@ class Arguments:
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
     ] = None
     """What renders the images: wireframes, the synthetic street, a trained model."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of MODEL's method, if that is not installed: that of the training."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
@@ -125,7 +127,7 @@ def _request(arguments: Arguments) -> RolloutRequest:
             "no model here", file=arguments.model, place="MODEL", expected="a folder that `mirror reconstruct` wrote"
         )
     name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
-    factory = RendererFactory(name, arguments.model)
+    factory = RendererFactory(name, arguments.model, arguments.method)
     seed, policy_name = arguments.seed, arguments.policy
     if arguments.replay is not None:
         if arguments.scenario is not None or policy_name is not None or seed is not None:
@@ -204,7 +206,9 @@ def _model_hash(folder: Path) -> str:
     import hashlib
 
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.safetensors")):
+    # The weights of our methods; a method of another package or file may write any file.
+    files = sorted(folder.rglob("*.safetensors")) or sorted(path for path in folder.rglob("*") if path.is_file())
+    for path in files:
         digest.update(path.relative_to(folder).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

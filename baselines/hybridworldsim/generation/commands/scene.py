@@ -57,6 +57,8 @@ class Scene:
     """move:TRACK:dx=METRES,dy=METRES, remove:TRACK, or add:CLASS:at=X,Y,HEADING_DEG in the world frame."""
     appearance: str = "nearest"
     """Appearance of a static model: nearest, mean, a traversal, or a word such as night."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of a static model's method, if that is not installed: that of the training."""
     split: Annotated[str | None, help_text(default="none", metavar="NAME")] = None
     """Split to write a submission for."""
     protocol: Annotated[str, help_text(metavar="NAME")] = "generation"
@@ -147,6 +149,7 @@ def run_scene(argv: Sequence[str]) -> int:
         rollout=rollout,
         threads=arguments.threads,
         device=arguments.device,
+        method_file=arguments.method,
     )
     with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
         document = generate_scene(dataset, request, arguments.out, bar)
@@ -178,6 +181,7 @@ def _write_submission(
         rollout,
         arguments.threads,
         arguments.device,
+        arguments.method,
     )
     with progress_bar(quiet=arguments.json) as bar, exhausted_memory_named(arguments.device, GENERATION_REMEDY):
         count = generate_submission(dataset, request, arguments.out, bar)

@@ -30,7 +30,7 @@ _SAME_PLACE_M: Final = 5.0
 
 
 def open_background(
-    text: str, dataset: Dataset, appearance: str, views: Sequence[RenderView]
+    text: str, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None = None
 ) -> tuple[Background, str]:
     """Open the source of backgrounds that a command-line option names.
 
@@ -40,19 +40,22 @@ def open_background(
         dataset: dataset of the views.
         appearance: appearance of a static model, such as ``night``.
         views: all views, so that an appearance can be chosen by the driven line.
+        method: ``FILE.py:OBJECT`` of a static model's method; None: it is installed.
 
     Returns:
         The source, and a hash or name of everything that its images depend on.
 
     Raises:
-        UsageError: the text is none of these, the dataset is not of the preset and seed, or an appearance is asked of a
-            source that has one only.
+        UsageError: the text is none of these, the dataset is not of the preset and seed, the model's method cannot be
+            loaded, or an appearance or a method is named for a source that is no model.
         DatasetError: the model or the files do not fit the views.
     """
     kind, colon, rest = text.partition(":")
     if kind in ("exact", "files") and colon:
         if appearance != "nearest":
             raise UsageError(f"{appearance!r}", place="--appearance", expected="a static model as background")
+        if method is not None:
+            raise UsageError(f"{method!r}", place="--method", expected="a static model as background")
         if kind == "files":
             files = _Files(Path(rest), views)
             return files, f"{text} sha256 {files.sha256}"
@@ -63,7 +66,7 @@ def open_background(
         street = _ExactStreet(dataset, preset, parse_public_seed(seed or "0", "--background"))
         street.require_drives(views)
         return street, text
-    return _open_model(Path(text), dataset, appearance, views)
+    return _open_model(Path(text), dataset, appearance, views, method)
 
 
 def calibrations_of(text: str) -> str:
@@ -83,10 +86,13 @@ def calibrations_of(text: str) -> str:
     return read_reconstruction(Path(text)).calibrations
 
 
-def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView]) -> tuple[Background, str]:
+def _open_model(
+    model: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None
+) -> tuple[Background, str]:
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.hosting import checked_renderer
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
-    from mirror.methods.registry import installed_method
+    from mirror.methods.registry import method_of_model
 
     document = read_reconstruction(model)
     require_matching_split(dataset, document.split, document)
@@ -96,7 +102,8 @@ def _open_model(model: Path, dataset: Dataset, appearance: str, views: Sequence[
             f"the static model is of scene {document.scene}", place="--background", expected=f"of {', '.join(scenes)}"
         )
     policy = AppearancePolicy(appearance, views, everywhere=True)
-    return installed_method(document.method).open(model, policy), file_sha256(model / DOCUMENT)
+    renderer = method_of_model(document.method, method).open(model, policy)
+    return checked_renderer(document.method, renderer), file_sha256(model / DOCUMENT)
 
 
 def _require_preset(preset: str) -> None:

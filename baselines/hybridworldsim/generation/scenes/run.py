@@ -97,6 +97,7 @@ class SceneRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
+        method_file: ``FILE.py:OBJECT`` of a static model's method; None: it is installed.
     """
 
     files: GeneratorFiles
@@ -113,6 +114,7 @@ class SceneRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
+    method_file: str | None = None
 
     def __post_init__(self) -> None:
         if self.hz is not None and not (math.isfinite(self.hz) and self.hz > 0.0):
@@ -168,7 +170,7 @@ def generate_scene(
     require_valid_boxes(dataset, (one.frame for one in plan.frames))
     require_shown(edits, boxes_of(plan.frames[references:], plan.tracks), plan.tracks)
     views = [view for one in plan.frames for view in rig.views(one.frame, one.world_SE3_ego, plan.light, plan.weather)]
-    background, identity = open_background(request.background, dataset, request.appearance, views)
+    background, identity = open_background(request.background, dataset, request.appearance, views, request.method_file)
     require_output_folder(out, FolderKind.GENERATED)
     # Only now: released weights take minutes to read.
     generator = request.files.open(request.size_px, request.device, request.rollout.sampler.guidance)

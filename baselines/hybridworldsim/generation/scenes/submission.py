@@ -39,6 +39,7 @@ class SubmissionRequest:
         rollout: how frames are generated.
         threads: number of torch threads; results repeat exactly with the same number.
         device: where the generator runs.
+        method_file: ``FILE.py:OBJECT`` of a static model's method; None: it is installed.
     """
 
     files: GeneratorFiles
@@ -50,6 +51,7 @@ class SubmissionRequest:
     rollout: ClipRolloutOptions = field(default_factory=ClipRolloutOptions)
     threads: int = 1
     device: str = "cpu"
+    method_file: str | None = None
 
     @property
     def method(self) -> Method:
@@ -94,7 +96,7 @@ def generate_submission(
             captions.require((view.traversal_id,), [view.camera])
     calibrations = calibrations_of(request.background)
     views = recalibrate_views(dataset, plan.views, calibrations)
-    background, identity = open_background(request.background, dataset, request.appearance, views)
+    background, identity = open_background(request.background, dataset, request.appearance, views, request.method_file)
     for traversal in dict.fromkeys(view.traversal_id for view in plan.views):
         wanted = {view.frame_index for view in plan.views if view.traversal_id == traversal}
         frames = dataset.where(traversal=traversal).frames()

@@ -52,6 +52,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         width_px: width of the images; None: that of the rig.
         height_px: height of the images; None: in proportion.
         model: folder of the trained model, for ``reconstructed``.
+        method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
         scene: scene of the dataset; None: it has only one.
         road_map: file of the map; None: exact for a synthetic street; for a dataset its recorded map, or a fitted one.
         render_mode: ``rgb_array``: `render` returns the cameras of the observation with a bird's-eye view beside them.
@@ -75,6 +76,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
         scene: str | None = None,
         road_map: str | Path | None = None,
         render_mode: str | None = None,
+        method: str | None = None,
     ) -> None:
         if action not in ("controls", "trajectory"):
             raise UsageError(f"action {action!r}", expected="controls or trajectory")
@@ -93,7 +95,7 @@ class StreetEnv(gymnasium.Env[dict[str, Any], np.ndarray]):
                 expected="a folder that `mirror reconstruct` wrote",
             )
         name = renderer or ("boxes" if model is None else "reconstructed")
-        self._factory = RendererFactory(name, None if model is None else Path(model))
+        self._factory = RendererFactory(name, None if model is None else Path(model), method, option="method=")
         self._kind = action
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._scenario.rate_hz}

@@ -39,6 +39,8 @@ class Arguments:
         help_text(default="reconstructed for a model, exact for a synthetic street, else boxes"),
     ] = None
     """What renders the images: wireframes, the synthetic street, a trained model."""
+    method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
+    """The file of MODEL's method, if that is not installed: that of the training."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     host: str = "127.0.0.1"
@@ -68,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
     wire()
     is_synth = arguments.source.startswith(SCHEME)
     name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
-    factory = RendererFactory(name, arguments.model)
+    factory = RendererFactory(name, arguments.model, arguments.method)
     street = open_street(arguments.source, scene=arguments.scene)
     factory.require_model_of(street)
     scenes = open_scenes(street, factory)

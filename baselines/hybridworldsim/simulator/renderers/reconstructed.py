@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from hybridworldsim.kernels.threads import in_parallel
 from hybridworldsim.simulator.policies.protocol import CameraSpec
@@ -26,9 +27,10 @@ from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
 from mirror.geometry.poses import to_pose_numbers
+from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction
-from mirror.methods.registry import installed_method
+from mirror.methods.registry import method_of_model
 from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
 from mirror.synth.light.condition import Condition
@@ -73,19 +75,25 @@ class OpenModel:
     renderer: DepthRenderer
 
     @classmethod
-    def read(cls, path: Path, street: Street) -> OpenModel:
+    def read(cls, path: Path, street: Street, method: str | None = None, *, option: str = "--method ") -> OpenModel:
         """Open the model of a street.
+
+        Args:
+            path: its folder.
+            street: the street.
+            method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
+            option: how the user names the method, for messages.
 
         Raises:
             DatasetError: the folder holds no complete model.
-            UsageError: the model is of another scene, or its method does not render depth.
+            UsageError: the model is of another scene, or its method cannot be loaded or does not render depth.
         """
         document, trained = require_model_of(path, street)
-        renderer = installed_method(document.method).open(path)
+        renderer = method_of_model(document.method, method, option=option).open(path, AppearancePolicy())
         if not isinstance(renderer, DepthRenderer):
             raise UsageError(
-                f"method {document.method} renders no depth", file=path,
-                expected="a method whose renderer has `render`, such as hybridworldsim",
+                f"method {document.method} renders no depth, which places road users in its images", file=path,
+                expected="a method whose renderer has a function `render` with depth, such as hybridworldsim",
             )  # fmt: skip
         return cls(path, document.scene, trained or tuple(sorted(document.trained)), renderer)
 
@@ -196,13 +204,15 @@ class ReconstructedRenderer(Renderer):
             rendering, covers = renderer.render_covers(view, limit_m)
         else:
             rendering = renderer.render(view)
-        rgb = rendering.rgb.detach().clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
-        depth = rendering.depth_m.detach().cpu().numpy()
+        colours, alpha, depth_m = (
+            torch.as_tensor(part).detach() for part in (rendering.rgb, rendering.alpha, rendering.depth_m)
+        )
+        rgb = colours.clamp(0.0, 1.0).mul(255.0).add(0.5).byte().cpu().numpy()
         # Where the model shows hardly anything, nothing hides an agent.
-        depth = np.where(rendering.alpha.detach().cpu().numpy() > 0.5, depth, 0.0).astype(np.float32)
+        depth = np.where(alpha.cpu().numpy() > 0.5, depth_m.cpu().numpy(), 0.0).astype(np.float32)
         covered: Float32 = np.zeros(depth.shape, np.float32)
         if covers is not None:
-            covered = covers.detach().cpu().numpy().astype(np.float32)
+            covered = torch.as_tensor(covers).detach().cpu().numpy().astype(np.float32)
         elif limit_m is not None:
             # Only the mean depth is known.
             covered = ((depth > 0.0) & (depth < limit_m)).astype(np.float32)

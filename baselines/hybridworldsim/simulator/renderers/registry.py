@@ -23,12 +23,16 @@ class RendererFactory:
     Args:
         name: one of `RENDERERS`.
         model: folder of the trained model, for ``reconstructed``.
+        method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
+        option: how the user names the method, for messages.
 
     Raises:
-        UsageError: there is no such renderer, or the model is missing.
+        UsageError: there is no such renderer, the model is missing, or a method is named without one.
     """
 
-    def __init__(self, name: str, model: Path | None = None) -> None:
+    def __init__(
+        self, name: str, model: Path | None = None, method: str | None = None, *, option: str = "--method "
+    ) -> None:
         if name not in RENDERERS:
             raise UsageError(f"no renderer {name!r}", expected=f"one of {', '.join(RENDERERS)}")
         if (name == "reconstructed") != (model is not None):
@@ -36,7 +40,10 @@ class RendererFactory:
                 f"the renderer {name!r} {'needs a model' if model is None else 'has no model'}", place="model",
                 expected="the folder of a trained model with the renderer 'reconstructed', and none with others",
             )  # fmt: skip
+        if method is not None and model is None:
+            raise UsageError(method, place=option.strip(" ="), expected="none without a model: it renders one")
         self.name, self._model_path = name, model
+        self._method, self._option = method, option
         self._model: object = None
 
     def require_model_of(self, street: Street) -> None:
@@ -104,5 +111,5 @@ class RendererFactory:
         from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 
         if not isinstance(self._model, OpenModel):
-            self._model = OpenModel.read(self._model_path or Path(), street)
+            self._model = OpenModel.read(self._model_path or Path(), street, self._method, option=self._option)
         return ReconstructedRenderer(self._model, street, scenario, start, cameras, appearance)

@@ -114,7 +114,7 @@ class Board:
 
 
 def make_boards(entries: Iterable[Entry]) -> list[Board]:
-    """Group entries into boards, in the order of protocols; the tables of papers come first."""
+    """Group entries into boards, in the order of protocols: measured ones, older versions of them, then papers."""
     groups: dict[_Key, list[Entry]] = {}
     for entry in entries:
         groups.setdefault(_board_key(entry), []).append(entry)
@@ -123,7 +123,7 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     def sort_key(key: _Key) -> tuple[object, ...]:
         protocol, title, split, hashes, options = key
         is_older = hashes is not None and hashes[0] != load_protocol(protocol).hash
-        return order[protocol], hashes is not None, is_older, title, split or "", hashes or (), options
+        return order[protocol], hashes is None, is_older, title, split or "", hashes or (), options
 
     keys = sorted(groups, key=sort_key)
     return [_make_board(key, groups[key]) for key in keys]

@@ -23,6 +23,7 @@ BOARD: Final = Path("leaderboard")
 
 _BUILD_EXAMPLES = (
     "mirror leaderboard build --out site",
+    "mirror leaderboard build --papers --out site",
     "mirror leaderboard build --board demo/board --unsigned --out site",
 )
 _ADD_EXAMPLES = (
@@ -50,9 +51,11 @@ class Build:
     out: Path = Path("site")
     """Folder for the site."""
     board: Annotated[Path | None, help_text(default="./leaderboard if it is a board", metavar="FOLDER")] = None
-    """Board to show beside the figures of papers: a folder that `mirror leaderboard add` wrote."""
+    """Board to show: a folder that `mirror leaderboard add` wrote."""
     also: Annotated[tuple[Path, ...], help_text(default="none", metavar="FOLDER")] = ()
     """More boards. An entry replaces the same entry of a board before it."""
+    papers: Annotated[bool, help_text(default="only if there is no board")] = False
+    """Show the figures that papers report too, in tables of their own behind the measured ones."""
     unsigned: bool = False
     """Build a draft: entries without signature and review are shown, and the page says so."""
 
@@ -147,7 +150,9 @@ def _build(argv: Sequence[str]) -> int:
 
     has_default = arguments.board is None and (BOARD / "entries").is_dir()
     boards = (BOARD,) if has_default else () if arguments.board is None else (arguments.board,)
-    print(f"site: {build((PAPERS, *boards, *arguments.also), arguments.out, unsigned=arguments.unsigned)}")
+    boards = (*boards, *arguments.also)
+    papers = (PAPERS,) if arguments.papers or not boards else ()
+    print(f"site: {build((*papers, *boards), arguments.out, unsigned=arguments.unsigned)}")
     return ExitCode.DONE
 
 

@@ -12,7 +12,8 @@ from typing import ClassVar
 
 import pytest
 
-from mirror.errors import DatasetError
+from mirror.cli.main import main
+from mirror.errors import DatasetError, ExitCode
 from mirror.schema.files import write_json
 from mirror_leaderboard.boards import make_boards
 from mirror_leaderboard.command import PAPERS
@@ -119,7 +120,8 @@ def test_older_protocol_is_marked(tmp_path: Path) -> None:
     )
     assert "an older version" not in new
     assert "an older version" in old
-    assert '<figure class="plot">' in new and '<figure class="plot">' not in old
+    # Each table has a plot of its own: no value of an older version stands beside one of today's.
+    assert new.count('<figure class="plot">') == old.count('<figure class="plot">') == 1
 
 
 def test_streets_with_a_public_seed_are_practice_sets(tmp_path: Path) -> None:
@@ -148,6 +150,35 @@ def test_plot_needs_time_and_value(tmp_path: Path) -> None:
     assert "<svg" not in build_site([slow], [tmp_path], tmp_path / "a").read_text()
     fast = measured("a", 20.0, pairs=())
     assert "<circle" in build_site([fast], [tmp_path], tmp_path / "b").read_text()
+
+
+def test_each_dataset_has_a_plot_of_its_own(tmp_path: Path) -> None:
+    entries = [
+        measured(method, 20.0, pairs=(), dataset=dataset, result_hash=f"{number}1" * 32)
+        for number, (method, dataset) in enumerate((("a", "one"), ("b", "one"), ("c", "two")))
+    ]
+    reported = load_entries(REPORTED)
+    text = build_site([*entries, *reported], [], tmp_path / "site").read_text()
+    panels = {name: text.split(f'data-tab="{name}')[1].split('class="panel"')[0] for name in ("one", "two", "MIRROR")}
+    named = {name: set(re.findall(r"<title>([^:]+): ", panel)) for name, panel in panels.items()}
+    assert [panel.count('<figure class="plot">') for panel in panels.values()] == [1, 1, 1]
+    assert (named["one"], named["two"]) == ({"a", "b"}, {"c"})
+    assert "HybridWorldSim" in named["MIRROR"] and not named["MIRROR"] & {"a", "b", "c"}
+
+
+def test_rows_of_papers_are_shown_by_option(tmp_path: Path) -> None:
+    own = tmp_path / "own" / "entries"
+    write_json(own / "measured-a.json", measured("a", 20.0, pairs=()))
+    kinds = {}
+    for name, words in {"own": [], "both": ["--papers"]}.items():
+        given = ["--board", str(own.parent), *words]
+        assert (
+            main(["leaderboard", "build", *given, "--unsigned", "--out", str(tmp_path / "site" / name)])
+            == ExitCode.DONE
+        )
+        text = (tmp_path / "site" / name / "index.html").read_text()
+        kinds[name] = set(re.findall(r'data-kind="(\w+)"', text))
+    assert kinds["own"] == {"measured"} and kinds["both"] == {"measured", "reported"}
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (1280, True), (390, False), (320, True)])
@@ -203,7 +234,7 @@ def luminance(*rgb: int) -> float:
 TABLE = "document.querySelector('[data-kind=measured] table.board')"
 METHODS = f"[...{TABLE}.tBodies[0].rows].map(row => row.cells[0].dataset.value)"
 HEADS = f"[...{TABLE}.querySelectorAll('thead th button')]"
-SHOW_MEASURED = "document.querySelector('[role=tab]:nth-child(4)').click()"
+SHOW_MEASURED = "document.querySelector('[role=tab]').click()"
 
 
 def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
@@ -278,21 +309,21 @@ def test_tables_need_no_scripts(browser: Browser, board: Path, tmp_path: Path) -
         browser.call("Emulation.setScriptExecutionDisabled", value=False)
 
 
-def test_papers_come_first_and_tabs_show_one_dataset_at_a_time(browser: Browser, board: Path, tmp_path: Path) -> None:
+def test_measured_tables_come_first_and_tabs_show_one_at_a_time(browser: Browser, board: Path, tmp_path: Path) -> None:
     page = build([board], tmp_path / "site")
     kinds = re.findall(r'class="panel" id="([^"]*)" data-tab="([^"]*)" data-kind="(\w+)"', page.read_text())
     first = [kind for name, _, kind in kinds if name.startswith("static-reconstruction")]
-    assert first == ["reported"] * 3 + ["measured"]
+    assert first == ["measured"] + ["reported"] * 3
     browser.open(page)
     section = "document.querySelector('#static-reconstruction')"
     shown = f"[...{section}.querySelectorAll('.panel')].filter(panel => !panel.hidden).map(panel => panel.dataset.tab)"
-    assert browser.script(shown) == ["MIRROR"]
+    assert browser.script(shown) == ["synthetic street, unverified"]
     browser.script(f"{section}.querySelectorAll('[role=tab]')[1].click()")
-    assert browser.script(shown) == ["nuPlan"]
+    assert browser.script(shown) == ["MIRROR"]
     browser.script(f"{section}.querySelectorAll('[role=tab]')[1].focus()")
     for kind in ("keyDown", "keyUp"):
         browser.call("Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight", windowsVirtualKeyCode=39)
-    assert browser.script(shown) == ["nuScenes"]
+    assert browser.script(shown) == ["nuPlan"]
     browser.script(f"location.hash = '{kinds[3][0]}'")
     assert browser.script(f"new Promise(done => setTimeout(() => done({shown}), 50))") == [kinds[3][1]]
     selected = f"{section}.querySelectorAll('[role=tab][aria-selected=true]').length"

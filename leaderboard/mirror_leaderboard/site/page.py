@@ -101,22 +101,23 @@ def _format_page(boards: Sequence[Board], entries: Sequence[Entry], *, draft: bo
 def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
     about = " ".join(load_protocol(protocol).description.split())
     notes: dict[str, int] = {}
-    panels = "".join(_format_panel(board, notes) for board in boards)
+    panels = "".join(_format_panel(board, notes, entries) for board in boards)
     return (
         f'<section id="{escape(protocol)}"><h2>{escape(protocol)}</h2>'
         f"<details><summary>What the protocol scores</summary><p>{escape(about)}</p></details>"
-        f'<div class="tabs">{panels}</div>{format_notes(notes)}{time_quality_plot(boards, entries)}</section>'
+        f'<div class="tabs">{panels}</div>{format_notes(notes)}</section>'
     )
 
 
-def _format_panel(board: Board, notes: dict[str, int]) -> str:
+def _format_panel(board: Board, notes: dict[str, int], entries: Sequence[Entry]) -> str:
     """Format a board. The script shows one panel of a section at a time; without it all are shown."""
     kind = "reported" if board.hashes is None else "measured"
     words = [*(["practice set"] if board.is_practice else []), *([_version_word(board)] if board.is_older else [])]
     label = ", ".join([board.title, *words, *map(_tab_word, board.options)])
     return (
         f'<div class="panel" id="{board.id}" data-tab="{escape(label)}" data-kind="{kind}">'
-        f"{_format_heading(board)}{board_table(board, notes)}{board_slider(board)}</div>"
+        f"{_format_heading(board)}{board_table(board, notes)}{time_quality_plot(board, entries)}{board_slider(board)}"
+        "</div>"
     )
 
 

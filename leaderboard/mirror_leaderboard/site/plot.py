@@ -15,8 +15,6 @@ from mirror_leaderboard.site.tables import group_title
 
 _WIDTH, _HEIGHT = 640, 340
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 30, 14, 54
-_HUES: Final = 6
-_SHAPES: Final = {"measured": "●", "reported": "◇"}
 # Sizes of labels are those of the larger font on a phone.
 _LABEL_PX: Final = 19
 _LETTER_PX: Final = 10.0
@@ -30,39 +28,32 @@ class _Point:
     value: float
     label: str
     kind: str
-    hue: int
 
 
-def time_quality_plot(boards: Sequence[Board], entries: Sequence[Entry]) -> str:
-    """Plot the boards of one protocol; empty if no entry has both a render time and a value.
+def time_quality_plot(board: Board, entries: Sequence[Entry]) -> str:
+    """Plot the methods of a board; empty if none has both a render time and a value.
 
-    Boards of an older version of the protocol are left out.
+    Values of different data are not comparable: each board has a plot of its own.
 
     Args:
-        boards: boards of one protocol; each has its colour, since values of different data are not comparable.
+        board: the board.
         entries: all entries: the render time of a method may be in another of its entries.
     """
-    boards = [board for board in boards if not board.is_older]
-    columns = dict.fromkeys(board.ranked_by for board in boards)
-    column = next((column for column in columns if _list_points(boards, column, entries)), None)
-    if column is None:
+    column = board.ranked_by
+    points = _list_points(board, column, entries)
+    if not points:
         return ""
-    points = _list_points(boards, column, entries)
     measure = MEASURES[column[1]]
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"
     x, y = _log_axis([point.seconds for point in points]), _linear_axis([point.value for point in points])
     elements = [*_format_grid(x, y), *_format_points(points, x, y, measure.digits)]
-    titles = dict.fromkeys((point.hue, boards[point.hue].title) for point in points)
-    legend = "".join(f'<span><i class="dot h{hue % _HUES}"></i>{escape(title)}</span>' for hue, title in titles)
-    kinds = {point.kind for point in points}
-    shapes = "".join(f"<span>{shape} {kind}</span>" for kind, shape in _SHAPES.items() if kind in kinds)
-    about = f"{head} against seconds per image: " + "; ".join(
+    about = f"{board.title}: {head} against seconds per image: " + "; ".join(
         f"{point.label} {point.value:.{measure.digits}f} at {point.seconds:.3g} s" for point in points
     )
     axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds per image ↓</text>'
     return (
-        f'<figure class="plot"><figcaption>{escape(head)}, against the stated render time of an image</figcaption>'
-        f'<p class="key">{legend}{shapes}</p>'
+        f'<figure class="plot"><figcaption>{escape(head)}, against the stated render time of an image'
+        f"; {escape(board.title)}</figcaption>"
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
         f"{''.join(elements)}{axis}</svg></figure>"
     )
@@ -96,13 +87,12 @@ class _Axis:
         return (position - self.low) / (self.high - self.low)
 
 
-def _list_points(boards: Sequence[Board], column: Column, entries: Sequence[Entry]) -> list[_Point]:
+def _list_points(board: Board, column: Column, entries: Sequence[Entry]) -> list[_Point]:
     points = []
-    for hue, board in enumerate(boards):
-        for entry in board.entries:
-            value, seconds = find_value(entry, column), seconds_per_image(entry, entries)
-            if value is not None and seconds is not None:
-                points.append(_Point(seconds, value * MEASURES[column[1]].scale, entry.method, entry.kind, hue))
+    for entry in board.entries:
+        value, seconds = find_value(entry, column), seconds_per_image(entry, entries)
+        if value is not None and seconds is not None:
+            points.append(_Point(seconds, value * MEASURES[column[1]].scale, entry.method, entry.kind))
     return points
 
 
@@ -141,12 +131,11 @@ def _format_points(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) ->
     occupied = [_Box(at_x - radius, at_x + radius, at_y - radius, at_y + radius) for at_x, at_y in positions]
     for point, (at_x, at_y) in sorted(zip(points, positions), key=lambda item: (-item[0].value, item[0].seconds)):
         title = f"<title>{escape(point.label)}: {point.value:.{digits}f} at {point.seconds:.3g} s per image</title>"
-        hue = f"h{point.hue % _HUES}"
         if point.kind == "measured":
-            shape = f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="6" class="point {hue}">{title}</circle>'
+            shape = f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="6" class="point">{title}</circle>'
         else:
             diamond = f"M{at_x:.1f} {at_y - 8:.1f}l8 8l-8 8l-8 -8z"
-            shape = f'<path d="{diamond}" class="point hollow {hue}">{title}</path>'
+            shape = f'<path d="{diamond}" class="point hollow">{title}</path>'
         side, rows, box = _place_label(at_x, at_y, _LETTER_PX * len(point.label), occupied)
         occupied.append(box)
         label_x, label_y = box.left if side > 0 else box.right, at_y + 4 + rows * _LABEL_PX

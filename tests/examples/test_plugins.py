@@ -115,7 +115,7 @@ def test_a_model_of_a_method_in_a_file_is_opened_by_every_verb(tiny_dataset: Dat
     assert np.array(done.stdout.split("sky ")[1].split(), int) == pytest.approx(expected, abs=1)
     assert (tmp_path / "street.ply").read_bytes().startswith(b"ply of ")
     # The rollout states which model it shows, though that has no safetensors.
-    assert json.loads((tmp_path / "rollout" / "rollout.json").read_text())["model_hash"] != sha256(b"").hexdigest()
+    assert json.loads((tmp_path / "rollout" / "run.json").read_text())["model_hash"] != sha256(b"").hexdigest()
     serve = (sys.executable, "-m", "mirror", "serve", dataset, "model", "--port", "0", *method)
     with subprocess.Popen([*map(str, serve)], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as server:
         try:

@@ -19,8 +19,13 @@ from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.geometry import project_boxes
+from mirror.methods.hosting import reconstruct
+from mirror.methods.plugin import ReconstructionTask
+from mirror.methods.registry import load_method
+from mirror.progress import NullProgress
 from mirror.protocols.document import load_protocol
 from mirror.protocols.views import plan_views
+from tests.conftest import ROOT
 
 CAMERAS = ("front_wide", "front_left")
 FRAMES, T = 2, 5
@@ -182,3 +187,22 @@ def test_half_precision_changes_frames_by_a_few_grey_levels(
     difference = np.abs(images(tmp_path / "out").astype(int) - plain)
     assert 0 < difference.max() <= 8
     assert difference.mean() < 1.0
+
+
+def test_a_background_is_a_model_of_a_method_in_a_file(
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "examples" / "method.py", tmp_path)
+    method, model = f"{tmp_path / 'method.py'}:METHOD", tmp_path / "model"
+    scene = str(tiny_dataset.where(traversal=traversal).scenes()[0])
+    task = ReconstructionTask(scene, "novel", load_protocol("static-reconstruction"))
+    reconstruct(method, load_method(method), tiny_dataset, task, model, NullProgress())
+    words = ["scene", str(tiny_dataset.root), str(models), "--background", str(model), "--traversal", traversal]
+    words += ["--frames", "1", "--size", "24x16", "--out", str(tmp_path / "out")]
+    with pytest.raises(UsageError) as refused:
+        main(words)
+    assert refused.value.place == "--method" and refused.value.remedy == "add --method FOLDER/method.py:METHOD"
+    assert main([*words, "--method", method]) == ExitCode.DONE
+    assert len(list((tmp_path / "out" / "frames").rglob("*.png"))) == len(tiny_dataset.cameras())
+    with pytest.raises(UsageError, match="a static model as background"):
+        main([*words, "--background", "exact:tiny", "--method", method])

@@ -10,8 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from mirror.arrays import Float64
 from mirror.calibration.check import CalibrationCheck, CameraCheck, TraversalCheck
-from mirror.calibration.estimate import AXES
+from mirror.calibration.estimate import AXES, OBSERVABLE_DEG
 from mirror.calibration.localisation import PAPER_PERCENT
 from mirror.calibration.stages import JUMP_CM, JUMP_DEG, StageDifference
 from mirror.calibration.statistics import LIMIT_DEG, FleetStatistics
@@ -28,13 +29,15 @@ _CONFUSED: Final = (
     "In a bend some other errors look like a rotation of the camera, most of all like yaw: a focal length or a length "
     "of the recorded way that is wrong by a share of a percent, drift of the recorded positions, and the position of "
     "the camera on the vehicle. They are unknowns with priors, so their uncertainty is a part of each figure; the "
-    "table states the largest source of it. An error of the clock between poses and images, of the principal point or "
-    "of the distortion is not an unknown: it is counted as a rotation."
+    "table of axes states the largest source of it. An error of the clock between poses and images, of the principal "
+    "point or of the distortion is not an unknown: it is counted as a rotation."
 )
 _CSS: Final = (
     ".limit{stroke:#c0392b;stroke-width:1.5;stroke-dasharray:4 3}.axis{stroke:currentColor;opacity:.4}"
     ".hist{fill:#4c78a8}.over{fill:#c0392b}.verdict{font-size:1.4rem;font-weight:700}"
     "svg text{font-size:11px;fill:currentColor}"
+    ".whole{white-space:normal;width:26em;overflow-wrap:break-word}"
+    "td:first-child{white-space:normal;overflow-wrap:anywhere;min-width:11em}"
 )
 
 
@@ -50,14 +53,16 @@ def write_calibration_page(check: CalibrationCheck, out: Path) -> None:
         '<p class="dim">An error is the angle between a delivered mounting and its estimate from images, for one '
         "camera in one traversal, over the observable axes. The verdict counts traversals: one is good if all its "
         "cameras are below the limit. The bounds are Clopper and Pearson's, one-sided, 95 %.</p>",
-        '<div class="grid two">',
-        _histogram([one.angle_deg for _, one in _known(check)]),
-        _over_days(check.traversals),
-        "</div>",
+        _charts(check),
         "<h2>Errors by camera</h2>",
         '<p class="dim">About each axis the error and its standard deviation. In brackets: the axis is unobservable, '
         "because its standard deviation is above 0.1 degrees.</p>",
         _camera_table(check),
+        "<h2>Which axes were observable, and why</h2>",
+        '<p class="dim">The standard deviation of the error about each axis, in degrees, and the largest source of it '
+        f"with its share of the variance. An axis is observable up to {OBSERVABLE_DEG:g} degrees. Turning shows roll, "
+        "driving ahead shows pitch and yaw; tracks of points show all of them.</p>",
+        _axes_table(check),
         f'<p class="dim">{_CONFUSED}</p>',
         "<h2>Traversals</h2>",
         _traversal_table(check.traversals),
@@ -109,11 +114,16 @@ def _verdict(found: FleetStatistics) -> str:
     return f'<p class="verdict">{headline}</p><p>{why}</p><div class="tiles">{cells}</div>'
 
 
-def _histogram(angles: Sequence[float | None]) -> str:
-    """A histogram of the errors with the limit as a line."""
-    values = np.array([angle for angle in angles if angle is not None])
+def _charts(check: CalibrationCheck) -> str:
+    """The charts of the errors; a sentence if there is none."""
+    values = np.array([one.angle_deg for _, one in _known(check)], np.float64)
     if not len(values):
-        return _figure("Errors of the cameras: no estimate", "")
+        return '<p class="dim">No chart of errors: no camera has an estimate.</p>'
+    return f'<div class="grid two">{_histogram(values)}{_over_days(check.traversals)}</div>'
+
+
+def _histogram(values: Float64) -> str:
+    """A histogram of errors (at least one), in degrees, with the limit as a line."""
     top = max(2.0 * LIMIT_DEG, float(values.max()) * 1.05)
     # The limit is an edge of bins, so that no bar has errors of both sides.
     step = LIMIT_DEG / max(round(_BINS * LIMIT_DEG / top), 1)
@@ -135,14 +145,12 @@ def _histogram(angles: Sequence[float | None]) -> str:
 
 
 def _over_days(traversals: Sequence[TraversalCheck]) -> str:
-    """The largest and the median error of each traversal over the days of the fleet."""
+    """The largest and the median error of each traversal over the days of the fleet; at least one has an estimate."""
     points = [
         (item.entry_ns * 1e-9, [one.angle_deg for one in item.cameras if one.angle_deg is not None])
         for item in traversals
     ]
     points = [(second, angles) for second, angles in points if angles]
-    if not points:
-        return _figure("Errors over the days: no estimate", "")
     seconds = np.array([second for second, _ in points])
     span = max(float(np.ptp(seconds)), 1.0)
     top = max(2.0 * LIMIT_DEG, max(max(angles) for _, angles in points) * 1.05)
@@ -189,6 +197,8 @@ def _figure(title: str, drawing: str, height: int = _HEIGHT) -> str:
 
 
 def _camera_table(check: CalibrationCheck) -> str:
+    if not any(item.cameras for item in check.traversals):
+        return '<p class="dim">No camera could be checked: the table of traversals states the reasons.</p>'
     rows = []
     for item in check.traversals:
         for one in item.cameras:
@@ -199,8 +209,7 @@ def _camera_table(check: CalibrationCheck) -> str:
             angle = "--" if one.angle_deg is None else f"{one.angle_deg:.3f}"
             rows.append(
                 [escape(item.traversal_id), escape(one.camera), one.stage, angle, one.status, *axes,
-                 f"{one.focal_error_percent:+.2f} ± {one.focal_sigma_percent:.2f}", _sources(one),
-                 escape(one.reason or ""), f"{one.tracks:,}"]
+                 f"{one.focal_error_percent:+.2f} ± {one.focal_sigma_percent:.2f}", f"{one.tracks:,}"]
             )  # fmt: skip
     head = (
         "traversal",
@@ -212,24 +221,37 @@ def _camera_table(check: CalibrationCheck) -> str:
         "n:pitch",
         "n:yaw",
         "n:focal length (%)",
-        "largest source of variance",
-        "reason",
         "n:tracks",
     )
     return html_table(head, rows)
 
 
-def _sources(one: CameraCheck) -> str:
-    """The largest source of the variance of each axis, with its share."""
-    return "<br>".join(
-        f"{axis}: {escape(name)} {share:.0%}" for axis, name, share in zip(AXES, one.source, one.source_share)
-    )
+def _axes_table(check: CalibrationCheck) -> str:
+    rows = []
+    for item in check.traversals:
+        for one in item.cameras:
+            axes = [
+                f"{'yes' if known else '<b>no</b>'}, ± {sigma:.3f}<br><small>{escape(name)} {share:.0%}</small>"
+                for known, sigma, name, share in zip(one.observable, one.sigma_deg, one.source, one.source_share)
+            ]
+            why = (
+                one.reason or f"turned {item.turned_deg:.0f} degrees over {item.driven_m:.0f} m, {one.tracks:,} tracks"
+            )
+            rows.append([escape(item.traversal_id), escape(one.camera), *axes, _whole(why)])
+    if not rows:
+        return '<p class="dim">No camera could be checked: the table of traversals states the reasons.</p>'
+    return html_table(("traversal", "camera", *AXES, "why"), rows)
+
+
+def _whole(text: str) -> str:
+    """A text that wraps, so that it is read without scrolling sideways."""
+    return f'<div class="whole">{escape(text)}</div>' if text else ""
 
 
 def _traversal_table(traversals: Sequence[TraversalCheck]) -> str:
     rows = [
         [escape(one.traversal_id), escape(one.vehicle_id), one.light, one.status, f"{one.frames}",
-         f"{one.driven_m:.0f}", f"{one.turned_deg:.0f}", _way(one), escape(one.message or "; ".join(one.unread))]
+         f"{one.driven_m:.0f}", f"{one.turned_deg:.0f}", _way(one), _whole(one.message or "; ".join(one.unread))]
         for one in traversals
     ]  # fmt: skip
     head = (
@@ -267,6 +289,8 @@ def _stage_table(differences: Sequence[StageDifference]) -> str:
 
 def _validity(check: CalibrationCheck) -> str:
     """Validity intervals as bars, one line for each vehicle, camera and stage; jumps as red lines."""
+    if not check.history.rows:
+        return '<p class="dim">The dataset has no calibrations.</p>'
     times = [item.entry_ns for item in check.traversals]
     rows = check.history.rows
     times += [row[name] for row in rows for name in ("valid_from_ns", "valid_to_ns") if row[name] is not None]

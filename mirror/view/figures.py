@@ -10,6 +10,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
+from mirror.view.cameras_figure import cameras_figure
 from mirror.view.images import choose_passages, condition_order, frame_of, same_place
 from mirror.view.plots import (
     LIGHT_COLOURS,
@@ -37,8 +38,6 @@ _MOST_SCENES: Final = 12
 _MOST_PASSAGES: Final = 24
 _MOST_CATEGORIES: Final = 16
 _COLUMNS: Final = 4
-_WEDGE_M: Final = 1.2
-_STAGE_COLOURS: Final = {"factory": "#4c78a8", "online": "#f58518", "refined": "#54a24b"}
 
 
 def draw_figures(
@@ -204,63 +203,6 @@ def place_figure(dataset: Dataset) -> Figure | None:
         figure.suptitle(f"One place of {scene['scene_id']} in {len(passages)} traversals", fontsize=10)
         return figure
     return None
-
-
-def cameras_figure(dataset: Dataset) -> Figure | None:
-    """Plot the mounting of the cameras of each rig from above, with their fields of view, by calibration stage."""
-    table = dataset.table("calibrations").to_pylist()
-    rigs = {row["drive_id"]: row["rig_id"] for row in dataset.table("traversals", ["drive_id", "rig_id"]).to_pylist()}
-    by_rig: dict[str, list[Mapping[str, Any]]] = {}
-    for row in table:
-        by_rig.setdefault(rigs.get(row["drive_id"]) or "unknown rig", []).append(row)
-    if not by_rig:
-        return None
-    shown = sorted(by_rig)[:_MOST_SCENES]
-    figure, panels = _panels(len(shown), 3.0)
-    stages: set[str] = set()
-    for axes, rig in zip(panels, shown):
-        stages |= {row["stage"] for row in by_rig[rig]}
-        _draw_rig(axes, by_rig[rig])
-        axes.set_title(rig, fontsize=8)
-    for stage in (name for name in _STAGE_COLOURS if name in stages):
-        panels[0].plot([], [], color=_STAGE_COLOURS[stage], label=stage)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle("Cameras from above: mounting and field of view by calibration stage", fontsize=10)
-    return figure
-
-
-def _draw_rig(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
-    from mirror.geometry.cameras import camera_from_row
-    from mirror.geometry.poses import Poses
-
-    drawn = set()
-    for row in rows:
-        camera = camera_from_row(row)
-        pose = Poses.from_columns({name: [row[name]] for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")})
-        middle = 0.5 * camera.height_px
-        edge = camera.unproject([[0.5, middle], [camera.width_px - 0.5, middle]])
-        place = pose.translation[0]
-        ends = place + _WEDGE_M * (pose.transform(edge.direction)[0] - place) if edge.valid.all() else place[None]
-        colour = _STAGE_COLOURS.get(row["stage"], "#888888")
-        # Forward is up, left is left.
-        outline = np.vstack([place, ends, place])
-        dashes = "--" if row["stage"] == "online" else "-"
-        axes.plot(-outline[:, 1], outline[:, 0], color=colour, linewidth=0.8, linestyle=dashes)
-        if row["camera"] not in drawn:
-            drawn.add(row["camera"])
-            axis = pose.matrix()[0, :3, 2]
-            # The wedge of a narrow lens is inside that of a wide one: its label stands farther out.
-            is_narrow = len(ends) == 2 and np.linalg.norm(ends[1] - ends[0]) < _WEDGE_M
-            label = place + (1.2 if is_narrow else 0.6) * _WEDGE_M * axis
-            axes.text(-label[1], label[0], row["camera"], ha="center", va="center", fontsize=5.5, zorder=5)
-            # Texts do not widen the axes: without this a label lies on the title.
-            axes.update_datalim([(-label[1], label[0])])
-    axes.margins(0.08)
-    axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_xlabel("right of the rear axle (m)", fontsize=7)
-    axes.set_ylabel("ahead (m)", fontsize=7)
-    axes.tick_params(labelsize=7)
 
 
 def _prepare_map(axes: Any, scene: Mapping[str, Any]) -> None:

@@ -48,19 +48,20 @@ def condition_order(light: str, weather: str) -> tuple[int, str]:
     return (_LIGHTS.index(light) if light in _LIGHTS else len(_LIGHTS), weather)
 
 
-def rig_images(frame: Frame, *, boxes: bool, width_px: int) -> str:
+def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | None = None) -> str:
     """Format all images of one frame; those of a MIRROR rig are arranged by the directions of its seven cameras.
 
     Args:
         frame: the frame.
         boxes: whether to draw its 3D boxes.
         width_px: maximum width; wider images are scaled down.
+        against: the same frame with another layer of boxes, which are drawn dashed; None: none.
     """
     is_canonical = set(frame.images) >= set(CANONICAL_CAMERAS)
     figures = [
         _figure(
             _inline(frame, camera, width_px),
-            _draw_boxes(frame, camera) if boxes else "",
+            _overlay(frame, against, camera) if boxes else "",
             escape(camera),
             camera if is_canonical else "",
         )
@@ -184,10 +185,17 @@ def _inline(frame: Frame, camera: str, width_px: int) -> str:
     return inline_image(frame.images[camera].decode(), camera, width_px)
 
 
+def _overlay(frame: Frame, against: Frame | None, camera: str) -> str:
+    """Draw the visible boxes of a frame as SVG in pixels, above dashed ones of another layer."""
+    lens = frame.images[camera].camera_model
+    dashed = "" if against is None else f'<g class="against">{_draw_boxes(against, camera)}</g>'
+    box = f"0 0 {lens.width_px} {lens.height_px}"
+    return f'<svg class="boxes" viewBox="{box}">{dashed}{_draw_boxes(frame, camera)}</svg>'
+
+
 def _draw_boxes(frame: Frame, camera: str) -> str:
-    """Draw the edges of the visible boxes, projected through the lens of the image, as SVG in pixels."""
-    image = frame.images[camera]
-    lens = image.camera_model
+    """Draw the edges of the visible boxes, projected through the lens of the image, as paths in pixels."""
+    lens = frame.images[camera].camera_model
     boxes = frame.boxes(f"camera:{camera}")
     projected = project_boxes(lens, boxes.pose, boxes.size_m)
     fraction = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
@@ -203,7 +211,7 @@ def _draw_boxes(frame: Frame, camera: str) -> str:
         path = "".join(_polyline(line) for line in points.uv_px)
         category = boxes.category[row]
         paths.append(f'<path class="{colours[category]}" d="{path}"><title>{escape(category)}</title></path>')
-    return f'<svg class="boxes" viewBox="0 0 {lens.width_px} {lens.height_px}">{"".join(paths)}</svg>'
+    return "".join(paths)
 
 
 def _polyline(points: Float64) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +48,15 @@ def test_frames_of_disagreement_come_first(root: Path, tmp_path: Path, capsys: p
     assert text.count("<h2>") == 3
     assert text.count("data:image/jpeg") == 6
     assert "2 boxes without a partner" in text
+    # Both layers are drawn, the second one dashed: in frame 1 two boxes each, of which one is elsewhere.
+    assert "solid: known@1" in text and "dashed: other@1" in text and ".against path{stroke-dasharray" in text
+    overlays = [
+        re.match('<g class="against">(.*?)</g>(.*?)</svg>', part, re.DOTALL)
+        for part in re.split('<svg class="boxes"[^>]*>', text)[1:]
+    ]
+    drawn = [[re.findall(' d="([^"]*)"', layer) for layer in overlay.groups()] for overlay in overlays if overlay]
+    assert len(drawn) == 6 and any(dashed and solid and dashed != solid for dashed, solid in drawn)
+    assert "Doubt is the sum of 1 - score" in text
     assert main(["annotate", "report", str(root), "--out", str(page)]) == 2
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import mirror
 from mirror.calibration.check import CalibrationCheck, check_calibration
 from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.spacing import ImageSpacing, PairAttempt, untracked_error
+from mirror.calibration.statistics import compute_fleet_statistics
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -134,6 +137,34 @@ def test_the_page_and_the_verb(
     assert (tmp_path / "out" / "report.html").is_file()
     assert main(["calibrate", "check", dataset.root, "--out", str(tmp_path / "out"), "--step-m", "2"]) == 1
     assert "roll unobservable: straight driving" in capsys.readouterr().out
+
+
+def test_the_page_says_which_axes_were_observable_and_why(check: CalibrationCheck, tmp_path: Path) -> None:
+    write_calibration_page(check, tmp_path / "page.html")
+    table = (tmp_path / "page.html").read_text().split("Which axes were observable")[1].split("</table>")[0]
+    rows = [re.findall("<td[^>]*>(.*?)</td>", row) for row in table.split("<tr>")[2:]]
+    cameras = [(item, one) for item in check.traversals for one in item.cameras]
+    assert len(rows) == len(cameras) > 0
+    for row, (item, one) in zip(rows, cameras):
+        assert row[:2] == [item.traversal_id, one.camera]
+        for cell, known, sigma in zip(row[2:5], one.observable, one.sigma_deg):
+            assert cell.startswith("yes" if known else "<b>no</b>") and f"{sigma:.3f}" in cell
+            assert known == (sigma <= 0.1)
+        assert f'<div class="whole">{one.reason or "turned "}' in row[5]
+    assert any(one.reason == "straight driving" for _, one in cameras)
+
+
+def test_the_page_of_a_dataset_without_estimates_has_reasons_and_no_empty_chart(
+    check: CalibrationCheck, tmp_path: Path
+) -> None:
+    message = "none of 14 pairs of neighbouring images has 25 tracks: " + "a long reason " * 20 + "to its end"
+    failed = [replace(one, status="not checked", message=message, cameras=()) for one in check.traversals]
+    none = replace(check, traversals=failed, statistics=compute_fleet_statistics([], [], [], []))
+    write_calibration_page(none, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    charts = re.findall("<svg[^>]*>(.*?)</svg>", text, re.DOTALL)
+    assert all("<rect" in chart or "<circle" in chart for chart in charts)
+    assert "no camera has an estimate" in text and text.count(message) == len(failed)
 
 
 def test_a_traversal_with_other_bytes_is_checked_again(dataset: Dataset, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from mirror.calibration.stages import StageDifference, compare_stages
 from mirror.dataset.index import build_index
 from mirror.geometry import Poses
 from mirror.schema.tables import BOXES, CALIBRATIONS
+from mirror.view.cameras_figure import cameras_figure
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibration
 
 CAMERAS = ("front_wide", "rear")
@@ -96,3 +97,17 @@ def test_moving_boxes_are_masked_and_parked_ones_are_not(root: Path) -> None:
         inside[name] = bool(still[int(v), int(u)])
     assert inside == {"moving": False, "parked": True}
     assert 0.5 < still.mean() < 1.0
+
+
+def test_the_figure_has_one_vehicle_a_rig_and_a_bar_for_each_difference(root: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the extra view is not installed")
+    figure = cameras_figure(mirror.open(root))
+    assert figure is not None
+    street, *bars = figure.axes
+    assert [patch.get_gid() for patch in street.patches].count("vehicle") == 1
+    assert sorted(text.get_text() for text in street.texts) == sorted(CAMERAS)
+    angles, distances = ([patch.get_width() for patch in axes.patches] for axes in bars)
+    # By camera: factory to online, factory to refined, online to refined.
+    expected = [ONLINE_DEG, REFINED_DEG, REFINED_DEG - ONLINE_DEG] * len(CAMERAS)
+    assert sorted(angles) == pytest.approx(sorted(expected), abs=1e-9)
+    assert distances == pytest.approx([0.0] * len(expected), abs=1e-9)

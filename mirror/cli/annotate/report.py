@@ -32,7 +32,7 @@ class ReportArguments:
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
     """The layer of boxes that is drawn."""
     against: Annotated[str | None, help_text(default="none", metavar="SOURCE@VERSION")] = None
-    """Another layer of boxes, to compare with."""
+    """Another layer of boxes, to compare with; drawn dashed."""
     frames: int = 20
     """Number of frames on the page."""
     video: Annotated[Path | None, help_text(default="none", metavar="FILE.mp4")] = None
@@ -78,7 +78,7 @@ def run(argv: Sequence[str]) -> int:
     if training:
         name, frames = layer.partition("@")[0], sum(one.frames for one in training.values())
         note = describe_training_data(name, next(iter(training.values())).trained_on, len(unfamiliar), frames)
-    count = write_annotation_page(view, rows, arguments.out, title=title, note=note)
+    count = write_annotation_page(view, rows, arguments.out, title=title, note=note, against=arguments.against)
     video = str(arguments.video) if arguments.video and ranks else None
     if arguments.video and ranks:
         from mirror.view.birds_eye import draw_from_above

@@ -132,18 +132,21 @@ def _compress(image: UInt8, quality: int) -> UInt8:
 
 
 def _statistics(image: UInt8) -> Float64:
-    rgb = image.astype(np.float64) / 255.0
-    luminance = rgb @ (0.299, 0.587, 0.114)
-    red_green = rgb[..., 0] - rgb[..., 1]
-    blue_yellow = 0.5 * (rgb[..., 0] + rgb[..., 1]) - rgb[..., 2]
+    # Channels apart, as contiguous arrays: half the time of strided ones.
+    channels = np.ascontiguousarray(np.moveaxis(image, -1, 0)) / 255.0
+    red, green, blue = channels
+    luminance = 0.299 * red + 0.587 * green + 0.114 * blue
+    red_green = red - green
+    blue_yellow = 0.5 * (red + green) - blue
     light = np.log(luminance + 0.02)
     across, down = np.diff(light, axis=1)[:-1], np.diff(light, axis=0)[:, :-1]
     gradients = np.quantile(np.hypot(across, down), _QUANTILES)
-    kurtosis = [np.mean(one**4) / max(np.mean(one**2) ** 2, 1e-12) + 1e-3 for one in (across, down)]
+    # Products: a fourth power takes numpy ten times as long.
+    kurtosis = [np.mean(np.square(one)) / max(np.mean(one) ** 2, 1e-12) + 1e-3 for one in (across**2, down**2)]
     grey = np.abs(np.diff(luminance, axis=1)).mean() + 1e-4
     colour = [(np.abs(np.diff(one, axis=1)).mean() + 1e-4) / grey for one in (red_green, blue_yellow)]
     chroma = np.quantile(np.hypot(red_green, blue_yellow), (0.5, 0.9)) + 2e-3
-    brightest = rgb.max(axis=-1)
+    brightest = channels.max(axis=0)
     extremes = np.sqrt([(brightest > 0.98).mean(), (brightest < 0.04).mean()])
     thirds = [np.abs(np.diff(part, axis=1)).mean() + 1e-3 for part in np.array_split(light, 3)]
     low, high = np.quantile(luminance, (0.02, 0.98))

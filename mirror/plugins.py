@@ -1,4 +1,8 @@
-"""Loads plug-ins, from entry points or as ``FILE.py:OBJECT``, and names errors inside them by file and line."""
+"""The registry of plug-ins: readers, methods, detectors, annotators, describers, policies, weather, and verbs.
+
+A plug-in is an entry point of another package, or an object of a file, ``FILE.py:OBJECT``. It is loaded when it is
+used; an error inside it is named with its package, file and line.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,15 @@ import hashlib
 import importlib.util
 import sys
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from mirror.errors import UsageError
+from mirror.errors import MirrorError, UsageError
 from mirror.installation import install_command
 
 _OWN: Final = ("mirror", "hybridworldsim", "mirror_baselines", "mirror_leaderboard")
@@ -22,24 +28,53 @@ _loaded: Final[dict[str, str]] = {}
 
 @dataclass(frozen=True)
 class PluginKind:
-    """A kind of plug-in.
+    """A kind of plug-in, and the registry of those that are installed.
 
     Attributes:
         noun: name of the kind in messages, such as ``method``.
         group: its group of entry points.
         option: option that names a plug-in of this kind.
         extra: extra of MIRROR's own package that has the dependencies of its own plug-ins.
+        takes_files: whether ``FILE.py:OBJECT`` names a plug-in too.
+        error: class of the errors.
     """
 
     noun: str
     group: str
     option: str
     extra: str
+    takes_files: bool = True
+    error: type[MirrorError] = UsageError
 
-    @property
-    def entries(self) -> dict[str, EntryPoint]:
-        """The installed plug-ins by name, in the order of names."""
-        return {entry.name: entry for entry in sorted(entry_points(group=self.group), key=lambda entry: entry.name)}
+    def names(self) -> list[str]:
+        """Return the names of the installed plug-ins, sorted; none is loaded."""
+        return sorted({entry.name for entry in installed_entries(self.group)})
+
+    def find(self, name: str) -> EntryPoint:
+        """Find the entry point of an installed plug-in, without loading it.
+
+        Raises:
+            MirrorError: there is none, or packages differ on what the name means; an error of the class `error`.
+        """
+        # A package that was installed twice declares the same object again.
+        entries = {entry.value: entry for entry in installed_entries(self.group) if entry.name == name}
+        if len(entries) > 1:
+            packages = " and ".join(f"{_package(entry)} ({value})" for value, entry in entries.items())
+            raise self.error(
+                f"two {self.noun}s are named {name!r}: of {packages}", place=f"entry points {self.group}",
+                remedy="uninstall one of the packages",
+            )  # fmt: skip
+        for entry in entries.values():
+            return entry
+        known = self.names()
+        listed = ", ".join(known) or "none is installed"
+        near = find_near_name(name, known)
+        raise self.error(
+            f"no {self.noun} {name!r} is installed", place=self.option,
+            expected=f"FILE.py:OBJECT, or an entry point {self.group}: {listed}" if self.takes_files else
+            f"one of {listed}",
+            remedy="install the package that has it" if near is None else f"did you mean {near}?",
+        )  # fmt: skip
 
     def load(self, name: str) -> Any:
         """Load a plug-in.
@@ -48,44 +83,78 @@ class PluginKind:
             name: name of an entry point, or ``FILE.py:OBJECT``.
 
         Raises:
-            UsageError: there is no such plug-in, or a package that it imports is missing.
+            MirrorError: there is no such plug-in, several have its name, or it cannot be loaded; an error of the class
+                `error`, which names the package and the package's own error.
         """
-        if is_file_reference(name):
+        if self.takes_files and is_file_reference(name):
             return self._load_file(name)
-        entries = self.entries
-        if name not in entries:
-            raise UsageError(
-                f"no {self.noun} {name!r} is installed", place=self.option,
-                expected=f"FILE.py:OBJECT, or an entry point {self.group}: {', '.join(entries) or 'none is installed'}",
-            )  # fmt: skip
-        entry = entries[name]
-        is_own = entry.module.partition(".")[0] in _OWN
+        entry = self.find(name)
+        package = entry.module.partition(".")[0]
+        if package not in _OWN:
+            _remember(package, f"{self.noun} {name}")
         try:
-            found = entry.load()
-        except ModuleNotFoundError as error:
-            raise UsageError(
-                f"{self.noun} {name!r} needs {error.name}, which is not installed",
-                place=f"entry point {entry.value}",
-                remedy=f"install its dependencies: {install_command(self.extra)}" if is_own else None,
-            ) from error
-        if not is_own and (source := getattr(sys.modules[entry.module.partition(".")[0]], "__file__", None)):
-            place = Path(source)
-            _loaded[str(place.parent if place.name == "__init__.py" else place)] = f"{self.noun} {name}"
-        return found
+            return entry.load()
+        except MirrorError:
+            raise
+        except Exception as error:
+            raise self._broken_error(entry, error) from error
+
+    def load_all(self) -> dict[str, Any]:
+        """Load all installed plug-ins, by name.
+
+        Raises:
+            MirrorError: as of `load`.
+        """
+        return {name: self.load(name) for name in self.names()}
+
+    def _broken_error(self, entry: EntryPoint, error: Exception) -> MirrorError:
+        """Describe the error of a plug-in that is installed but cannot be loaded."""
+        place = f"package {_package(entry)}, entry point {entry.value}"
+        is_own = entry.module.partition(".")[0] in _OWN
+        is_absent = isinstance(error, ModuleNotFoundError) and f"{entry.module}.".startswith(f"{error.name}.")
+        if is_own and (is_absent or isinstance(error, AttributeError)):
+            return self.error(
+                f"{self.noun} {entry.name!r} is not where its entry point says: that is of another version",
+                place=place, remedy=f"install MIRROR again, which renews them: {install_command(self.extra)}",
+            )  # fmt: skip
+        if isinstance(error, ModuleNotFoundError) and not is_absent:
+            return self.error(
+                f"{self.noun} {entry.name!r} needs {error.name}, which is not installed", place=place,
+                remedy=f"install its dependencies: {install_command(self.extra)}" if is_own
+                else f"install {error.name}, or uninstall {_package(entry)}",
+            )  # fmt: skip
+        at = error_in_plugin(error)
+        return self.error(
+            f"{self.noun} {entry.name!r} cannot be loaded: {type(error).__name__}: {error}",
+            file=None if at is None else at.file, place=place if at is None else f"{at.place}, {place}",
+            remedy=f"repair or uninstall {_package(entry)}, or name another one with {self.option}",
+        )  # fmt: skip
 
     def _load_file(self, name: str) -> Any:
         file, _, attribute = name.rpartition(":")
         path = Path(file)
         if not path.is_file():
-            raise UsageError("no such file", file=path, place=self.option, expected=f"a Python file with a {self.noun}")
+            raise self.error("no such file", file=path, place=self.option, expected=f"a Python file with a {self.noun}")
         _loaded[str(path.resolve())] = f"{self.noun} {name}"
         module = _import_file(path.resolve())
         if not hasattr(module, attribute):
             public = sorted(key for key in vars(module) if not key.startswith("_"))
-            raise UsageError(
+            raise self.error(
                 f"the file has no {attribute!r}", file=path, place=self.option, expected=f"one of {', '.join(public)}"
             )
         return getattr(module, attribute)
+
+
+def installed_entries(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group in the order of names; each package's are read once for each ``sys.path``."""
+    return _entries(group, tuple(sys.path))
+
+
+def find_near_name(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that resembles another one most; None: none does."""
+    import difflib
+
+    return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)
 
 
 def is_file_reference(name: str) -> bool:
@@ -117,6 +186,24 @@ def error_in_plugin(error: BaseException) -> UsageError | None:
                     remedy=f"mend the {called}",
                 )  # fmt: skip
     return None
+
+
+@cache
+def _entries(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=group), key=lambda entry: (entry.name, entry.value)))
+
+
+def _package(entry: EntryPoint) -> str:
+    """The name and version of the package that declares an entry point."""
+    return "of unknown name" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+
+
+def _remember(package: str, called: str) -> None:
+    """Note where the code of a package lies, so that errors in it are named."""
+    spec = importlib.util.find_spec(package)
+    if spec is not None and spec.origin is not None:
+        place = Path(spec.origin)
+        _loaded[str(place.parent if place.name == "__init__.py" else place)] = called
 
 
 def _import_file(path: Path) -> ModuleType:

@@ -12,7 +12,7 @@ ANNOTATORS: Final = PluginKind("annotator", "mirror.annotators", "--annotator", 
 
 def annotator_names() -> list[str]:
     """Names of the installed annotators, sorted."""
-    return list(ANNOTATORS.entries)
+    return ANNOTATORS.names()
 
 
 def installed_annotator(name: str) -> InstalledAnnotator:

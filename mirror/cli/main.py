@@ -37,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    from mirror.cli.verbs import RENAMED, all_commands, find_command
+    from mirror.cli.verbs import RENAMED, find_command, verb_names
     from mirror.errors import ExitCode, UnwritableError
     from mirror.version import __version__
 
@@ -52,10 +52,10 @@ def _run(words: list[str]) -> int:
         print(f"mirror: the verb {words[0]} is now called {verb}", file=sys.stderr)
     command = find_command(verb)
     if command is None:
-        import difflib
+        from mirror.plugins import find_near_name
 
-        near = difflib.get_close_matches(verb, all_commands(), n=1)
-        hint = f" Did you mean `mirror {near[0]}`?" if near else ""
+        near = find_near_name(verb, verb_names())
+        hint = "" if near is None else f" Did you mean `mirror {near}`?"
         print(f"mirror: no verb {verb!r}.{hint} `mirror --help` lists them.", file=sys.stderr)
         return ExitCode.COULD_NOT_RUN
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from mirror.command import ENTRY_POINT_GROUP, Command, Group
+from mirror.plugins import PluginKind
 
 HEADINGS: Final[dict[Group, str]] = {
     "data": "Data",
@@ -48,26 +49,30 @@ RENAMED: Final = {"bake": "export-ply"}
 """New names by old names of verbs; the old ones are still accepted."""
 
 
+VERBS: Final = PluginKind("verb", ENTRY_POINT_GROUP, "mirror VERB", "all", takes_files=False)
+
+
 def find_command(verb: str) -> Command | None:
-    """The command of a verb; None: there is none."""
+    """Return the command of a verb; None: there is no such verb.
+
+    Raises:
+        UsageError: its package cannot be loaded.
+    """
     if verb in _OWN:
         return _own(verb)
-    return _installed(verb).get(verb)
+    return VERBS.load(verb) if verb in VERBS.names() else None
+
+
+def verb_names() -> list[str]:
+    """List the verbs that are installed here, ours first; none is loaded."""
+    return [*_OWN, *VERBS.names()]
 
 
 def all_commands() -> dict[str, Command]:
-    """Every verb that is installed here, ours first."""
-    return {**{verb: _own(verb) for verb in _OWN}, **_installed()}
+    """Return every verb that is installed here, ours first."""
+    return {**{verb: _own(verb) for verb in _OWN}, **VERBS.load_all()}
 
 
 def _own(verb: str) -> Command:
     group, summary = _OWN[verb]
     return Command(group, summary, f"mirror.cli.{verb.replace('-', '_')}")
-
-
-def _installed(name: str | None = None) -> dict[str, Command]:
-    from importlib.metadata import entry_points
-
-    found = entry_points(group=ENTRY_POINT_GROUP)
-    entries = [entry for entry in found if name in (None, entry.name)]
-    return {entry.name: entry.load() for entry in sorted(entries, key=lambda entry: entry.name)}

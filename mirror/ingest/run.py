@@ -35,7 +35,7 @@ from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteReport, write_traversal
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
-from mirror.recordings.weather import weather_plugins
+from mirror.recordings.weather import CLASSIFIERS
 from mirror.schema.documents import Rig, Roi
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
@@ -95,12 +95,8 @@ def ingest_recordings(
     options, progress, layout = options or IngestOptions(), progress or NullProgress(), Layout(out)
     if options.workers < 1:
         raise UsageError(f"{options.workers} workers", expected="at least one")
-    if options.weather_plugin is not None and options.weather_plugin not in weather_plugins():
-        raise UsageError(
-            f"no weather plug-in is named {options.weather_plugin!r}",
-            expected=f"one of {', '.join(weather_plugins()) or '(none is installed)'}",
-            remedy="install the package that declares it",
-        )
+    if options.weather_plugin is not None:
+        CLASSIFIERS.find(options.weather_plugin)
     if options.dry_run:
         run = _Run(layout, options, progress, merge_settings(layout, options, rois))
         judge_maps(layout, read_given_maps(options.maps, run.settings.rois), replace=options.replace)

@@ -84,8 +84,7 @@ def method_of_model(written: str, given: str | None = None, *, option: str = "--
 
 def read_licence(name: str) -> str:
     """Read the licence of an installed method from its package's metadata; empty if none is stated."""
-    entry = METHODS.entries.get(name)
-    if entry is None or entry.dist is None:
+    if name not in METHODS.names() or (package := METHODS.find(name).dist) is None:
         return ""
-    metadata = entry.dist.metadata
+    metadata = package.metadata
     return str(metadata["License-Expression"] or metadata["License"] or "")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Final
 
@@ -13,13 +11,7 @@ from mirror.plugins import PluginKind, is_file_reference
 from mirror.recordings.paths import not_a_file_error
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, CollectionReader, Reader, Recording
 
-READERS: Final = PluginKind("reader", ENTRY_POINT_GROUP, "--reader", "dev")
-
-
-@functools.cache
-def installed_readers() -> tuple[EntryPoint, ...]:
-    """Entry points of readers, in the order of names; found once a process, because a file of each package is read."""
-    return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP)))
+READERS: Final = PluginKind("reader", ENTRY_POINT_GROUP, "--reader", "all", error=RecordingError)
 
 
 def load_readers(name: str | None = None) -> dict[str, Reader]:
@@ -30,24 +22,13 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
             this class; None: load all installed readers.
 
     Raises:
-        RecordingError: two packages use one name, or an entry point does not give a reader of its name.
+        RecordingError: there is no such reader, two packages use one name, or an entry point gives no reader of its
+            name.
     """
     if name is not None and is_file_reference(name):
         return {name: _make_reader(READERS.load(name), name)}
-    values: dict[str, str] = {}
-    loaded: dict[str, Reader] = {}
-    for entry in installed_readers():
-        if values.get(entry.name) == entry.value or name not in (None, entry.name):
-            continue
-        if entry.name in values:
-            raise RecordingError(
-                f"two recording readers are named {entry.name!r}: {values[entry.name]} and {entry.value}",
-                place=f"entry-point group {ENTRY_POINT_GROUP}",
-                remedy="uninstall one of the packages",
-            )
-        values[entry.name] = entry.value
-        loaded[entry.name] = _load_reader(entry)
-    return loaded
+    names = READERS.names() if name is None else [name]
+    return {one: _make_installed_reader(one) for one in names}
 
 
 def _make_reader(found: Callable[[], object], name: str) -> Reader:
@@ -60,18 +41,11 @@ def _make_reader(found: Callable[[], object], name: str) -> Reader:
     return reader
 
 
-def _load_reader(entry: EntryPoint) -> Reader:
-    try:
-        reader = entry.load()()
-    except (ImportError, AttributeError) as error:
+def _make_installed_reader(name: str) -> Reader:
+    reader = READERS.load(name)()
+    if not isinstance(reader, Reader) or reader.name != name:
         raise RecordingError(
-            f"the reader {entry.name!r} cannot be loaded ({error})",
-            place=f"entry point {entry.value}",
-            remedy="repair or uninstall the package that declares it, or name the reader you want: --reader",
-        ) from error
-    if not isinstance(reader, Reader) or reader.name != entry.name:
-        raise RecordingError(
-            f"{entry.value} is not a reader named {entry.name!r}",
+            f"{READERS.find(name).value} is not a reader named {name!r}",
             place=f"entry-point group {ENTRY_POINT_GROUP}",
             expected="a class that follows mirror.recordings.protocol.Reader",
             remedy="repair or uninstall the package that declares it, or name the reader you want: --reader",
@@ -110,8 +84,6 @@ def find_reader(path: str | Path, reader: str | None = None) -> Reader:
         raise not_a_file_error(path)
     known = load_readers(reader)
     if reader is not None:
-        if reader not in known:
-            raise RecordingError(f"there is no reader {reader!r}", expected=f"one of {', '.join(load_readers())}")
         return known[reader]
     holder = path if path.exists() else path.parent
     matching = [name for name, candidate in known.items() if candidate.recognises(holder)]

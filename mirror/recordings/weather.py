@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from typing import Final, TypeAlias
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
+from mirror.plugins import PluginKind
 
-ENTRY_POINT_GROUP: Final = "mirror.weather"
+CLASSIFIERS: Final = PluginKind("weather plug-in", "mirror.weather", "--weather-plugin", "all", takes_files=False)
 WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog")
 
 WeatherPlugin: TypeAlias = Callable[[list[UInt8]], str]
@@ -46,11 +46,6 @@ def weather_label(word: str | None) -> str | None:
     return _LABELS.get(" ".join(word.replace("_", " ").replace("-", " ").lower().split()))
 
 
-def weather_plugins() -> list[str]:
-    """Names of the installed plug-ins that classify the weather in images."""
-    return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
-
-
 def classify_weather(plugin: str, images: Sequence[UInt8]) -> str:
     """Classify the weather of a traversal with a plug-in.
 
@@ -64,15 +59,7 @@ def classify_weather(plugin: str, images: Sequence[UInt8]) -> str:
     Raises:
         UsageError: no or several plug-ins have this name, or the plug-in returns another word.
     """
-    entries = {entry.value: entry for entry in entry_points(group=ENTRY_POINT_GROUP, name=plugin)}
-    if len(entries) != 1:
-        raise UsageError(
-            f"{len(entries)} weather plug-ins are named {plugin!r}",
-            place=f"entry-point group {ENTRY_POINT_GROUP}",
-            expected=f"one of {', '.join(weather_plugins()) or '(none is installed)'}",
-            remedy="install the package that declares it, once",
-        )
-    classify: WeatherPlugin = entries.popitem()[1].load()
+    classify: WeatherPlugin = CLASSIFIERS.load(plugin)
     weather = classify(list(images))
     if weather not in WEATHER:
         raise UsageError(

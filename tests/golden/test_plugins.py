@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from tests.golden.plugins_before import ENTRY_POINTS
-from tests.golden.wheels import write_wheel
+from tests.wheels import write_wheel
 
 _USE = """
 import sys

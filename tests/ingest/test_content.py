@@ -20,12 +20,12 @@ from mirror.ingest.passes import DriveContent
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.integrity import check
-from mirror.recordings import weather
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import NovelTraversal, SplitDocument
 from mirror.schema.files import read_table, write_table
 from mirror.schema.tables import BOXES, IMAGES
 from tests.ingest.recordings import SCENE, START_NS, write_recording
+from tests.wheels import install_plugins
 
 
 @pytest.fixture
@@ -103,28 +103,28 @@ def test_light_is_computed_from_the_sun_and_weather_is_as_stated(drive: Path, tm
     assert (row["light"], row["light_source"]) == ("dusk", "metadata")
 
 
+SEEN: list[tuple[int, ...]] = []
+
+
+def find_rain(images: list[np.ndarray]) -> str:
+    SEEN.extend(image.shape for image in images)
+    return "rain"
+
+
 def test_weather_plugin_sees_images_of_drives_that_do_not_state_it(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = json.loads((drive / "recording.json").read_text())
     (drive / "recording.json").write_text(json.dumps({**document, "weather": None}))
     assert open_recording(drive).info.weather is None
-    seen = []
-
-    class Entry:
-        name, value = "rainy", "somewhere:rainy"
-
-        @staticmethod
-        def load() -> object:
-            return lambda images: seen.extend(image.shape for image in images) or "rain"
-
-    monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
+    install_plugins(monkeypatch, tmp_path / "site", "mirror.weather", ("rainy", f"{__name__}:find_rain"))
+    SEEN.clear()
     ingest_recordings([drive], [SCENE], tmp_path / "d", IngestOptions(weather_plugin="rainy"))
     row = mirror.open(tmp_path / "d").table("traversals").to_pylist()[0]
     assert (row["weather"], row["weather_source"]) == ("rain", "rainy")
-    assert seen == [(48, 64, 3)] * 3
+    assert SEEN == [(48, 64, 3)] * 3
     monkeypatch.undo()
-    with pytest.raises(UsageError, match="no weather plug-in is named"):
+    with pytest.raises(UsageError, match="no weather plug-in 'no_such' is installed"):
         ingest_recordings([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
     assert not (tmp_path / "e").exists()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -17,10 +17,10 @@ from mirror.errors import DatasetError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.integrity import Cost, check
-from mirror.recordings import weather
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
 from tests.ingest.recordings import SCENE, write_recording
+from tests.wheels import install_plugins
 
 
 @pytest.fixture
@@ -114,15 +114,12 @@ def test_a_uri_that_nothing_here_reads_is_named(drive: Path, tmp_path: Path) -> 
     assert "IMG001" in ids_of(tmp_path / "d")
 
 
+def find_weather(images: Sequence[np.ndarray]) -> str:
+    return "rain" if {image.shape for image in images} == {(48, 64, 3)} else "fog"
+
+
 def test_weather_is_asked_of_images_elsewhere(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Entry:
-        name = value = "some"
-
-        @staticmethod
-        def load() -> Callable[[Sequence[np.ndarray]], str]:
-            return lambda images: "rain" if {image.shape for image in images} == {(48, 64, 3)} else "fog"
-
-    monkeypatch.setattr(weather, "entry_points", lambda **_: [Entry])
+    install_plugins(monkeypatch, tmp_path / "site", "mirror.weather", ("some", f"{__name__}:find_weather"))
     document = json.loads((drive / "recording.json").read_text())
     document |= {"reference_camera": "rear", "weather": None}
     (drive / "recording.json").write_text(json.dumps(document))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mirror.dataset.index import build_index
-from mirror.privacy.detectors.registry import installed_detectors, parse_choice
+from mirror.privacy.detectors.registry import parse_choice
 from mirror.privacy.options import DeidentifyOptions, Propagation
 from mirror.privacy.run import deidentify
 from tests.dataset.builders import SECOND, Builder, Pass
@@ -78,10 +78,8 @@ def marks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     lines = "".join(f"{name} = mark_detectors:{name.upper()}\n" for name in names)
     (info / "entry_points.txt").write_text(f"[mirror.detectors]\n{lines}")
     sys.path.insert(0, str(folder))
-    installed_detectors.cache_clear()
     yield
     sys.path.remove(str(folder))
-    installed_detectors.cache_clear()
 
 
 def marked(seed: int, *boxes: tuple[tuple[int, int, int, int], tuple[int, int, int]]) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ from mirror.errors import RecordingError
 from mirror.recordings import registry
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, Recording
 from tests.recordings.layout import write_recording
+from tests.wheels import install_plugins
 
 
 class OddReader:
@@ -27,18 +27,6 @@ class OddReader:
         raise RecordingError("odd")
 
 
-def install(monkeypatch: pytest.MonkeyPatch, *extra: EntryPoint) -> None:
-    ours = [
-        EntryPoint("folder", "mirror.recordings.folder:FolderReader", ENTRY_POINT_GROUP),
-        EntryPoint("csv", "mirror.recordings.gps_csv:CsvReader", ENTRY_POINT_GROUP),
-    ]
-    monkeypatch.setattr(registry, "installed_readers", lambda: tuple(sorted([*ours, *extra])))
-
-
-def entry(name: str, value: str) -> EntryPoint:
-    return EntryPoint(name, value, ENTRY_POINT_GROUP)
-
-
 def test_the_built_in_readers_are_installed() -> None:
     assert {"boreas", "comma2k19", "csv", "dgp", "folder"} <= set(registry.load_readers())
 
@@ -50,7 +38,7 @@ def test_path_is_opened_by_the_reader_that_recognises_it(tmp_path: Path) -> None
 
 
 def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    install(monkeypatch, entry("odd", f"{__name__}:OddReader"))
+    install_plugins(monkeypatch, tmp_path / "site", ENTRY_POINT_GROUP, ("odd", f"{__name__}:OddReader"))
     path = write_recording(tmp_path / "drive")
     with pytest.raises(RecordingError, match="several readers recognise it: folder and odd") as caught:
         registry.open_recording(path)
@@ -61,25 +49,30 @@ def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert registry.open_recording(path, "folder").info.drive_id == "drive-1"
 
 
-def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, entry("folder", "mirror.recordings.folder:FolderReader"))
-    assert list(registry.load_readers()) == ["csv", "folder"]
+def test_a_reader_declared_twice_by_one_package_counts_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    before = registry.load_readers()
+    install_plugins(monkeypatch, tmp_path, ENTRY_POINT_GROUP, ("csv", registry.READERS.find("csv").value))
+    assert list(registry.load_readers()) == list(before)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "problem"),
     [
-        ("folder", f"{__name__}:OddReader", "two recording readers are named 'folder'"),
+        ("folder", f"{__name__}:OddReader", "two readers are named 'folder'.*some_plugins 1.*uninstall one"),
         ("strange", f"{__name__}:OddReader", "not a reader named 'strange'"),
         ("strange", "pathlib:Path", "not a reader named 'strange'"),
-        ("strange", "no.such.module:Reader", "cannot be loaded"),
-        ("strange", f"{__name__}:NoReader", "cannot be loaded"),
+        ("strange", "no.such.module:Reader", "some_plugins 1.*cannot be loaded.*ModuleNotFoundError"),
+        ("strange", f"{__name__}:NoReader", "some_plugins 1.*cannot be loaded.*AttributeError"),
     ],
 )
-def test_bad_entry_points_are_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str, problem: str) -> None:
-    install(monkeypatch, entry(name, value))
+def test_bad_entry_points_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, value: str, problem: str
+) -> None:
+    install_plugins(monkeypatch, tmp_path, ENTRY_POINT_GROUP, (name, value))
     with pytest.raises(RecordingError, match=problem):
         registry.load_readers()
+    # Another reader is not hurt.
+    assert list(registry.load_readers("csv")) == ["csv"]
 
 
 def test_unrecognised_path_lists_the_formats_in_a_short_message(tmp_path: Path) -> None:

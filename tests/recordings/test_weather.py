@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ import pytest
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.recordings import weather
+from tests.wheels import install_plugins
 
 
 def darkness(images: list[UInt8]) -> str:
@@ -17,13 +18,8 @@ def darkness(images: list[UInt8]) -> str:
 
 
 @pytest.fixture
-def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = EntryPoint("darkness", f"{__name__}:darkness", weather.ENTRY_POINT_GROUP)
-
-    def entry_points(*, group: str, name: str = "darkness") -> list[EntryPoint]:
-        return [entry] if name == "darkness" and group == weather.ENTRY_POINT_GROUP else []
-
-    monkeypatch.setattr(weather, "entry_points", entry_points)
+def plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    install_plugins(monkeypatch, tmp_path, weather.CLASSIFIERS.group, ("darkness", f"{__name__}:darkness"))
 
 
 @pytest.mark.parametrize(
@@ -45,7 +41,7 @@ def test_every_label_is_a_known_word() -> None:
 
 @pytest.mark.usefixtures("plugins")
 def test_plugin_classifies_images() -> None:
-    assert weather.weather_plugins() == ["darkness"]
+    assert weather.CLASSIFIERS.names() == ["darkness"]
     assert weather.classify_weather("darkness", [np.zeros((2, 2, 3), np.uint8)]) == "rain"
 
 

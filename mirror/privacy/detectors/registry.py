@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
 from mirror.errors import UsageError
+from mirror.plugins import PluginKind
 from mirror.privacy.detectors.protocol import Detector, DetectorKind, DetectorOptions
 from mirror.privacy.log import DetectorRecord
 from mirror.privacy.regions import KINDS
 
-GROUP: Final = "mirror.detectors"
+DETECTORS: Final = PluginKind("detector", "mirror.detectors", "--detector", "privacy", takes_files=False)
 DEFAULT: Final = ("centerface", "world_plates")
 DEFAULT_BY_REGION: Final = {"CN": ("centerface", "world_plates", "clp_det")}
 """Defaults for the plates of some regions: one more detector that was trained on real plates of theirs."""
@@ -71,26 +69,23 @@ def parse_choice(text: str) -> DetectorChoice:
     return DetectorChoice(match["name"], None if match["file"] is None else Path(match["file"]), stated)
 
 
-@cache
 def installed_detectors() -> dict[str, DetectorKind]:
-    """All installed detectors by name."""
-    return {entry.name: entry.load() for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name)}
+    """Load all installed detectors, by name.
+
+    Raises:
+        UsageError: one cannot be loaded.
+    """
+    return DETECTORS.load_all()
 
 
 def find_detector(name: str) -> DetectorKind:
-    """A detector by name.
+    """Load a detector.
 
     Raises:
-        UsageError: it is not installed.
+        UsageError: it is not installed, or cannot be loaded.
     """
-    known = installed_detectors()
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        raise UsageError(
-            f"no detector {name!r} is installed", expected=f"one of {', '.join(known)}",
-            remedy=f"did you mean {near[0]}?" if near else "install the package that has it",
-        )  # fmt: skip
-    return known[name]
+    found: DetectorKind = DETECTORS.load(name)
+    return found
 
 
 def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None) -> str:

@@ -16,7 +16,7 @@ POLICIES: Final = PluginKind("policy", "mirror.policies", "--policy", "simulator
 
 def policy_names() -> list[str]:
     """List the names of the installed policies, sorted."""
-    return list(POLICIES.entries)
+    return POLICIES.names()
 
 
 def make_policy(name: str, driver: DriverFile | None = None) -> Policy:

@@ -6,6 +6,8 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import pytest
+
 
 def write_wheel(
     folder: Path, package: str, files: Mapping[str, str], entry_points: Mapping[str, Sequence[tuple[str, str]]]
@@ -36,3 +38,25 @@ def write_wheel(
         for name, text in members.items():
             file.writestr(zipfile.ZipInfo(name), text)
     return wheel
+
+
+def install_plugins(
+    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
+    group: str,
+    *entries: tuple[str, str],
+    package: str = "some_plugins",
+    files: Mapping[str, str] | None = None,
+) -> None:
+    """Install a package with entry points of one group for the rest of a test.
+
+    Args:
+        monkeypatch: undoes it.
+        folder: where the wheel is written.
+        group: the group.
+        entries: names and objects, ``module:object``.
+        package: name of the distribution.
+        files: modules of the package, by path within the wheel.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    monkeypatch.syspath_prepend(write_wheel(folder, package, files or {}, {group: entries}))

@@ -106,13 +106,13 @@ def clean(
         set_status_without_motion(fixes)
     counts = [int(count) for count in count_status(fixes.status)]
     report = CleaningReport(
-        poses=len(stamps) + (len(track.bad) if track.bad else 0),
+        poses=len(stamps) + track.repeats + (len(track.bad) if track.bad else 0),
         kept=counts[KEPT] + counts[RESTART],
         bad_rows=track.bad.counts() if track.bad else {},
         invalid=counts[INVALID],
         missing=int(np.count_nonzero(np.isnan(lon_or_x) | np.isnan(lat_or_y))) if counts[INVALID] else 0,
         backward_time=backward,
-        duplicate_time=counts[DUPLICATE],
+        duplicate_time=counts[DUPLICATE] + track.repeats,
         repeated=counts[REPEATED],
         outliers=counts[OUTLIER],
         restarts=counts[RESTART],

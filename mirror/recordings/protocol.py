@@ -80,6 +80,7 @@ class Track:
         sigma_m: (N,) horizontal 1-sigma of each fix, or None.
         file: the file that the poses come from, for messages.
         bad: rows of the recording that make no pose and are not among the N; None: there are none.
+        repeats: number of rows of the recording that are not among the N, as they equal the row before them.
     """
 
     timestamp_ns: Int64
@@ -92,6 +93,7 @@ class Track:
     sigma_m: Float64 | None = None
     file: Path | None = None
     bad: BadRows | None = None
+    repeats: int = 0
 
     def __len__(self) -> int:
         return len(self.timestamp_ns)

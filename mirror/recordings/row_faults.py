@@ -25,13 +25,21 @@ class RowFaults:
         count: number of rows of the table.
         torn: rows of the file that are not in the table: the number of table rows that precede each, and its error.
         reason: the reason of the torn rows.
+        repeats: (count,) number of rows of the file that equal each row and are not in the table; None: there are none.
     """
 
-    def __init__(self, count: int, torn: Sequence[tuple[int, RecordingError]] = (), reason: Reason = "cells") -> None:
+    def __init__(
+        self,
+        count: int,
+        torn: Sequence[tuple[int, RecordingError]] = (),
+        reason: Reason = "cells",
+        repeats: Int64 | None = None,
+    ) -> None:
         self._code: UInt8 = np.zeros(count, np.uint8)
         self._torn: Int64 = np.array([before for before, _ in torn], np.int64)
         self._torn_code: UInt8 = np.full(len(torn), REASONS.index(reason), np.uint8)
         self._first = torn[0] if torn else None
+        self._repeats = repeats
 
     @property
     def good(self) -> Bool:
@@ -55,16 +63,20 @@ class RowFaults:
         self._code[new] = 1 + REASONS.index(reason)
 
     def drop_from(self, track: Track) -> Track:
-        """Remove the marked rows from a track and add them to its ``bad``.
+        """Remove the marked rows from a track and add them to its ``bad``, and equal rows to its ``repeats``.
 
         Args:
             track: one row for each row of the table.
         """
+        good = self.good
+        if self._repeats is not None:
+            track = replace(track, repeats=track.repeats + int(self._repeats[good].sum()))
         if self._first is None:
             return track
-        good = self.good
         kept = np.concatenate([[0], np.cumsum(good)])
         marked = np.flatnonzero(~good)
+        if self._repeats is not None:
+            marked = np.repeat(marked, 1 + self._repeats[marked])
         before, reason, first = [marked, self._torn], [self._code[marked] - 1, self._torn_code], None
         if track.bad is not None:
             before, reason, first = [*before, track.bad.before], [*reason, track.bad.reason], track.bad.first

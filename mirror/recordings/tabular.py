@@ -21,7 +21,7 @@ from mirror.recordings.opening import unreadable_error
 from mirror.recordings.protocol import Track
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import StampError, to_unix_ns
-from mirror.schema.parquet_memory import require_memory
+from mirror.schema.parquet_memory import read_distinct_rows, require_memory
 
 # Measured at ingest of 20 million poses: 225 bytes a row of 40.
 _COPIES: Final = 6.0
@@ -37,6 +37,7 @@ class RecordingRows:
         starts: the first row of each file.
         torn: by file, the lines that are left out because they have too few or too many cells.
         faults: marks bad rows; None: the first bad row is an error.
+        numbers: by file, (N,) the row of the file of each row; None: all rows of the file are in the table.
     """
 
     table: pa.Table
@@ -44,6 +45,7 @@ class RecordingRows:
     starts: tuple[int, ...]
     torn: tuple[tuple[int, ...], ...] = ()
     faults: RowFaults | None = None
+    numbers: tuple[Int64 | None, ...] = ()
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
@@ -56,7 +58,8 @@ class RecordingRows:
         index = bisect_right(self.starts, row) - 1
         file, within = self.files[index], row - self.starts[index]
         if file.suffix == ".parquet":
-            return file, f"row {within}"
+            numbers = self.numbers[index] if self.numbers else None
+            return file, f"row {within if numbers is None else numbers[within]}"
         line = within + 2
         for torn in self.torn[index] if self.torn else ():
             line += torn <= line
@@ -214,17 +217,23 @@ def read_rows(
         types: types of columns of a CSV file; the types of other columns are inferred.
         columns: read only these columns, all of which must exist; None: read all.
         delimiter: the delimiter of CSV files.
-        tolerant: mark bad rows, as in a table of poses; else every row is needed.
+        tolerant: mark bad rows, as in a table of poses; else every row is needed. Of equal rows of Parquet that follow
+            each other only the first is kept, and the others are counted.
 
     Raises:
         RecordingError: a file is missing, broken or empty, or its columns differ from those of the first file.
     """
     tables: list[pa.Table] = []
     torn: list[dict[int, int]] = []
+    numbers: list[Int64 | None] = []
+    repeats: list[Int64] = []
     for file in files:
         lines: dict[int, int] = {}
-        table = _read_table(file, types, columns, delimiter, lines if tolerant else None)
+        first_rows: list[Int64] = []
+        table = _read_table(file, types, columns, delimiter, lines if tolerant else None, first_rows)
         torn.append(lines)
+        numbers.append(first_rows[0] if first_rows else None)
+        repeats.append(first_rows[1] if first_rows else np.zeros(table.num_rows, np.int64))
         if tables and table.column_names != tables[0].column_names:
             odd = sorted(set(table.column_names) ^ set(tables[0].column_names)) or table.column_names
             raise RecordingError(
@@ -254,8 +263,10 @@ def read_rows(
                 for file, start, lines in zip(files, starts, torn)
                 for number, (line, cells) in enumerate(sorted(lines.items()))
             ],
+            repeats=np.concatenate(repeats) if any(one is not None for one in numbers) else None,
         )
-    return RecordingRows(table, tuple(files), tuple(starts), tuple(tuple(sorted(lines)) for lines in torn), faults)
+    lines_left_out = tuple(tuple(sorted(lines)) for lines in torn)
+    return RecordingRows(table, tuple(files), tuple(starts), lines_left_out, faults, tuple(numbers))
 
 
 def _to_text(table: pa.Table, columns: Sequence[int]) -> pa.Table:
@@ -309,14 +320,20 @@ def _read_table(
     columns: Sequence[str] | None,
     delimiter: str,
     torn: dict[int, int] | None,
+    first_rows: list[Int64],
 ) -> pa.Table:
+    """Read one file; ``first_rows`` receives the rows that are kept and the number of equal ones after each."""
     try:
         if file.suffix == ".parquet":
             import pyarrow.parquet as pq
 
             opened = pq.ParquetFile(file)
-            require_memory(opened, file, copies=_COPIES)
-            table = opened.read(use_threads=False)
+            if torn is not None:
+                table, kept = read_distinct_rows(opened, file, copies=_COPIES)
+                first_rows += [kept, np.diff(kept, append=opened.metadata.num_rows) - 1]
+            else:
+                require_memory(opened, file, copies=_COPIES)
+                table = opened.read(use_threads=False)
         else:
             table = _read_csv(file, types, delimiter, torn)
     except (pa.ArrowInvalid, OSError) as error:

@@ -6,8 +6,11 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
+from mirror.arrays import Bool, Int64
 from mirror.errors import MirrorError
 
 if TYPE_CHECKING:
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
 
 _MEMORY: Final = Path("/proc/meminfo")
 _OFFSET_BYTES: Final = 8
+_BATCH_ROWS: Final = 65_536
 # Below this the free memory is not asked for.
 _SMALL_BYTES: Final = 1 << 26
 # A number of 8 bytes is an object of 24 to 32 bytes, and its place in a dictionary takes 16 to 100 more.
@@ -48,10 +52,78 @@ def require_memory(
     Raises:
         NotEnoughMemoryError: the rows do not fit.
     """
-    needed = copies * decoded_bytes(file, columns, row_group)
+    rows = file.metadata.num_rows if row_group is None else file.metadata.row_group(row_group).num_rows
+    require_room(copies * decoded_bytes(file, columns, row_group), rows, path)
+
+
+def read_distinct_rows(file: pq.ParquetFile, path: str | Path, *, copies: float = 2.0) -> tuple[pa.Table, Int64]:
+    """Read a Parquet file in batches, without rows that equal the row before them in every column.
+
+    The memory is that of the rows that are kept and of one batch. A row with a null or NaN equals no other one, unless
+    the column has only nulls.
+
+    Args:
+        file: the open file.
+        path: its path, for the message.
+        copies: memory of the work on the kept rows, in multiples of their size.
+
+    Returns:
+        The N rows that are kept, and (N,) their numbers in the file.
+
+    Raises:
+        NotEnoughMemoryError: the rows that are kept do not fit.
+    """
+    kept: list[pa.RecordBatch] = []
+    numbers: list[Int64] = []
+    last: pa.RecordBatch | None = None
+    size = start = 0
+    for batch in file.iter_batches(_BATCH_ROWS, use_threads=False):
+        differs = np.ones(len(batch), np.bool_)
+        if last is None:
+            differs[1:] = _differ_from_previous(batch)
+        else:
+            differs[:] = _differ_from_previous(pa.concat_batches([last, batch]))
+        if differs.any():
+            chosen = batch if differs.all() else batch.filter(pa.array(differs))
+            kept.append(chosen)
+            numbers.append(start + np.flatnonzero(differs))
+            size += chosen.nbytes
+            require_room(copies * size, start + len(batch), path)
+        last = batch.slice(len(batch) - 1)
+        start += len(batch)
+    table = pa.Table.from_batches(kept, None if kept else file.schema_arrow)
+    return table, np.concatenate([np.empty(0, np.int64), *numbers])
+
+
+def _differ_from_previous(rows: pa.RecordBatch) -> Bool:
+    """(N - 1,) whether each row after the first differs from the one before it."""
+    differs = np.zeros(len(rows) - 1, np.bool_)
+    for column in rows.columns:
+        values = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
+        if values.null_count == len(values):
+            continue
+        try:
+            unequal = pc.fill_null(pc.not_equal(values[1:], values[:-1]), True)
+        except pa.ArrowNotImplementedError:
+            # Lists and structures are not compared.
+            return np.ones(len(rows) - 1, np.bool_)
+        differs |= unequal.to_numpy(zero_copy_only=False)
+    return differs
+
+
+def require_room(needed: float, rows: int, path: str | Path) -> None:
+    """Refuse rows that do not fit into the free memory.
+
+    Args:
+        needed: memory of the rows and the work on them, in bytes.
+        rows: their number, for the message.
+        path: their file, for the message.
+
+    Raises:
+        NotEnoughMemoryError: they do not fit.
+    """
     free = free_bytes() if needed > _SMALL_BYTES else None
     if free is not None and needed > free:
-        rows = file.metadata.num_rows if row_group is None else file.metadata.row_group(row_group).num_rows
         raise NotEnoughMemoryError(
             f"{rows:,} rows need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",
             file=path,

@@ -71,7 +71,7 @@ def plain_surface(
     if grain >= 0:
         tone = grain_at(grains, grain_index, grain, u + 0.37 * shift, v + 0.73 * shift, u1, v1, u2, v2)
     if _STAINED[material]:
-        tone *= grain_at(grains, grain_index, Grain.STAINS, u + 1.7 * shift, v, u1, v1, u2, v2)
+        tone *= grain_at(grains, grain_index, Grain.STAINS.value, u + 1.7 * shift, v, u1, v1, u2, v2)
     return colour[0] * tone, colour[1] * tone, colour[2] * tone, 0.0, 0.0, 0.0, _GLOSS[material]
 
 

@@ -115,7 +115,7 @@ def shade_ray(
         v2 = face.v_axis_0 * bx + face.v_axis_1 * by + face.v_axis_2 * bz
         material, label = face.material, face.label
         if material == Material.ASPHALT:
-            rough = grain_at(grains, grain_index, Grain.ASPHALT, u, v, u1, v1, u2, v2)
+            rough = grain_at(grains, grain_index, Grain.ASPHALT.value, u, v, u1, v1, u2, v2)
             fr, fg, fb, er, eg, eb, gloss = carriageway(
                 face, layouts, rough, u, v, abs(u1) + abs(u2), abs(v1) + abs(v2)
             )

@@ -22,7 +22,6 @@ from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Edit, Plan, RenderView
 from mirror.protocols.views.edited_region import grow_hull, recorded_hull, target_hull
-from mirror.protocols.views.view import to_pose
 
 Change = Callable[[RenderView, UInt8], UInt8]
 """Makes a render (H, W, 3) from a view and its recorded image."""
@@ -98,10 +97,7 @@ def move(view: RenderView, recorded: UInt8) -> UInt8:
         part, target = _crop(_mask(view, target_hull(view, edit)))
         if not target.size:
             continue
-        old, new = (
-            (camera_SE3_world @ to_pose(numbers)).translation[0]
-            for numbers in (edit.world_SE3_box, edit.world_SE3_target)
-        )
+        old, new = ((camera_SE3_world @ pose).translation[0] for pose in (edit.world_SE3_box, edit.world_SE3_target))
         v, u = np.mgrid[part].astype(np.float64) + 0.5
         rays = lens.unproject(np.stack([u, v], axis=-1)).direction
         # The plane through the middle of the target, perpendicular to the line of sight.
@@ -149,7 +145,7 @@ def _from_far_to_near(view: RenderView) -> list[Edit]:
     camera_SE3_world = view.pose.inverse()
 
     def distance_m(edit: Edit) -> float:
-        return float(np.linalg.norm((camera_SE3_world @ to_pose(edit.world_SE3_box)).translation[0]))
+        return float(np.linalg.norm((camera_SE3_world @ edit.world_SE3_box).translation[0]))
 
     return sorted((edit for edit in view.edits if edit.world_SE3_target is not None), key=distance_m, reverse=True)
 

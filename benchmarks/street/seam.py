@@ -14,7 +14,7 @@ from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.parts import LatentSelector
 from hybridworldsim.model.street import Street
 from mirror.arrays import Float64
-from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.geometry.poses import Poses
 from mirror.protocols.views.view import RenderView
 
 STEP_M = 0.1
@@ -80,4 +80,4 @@ def seam_rows(
 def _moved(view: RenderView, by_m: Float64) -> RenderView:
     pose = view.pose
     moved = Poses(pose.rotation, pose.translation + np.array([[*by_m, 0.0]]))
-    return view.model_copy(update={"world_SE3_camera": to_pose_numbers(moved)})
+    return view.model_copy(update={"world_SE3_camera": moved})

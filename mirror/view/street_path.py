@@ -13,7 +13,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
 from mirror.errors import UsageError
 from mirror.geometry.cameras import undistorted
-from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.geometry.poses import Poses
 from mirror.methods.interactive import TrainedAppearance
 from mirror.protocols.views.view import RenderView
 
@@ -68,7 +68,7 @@ class StreetPath:
             frame_index=0, camera=self.camera, timestamp_ns=timestamp_ns, light=str(self.row["light"]),
             weather=str(self.row["weather"]), model="pinhole", width_px=width_px, height_px=height_px,
             fx_px=focal_px, fy_px=focal_px, cx_px=0.5 * width_px, cy_px=0.5 * height_px, distortion=(),
-            world_SE3_camera=to_pose_numbers(world_SE3_camera),
+            world_SE3_camera=world_SE3_camera,
         )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from mirror.evaluation.submission.check import check_submission
 from mirror.evaluation.submission.manifest import read_manifest
 from mirror.evaluation.submission.template import expected_files, write_template
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
+from mirror.geometry.poses import to_pose_numbers
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan, plan_views
@@ -171,7 +172,7 @@ def test_template_lists_every_file_with_pose_lens_and_mask(dataset: Dataset, tmp
     assert {row["path"] for row in listed["views"]} == set(expected_files(plan))
     masked = 0
     for row, view in zip(listed["views"], plan.views):
-        assert row["world_SE3_camera"] == pytest.approx(list(view.world_SE3_camera))
+        assert row["world_SE3_camera"] == pytest.approx(list(to_pose_numbers(view.world_SE3_camera)))
         assert (row["width_px"], row["height_px"], row["fx_px"]) == (view.width_px, view.height_px, view.fx_px)
         assert row["recorded"]["uri"]
         if row["mask"] is not None:

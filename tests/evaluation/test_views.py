@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera, undistorted
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import matrix_from_quaternion
 from mirror.protocols.document import Frames, Pixels, load_protocol
 from mirror.protocols.truth.raster import Raster
 from mirror.protocols.views import plan_views
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path, select_frames
-from mirror.protocols.views.view import to_pose
+from mirror.protocols.views.view import RenderView, to_pose
 from tests.evaluation.submissions import SPLIT, small
 
 LENSES = [
@@ -179,3 +183,20 @@ def test_impossible_plans_are_refused(dataset: Dataset) -> None:
         plan_views(dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)
     with pytest.raises(DatasetError, match="cannot be a folder"):
         render_path("novel", "a.b.1", "../up", 1)
+
+
+def test_poses_of_views_are_the_type_of_all_poses_and_numbers_in_files(tiny_dataset: Dataset) -> None:
+    view = plan_views(tiny_dataset, load_protocol("static-reconstruction"), "novel").views[0]
+    assert isinstance(view.world_SE3_camera, Poses) and view.pose is view.world_SE3_camera
+    numbers = json.loads(view.model_dump_json())["world_SE3_camera"]
+    assert numbers == list(to_pose_numbers(view.world_SE3_camera)) and len(numbers) == 7
+    again = RenderView.model_validate_json(view.model_dump_json())
+    assert again == view and hash(again) == hash(view) and again.model_dump_json() == view.model_dump_json()
+    moved = view.model_copy(update={"world_SE3_camera": view.pose @ Poses([[1.0, 0.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])})
+    assert moved != view
+    # Code of an earlier version gives the seven numbers.
+    assert moved.model_copy(update={"world_SE3_camera": tuple(numbers)}) == view == RenderView(**view.model_dump())
+    assert (to_pose(view.world_SE3_camera).matrix() == view.pose.matrix()).all()
+    for wrong in (numbers[:6], [0.0] * 7, ["1"] * 7, view.pose[[0, 0]], "x", [float("nan")] * 7):
+        with pytest.raises(ValidationError, match="world_SE3_camera"):
+            RenderView(**{**view.model_dump(), "world_SE3_camera": wrong})

@@ -40,9 +40,9 @@ def plane(view: RenderView) -> tuple[np.ndarray, np.ndarray]:
     """Distances (H, W) to the plane z = 0 along rays, infinite above the horizon, and camera z, from matrices only."""
     u, v = np.meshgrid(np.arange(view.width_px) + 0.5, np.arange(view.height_px) + 0.5)
     slopes = np.stack([(u - view.cx_px) / view.fx_px, (v - view.cy_px) / view.fy_px, np.ones_like(u)], axis=-1)
-    w, x, y, z = view.world_SE3_camera[:4]
+    w, x, y, z = view.world_SE3_camera.rotation[0]
     down = slopes @ Rotation.from_quat([x, y, z, w]).as_matrix()[2]
-    depth = np.where(down < -1e-3, view.world_SE3_camera[6] / np.maximum(-down, 1e-3), np.inf)
+    depth = np.where(down < -1e-3, view.world_SE3_camera.translation[0, 2] / np.maximum(-down, 1e-3), np.inf)
     return depth * np.linalg.norm(slopes, axis=-1), depth
 
 

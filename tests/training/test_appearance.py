@@ -25,7 +25,7 @@ def line(traversal: str, y_m: float, cameras: tuple[str, ...] = CAMERAS, weather
     for frame in range(10):
         for camera in cameras:
             one = view(traversal, frame, camera)
-            quaternion = BACK if "rear" in camera else one.world_SE3_camera[:4]
+            quaternion = BACK if "rear" in camera else tuple(one.world_SE3_camera.rotation[0].tolist())
             pose = (*quaternion, 1.0 * frame, y_m, 1.5)
             choice.append(one.model_copy(update={"world_SE3_camera": pose, "weather": weather}))
     return choice
@@ -150,7 +150,8 @@ def test_densified_line_is_even_and_keeps_its_places() -> None:
 def test_line_of_several_blocks_is_their_union() -> None:
     """Each block knows its own part of the line only."""
     halves = [
-        trained_cameras([one for one in TRAINED if (one.world_SE3_camera[4] < 5.0) == first]) for first in (True, False)
+        trained_cameras([one for one in TRAINED if (one.world_SE3_camera.translation[0, 0] < 5.0) == first])
+        for first in (True, False)
     ]
     views = line("s.new.0", 1.0)
     lines = DrivenLines([one for half in halves for one in half], views)

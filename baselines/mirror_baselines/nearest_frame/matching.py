@@ -76,8 +76,8 @@ def _closest_rows(query_features: Float64, candidate_features: Float64) -> Int64
 
 
 def _poses(views: list[RenderView]) -> Poses:
-    numbers = np.array([view.world_SE3_camera for view in views])
-    return Poses(numbers[:, :4], numbers[:, 4:])
+    poses = [view.world_SE3_camera for view in views]
+    return Poses(np.concatenate([one.rotation for one in poses]), np.concatenate([one.translation for one in poses]))
 
 
 def _to_renders(image: Image, views: list[RenderView], pixels: Pixels) -> Iterator[Render]:

@@ -12,7 +12,6 @@ from mirror.arrays import UInt8
 from mirror.errors import DatasetError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import to_pose_numbers
 from mirror.protocols.views.view import RenderView
 
 _GROUP: Final = "clip"
@@ -62,7 +61,7 @@ def render_backgrounds(
                     light="day",
                     weather="clear",
                     **_camera(clip, number, factor).to_row(),
-                    world_SE3_camera=to_pose_numbers(pose),
+                    world_SE3_camera=pose,
                 )
             )
             parts = rendered.reshape(height, factor, width, factor, 3).astype(np.float64)

@@ -24,7 +24,7 @@ from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import EditIou, metric_name
 from mirror.protocols.views.edited_region import target_hull
 from mirror.protocols.views.plan import Plan, render_path
-from mirror.protocols.views.view import Edit, RenderView, to_pose
+from mirror.protocols.views.view import Edit, RenderView
 
 _VARIANTS: Final[Mapping[str, HullVariant]] = {
     "hull": "mask_hull",
@@ -134,7 +134,7 @@ def _occluder_mask(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
     if edit.world_SE3_target is None or not len(boxes):
         return hidden
     camera_SE3_world = view.pose.inverse()
-    target_distance_m = np.linalg.norm((camera_SE3_world @ to_pose(edit.world_SE3_target)).translation[0])
+    target_distance_m = np.linalg.norm((camera_SE3_world @ edit.world_SE3_target).translation[0])
     poses = camera_SE3_world @ boxes.pose
     projected = project_boxes(lens, poses, boxes.size_m)
     nearer = np.linalg.norm(poses.translation, axis=1) < target_distance_m

@@ -9,7 +9,7 @@ import numpy as np
 from mirror.arrays import Bool, Float64
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.raster import polygon_mask
-from mirror.protocols.views.view import Edit, RenderView, to_pose
+from mirror.protocols.views.view import Edit, RenderView
 
 GROWTH: Final = 0.2
 """Share by which the hulls of an edited region are grown about their middle."""
@@ -17,7 +17,7 @@ GROWTH: Final = 0.2
 
 def recorded_hull(view: RenderView, edit: Edit) -> Float64:
     """Return the convex hull (K, 2) of the projected recorded box, in pixels."""
-    camera_SE3_box = view.pose.inverse() @ to_pose(edit.world_SE3_box)
+    camera_SE3_box = view.pose.inverse() @ edit.world_SE3_box
     return project_boxes(view.lens, camera_SE3_box, [edit.size_m]).hull(0)
 
 
@@ -25,7 +25,7 @@ def target_hull(view: RenderView, edit: Edit) -> Float64:
     """Return the convex hull (K, 2) of the projected target box, in pixels; empty if the edit has no target."""
     if edit.world_SE3_target is None:
         return np.empty((0, 2))
-    return project_boxes(view.lens, view.pose.inverse() @ to_pose(edit.world_SE3_target), [edit.size_m]).hull(0)
+    return project_boxes(view.lens, view.pose.inverse() @ edit.world_SE3_target, [edit.size_m]).hull(0)
 
 
 def grow_hull(hull: Float64, growth: float) -> Float64:

@@ -9,7 +9,7 @@ from mirror.dataset.frames import Frame
 from mirror.dataset.traversal import FrameBoxes
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.geometry.poses import Poses
 from mirror.protocols.document import Group, Protocol, Vehicles
 from mirror.protocols.views.view import Edit
 
@@ -62,8 +62,8 @@ class EditPlanner:
                 track_id=boxes.track_id[row],
                 category=boxes.category[row],
                 size_m=tuple(sizes[place].tolist()),
-                world_SE3_box=to_pose_numbers(recorded[place : place + 1]),
-                world_SE3_target=None if targets is None else to_pose_numbers(targets[place : place + 1]),
+                world_SE3_box=recorded[place : place + 1],
+                world_SE3_target=None if targets is None else targets[place : place + 1],
             )
             for place, row in enumerate(rows.tolist())
         )

@@ -18,7 +18,7 @@ from mirror.dataset.redaction import REDACTION
 from mirror.dataset.split_document import read_split
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.geometry.poses import Poses
 from mirror.protocols.document import Frames, Group, Protocol, protocol_names
 from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
@@ -169,7 +169,7 @@ def _plan_view(
         light=row["light"],
         weather=row["weather"],
         **camera.to_row(),
-        world_SE3_camera=to_pose_numbers(pose),
+        world_SE3_camera=pose,
         edits=edits,
     )
 

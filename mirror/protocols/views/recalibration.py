@@ -15,7 +15,6 @@ import numpy as np
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.traversal import Calibration
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import to_pose_numbers
 from mirror.protocols.views.view import RenderView
 
 _GRID: Final = (24, 14)
@@ -88,7 +87,7 @@ def _move(view: RenderView, planned: Calibration, wanted: Calibration) -> Render
     pose = view.pose @ planned.ego_SE3_camera.inverse() @ wanted.ego_SE3_camera
     return view.model_copy(
         update={
-            "world_SE3_camera": to_pose_numbers(pose),
+            "world_SE3_camera": pose,
             **{name: getattr(lens, name) for name in ("model", "distortion", "fx_px", "fy_px", "cx_px", "cy_px")},
         }
     )

@@ -13,7 +13,7 @@ from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.interpolation import interpolate
-from mirror.geometry.poses import COLUMNS, Poses, to_pose_numbers
+from mirror.geometry.poses import COLUMNS, Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.plan import render_path
@@ -206,7 +206,7 @@ def plan_views_along(
             light=row["light"],
             weather=row["weather"],
             **lens.to_row(),
-            world_SE3_camera=to_pose_numbers(trajectory.world_SE3_ego[index] @ ego_SE3_camera),
+            world_SE3_camera=trajectory.world_SE3_ego[index] @ ego_SE3_camera,
         )
         for index, stamp in enumerate(trajectory.timestamps_ns)
         for camera, lens, ego_SE3_camera in rig

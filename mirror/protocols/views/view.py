@@ -2,20 +2,77 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, PlainSerializer, PlainValidator, WithJsonSchema
 
+from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera, camera_from_attributes
-from mirror.geometry.poses import Poses
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.schema.documents import Document
 
-PoseNumbers = Annotated[tuple[float, ...], Field(min_length=7, max_length=7)]
-"""``qw qx qy qz tx_m ty_m tz_m``."""
+
+def to_pose(numbers: Poses | tuple[float, ...]) -> Poses:
+    """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``; a pose is returned as it is."""
+    if isinstance(numbers, Poses):
+        return numbers
+    return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))
 
 
-class Edit(Document):
+def _read_pose(value: object) -> Poses:
+    """Return one pose of a pose or of seven numbers; a validator of documents.
+
+    Raises:
+        ValueError: it is neither.
+    """
+    if isinstance(value, Poses):
+        if len(value) != 1:
+            raise ValueError(f"{len(value)} poses, expected one")
+        return value
+    is_seven = isinstance(value, (list, tuple)) and len(value) == 7
+    if not is_seven or not all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in value):  # type: ignore[attr-defined]
+        raise ValueError("expected one pose: seven numbers, qw qx qy qz tx_m ty_m tz_m")
+    try:
+        return to_pose(tuple(map(float, value)))  # type: ignore[call-overload]
+    except UsageError as error:
+        raise ValueError(str(error)) from error
+
+
+PoseField = Annotated[
+    Poses,
+    PlainValidator(_read_pose),
+    PlainSerializer(to_pose_numbers, return_type=tuple[float, ...]),
+    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 7, "maxItems": 7}),
+]
+"""One pose; in files its seven numbers ``qw qx qy qz tx_m ty_m tz_m``."""
+
+
+class _Posed(Document):
+    """A document with poses: equal if all values are, poses bit for bit."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[object, ...]:
+        return tuple(to_pose_numbers(one) if isinstance(one, Poses) else one for one in self.__dict__.values())
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values; a pose may be given as its seven numbers, as earlier versions had it."""
+        changed = {
+            name: to_pose(value) if name.startswith("world_SE3_") and value is not None else value
+            for name, value in (update or {}).items()
+        }
+        return super().model_copy(update=changed, deep=deep)
+
+
+class Edit(_Posed):
     """One vehicle that is moved or removed.
 
     Attributes:
@@ -29,11 +86,11 @@ class Edit(Document):
     track_id: str
     category: str
     size_m: tuple[float, float, float]
-    world_SE3_box: PoseNumbers
-    world_SE3_target: PoseNumbers | None
+    world_SE3_box: PoseField
+    world_SE3_target: PoseField | None
 
 
-class RenderView(Document):
+class RenderView(_Posed):
     """One image that a submission must render.
 
     Attributes:
@@ -54,7 +111,7 @@ class RenderView(Document):
         cx_px: principal point of the final lens; the centre of the first pixel is at 0.5.
         cy_px: principal point of the final lens; the centre of the first pixel is at 0.5.
         distortion: distortion coefficients of the final lens.
-        world_SE3_camera: pose of the camera as numbers; `pose` is the same as `Poses`, the type of all other poses.
+        world_SE3_camera: pose of the camera; `pose` is the same.
         edits: vehicles that are moved or removed.
     """
 
@@ -75,7 +132,7 @@ class RenderView(Document):
     cx_px: float
     cy_px: float
     distortion: tuple[float, ...]
-    world_SE3_camera: PoseNumbers
+    world_SE3_camera: PoseField
     edits: tuple[Edit, ...] = ()
 
     @property
@@ -85,10 +142,5 @@ class RenderView(Document):
 
     @property
     def pose(self) -> Poses:
-        """``world_SE3_camera`` as one pose."""
-        return to_pose(self.world_SE3_camera)
-
-
-def to_pose(numbers: tuple[float, ...]) -> Poses:
-    """Make one pose from its seven numbers ``qw qx qy qz tx_m ty_m tz_m``."""
-    return Poses(np.array([numbers[:4]]), np.array([numbers[4:]]))
+        """``world_SE3_camera``."""
+        return self.world_SE3_camera

@@ -13,7 +13,7 @@ from mirror.dataset.frames import Frame, FrameSequence
 from mirror.dataset.raster import ImageRaster
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.geometry.poses import Poses, to_pose_numbers
+from mirror.geometry.poses import Poses
 from mirror.protocols.document import Pixels
 from mirror.protocols.views.final_camera import full_camera
 from mirror.protocols.views.recalibration import lens_in_raster
@@ -111,7 +111,7 @@ class SceneRig:
                     light=light,
                     weather=weather,
                     **lens.to_row(),
-                    world_SE3_camera=to_pose_numbers(world_SE3_ego @ self.ego_SE3_camera[row]),
+                    world_SE3_camera=world_SE3_ego @ self.ego_SE3_camera[row],
                 )
             )
         return views

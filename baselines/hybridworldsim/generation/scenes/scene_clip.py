@@ -19,7 +19,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
-from mirror.protocols.views.view import Edit, to_pose
+from mirror.protocols.views.view import Edit
 
 CLASS_OF: Final[Mapping[str, str]] = {
     **{name: name for name in CATEGORIES},
@@ -174,7 +174,7 @@ def boxes_of(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipB
         world = boxes.pose[np.array(rows)].matrix()
         for place_of_box, target in enumerate(moved):
             if target is not None:
-                world[place_of_box] = to_pose(target).matrix()[0]
+                world[place_of_box] = target.matrix()[0]
         frame += [place] * len(rows)
         track += [tracks[boxes.track_id[row]] for row in rows]
         category += [CATEGORIES.index(CLASS_OF[boxes.category[row]]) for row in rows]

@@ -26,7 +26,6 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
-from mirror.geometry.poses import to_pose_numbers
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction
@@ -197,7 +196,7 @@ class ReconstructedRenderer(Renderer):
             light=recording.light if recording else "day", weather=recording.weather if recording else "clear",
             model="pinhole", width_px=camera.width_px, height_px=camera.height_px, fx_px=camera.fx_px,
             fy_px=camera.fy_px, cx_px=camera.cx_px, cy_px=camera.cy_px, distortion=(),
-            world_SE3_camera=to_pose_numbers(place.world_SE3_camera),
+            world_SE3_camera=place.world_SE3_camera,
         )  # fmt: skip
         renderer, covers = self._model.renderer, None
         if limit_m is not None and isinstance(renderer, CoverRenderer):

@@ -57,10 +57,12 @@ def main(argv: Sequence[str]) -> int:
     dataset = mirror.open(arguments.dataset).where(scene=arguments.scene or None)
     names, removed, files = arguments.figure or FIGURES, None, []
     if "privacy" in names:
-        from mirror.privacy.summary import summarize_redactions
+        from mirror.privacy.summary import read_examples, summarize_redactions
 
         summary = summarize_redactions(dataset)
-        removed = None if summary is None else RemovedRegions(summary.regions, summary.covered_share)
+        if summary is not None:
+            examples = [(one.kind, one.before, one.after) for one in read_examples(dataset)]
+            removed = RemovedRegions(summary.regions, summary.covered_share, examples)
     for name, drawn in draw_figures(dataset, names, removed):
         for suffix in dict.fromkeys(arguments.format):
             files.append(arguments.out / f"{name}.{suffix}")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.view.plots import new_figure
 
@@ -28,14 +29,19 @@ class RemovedRegions:
     Attributes:
         counts: number of regions by origin, by kind.
         covered_share: share of all pixels that they cover.
+        examples: kind, and the pixels (H, W, 3) of a region with its surroundings before and after.
     """
 
     counts: Mapping[str, Mapping[str, int]]
     covered_share: float
+    examples: Sequence[tuple[str, UInt8, UInt8]] = field(default=(), repr=False)
 
 
 def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> Figure | None:
-    """Plot the raw and redacted images of each camera and, if it is known, what was removed by kind and origin."""
+    """Plot the raw and redacted images of each camera and, if it is known, what was removed, with examples.
+
+    The examples before the redaction identify people and vehicles: they are for the owner of the recordings.
+    """
     rows = dataset.table("images", ["camera", "privacy"])
     if not rows.num_rows:
         return None
@@ -43,9 +49,16 @@ def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> F
     images = {(row["camera"], row["privacy"]): row["count_all"] for row in counts}
     cameras = dataset.cameras()
     height = 1.6 + 0.3 * len(cameras)
-    figure = new_figure(6.0, height if removed is None else height + 1.6)
+    examples = () if removed is None else removed.examples
+    counted = height if removed is None else height + 1.6
+    figure = new_figure(6.0, counted + (3.6 if examples else 0.0))
+    charts: Any = figure
+    if examples:
+        parts: Any = figure.subfigures(2, 1, height_ratios=[counted, 3.6])
+        charts, pictures = parts
+        _draw_examples(pictures, examples)
     first, *more = (
-        [figure.subplots()] if removed is None else figure.subplots(2, 1, height_ratios=[max(len(cameras), 2), 3])
+        [charts.subplots()] if removed is None else charts.subplots(2, 1, height_ratios=[max(len(cameras), 2), 3])
     )
     states = {state: [images.get((camera, state), 0) for camera in cameras] for state in _STATE_COLOURS}
     _draw_bars(first, cameras, states, _STATE_COLOURS, "images")
@@ -57,6 +70,18 @@ def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> F
         title = f"Removed regions by origin; they cover {removed.covered_share:.1%} of the pixels"
         more[0].set_title(title, fontsize=10)
     return figure
+
+
+def _draw_examples(pictures: Any, examples: Sequence[tuple[str, UInt8, UInt8]]) -> None:
+    """Draw the examples in columns: before above, after below."""
+    pictures.suptitle("Largest regions before and after: not for publication", fontsize=10)
+    grid = pictures.subplots(2, len(examples), squeeze=False)
+    for column, (kind, before, after) in enumerate(examples):
+        for axes, pixels, name in zip(grid[:, column], (before, after), ("before", "after")):
+            axes.imshow(pixels, interpolation="nearest")
+            axes.set_title(f"{kind}, {name}", fontsize=8)
+            axes.set_xticks([])
+            axes.set_yticks([])
 
 
 def _draw_bars(

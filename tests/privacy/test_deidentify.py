@@ -25,7 +25,7 @@ from mirror.privacy.log import read_log
 from mirror.privacy.operators import Redaction
 from mirror.privacy.regions import covered_share, grown_box
 from mirror.privacy.run import deidentify
-from mirror.privacy.summary import summarize_redactions
+from mirror.privacy.summary import read_examples, summarize_redactions
 from tests.dataset.builders import Builder, write_reconstruction
 from tests.privacy.conftest import FACE, PLATE, make_dataset, options
 
@@ -231,6 +231,17 @@ def test_what_was_removed_is_counted_and_drawn(deidentified: Path, tmp_path: Pat
     words = ["plot", str(deidentified), "--figure", "privacy", "--format", "svg", "--out", str(tmp_path / "plots")]
     assert main(words) == 0
     assert (tmp_path / "plots" / "privacy.svg").stat().st_size > 1000
+    # Before are the recorded pixels, after those that readers get: the stripes of the marks are gone.
+    examples = read_examples(dataset)
+    assert [one.kind for one in examples] == ["face", "plate", "face", "plate"]
+    for one in examples:
+        before, after = one.before.astype(float), one.after.astype(float)
+        red_or_blue = np.abs(before - ((255, 0, 0) if one.kind == "face" else (0, 0, 255))).max(axis=-1) < 90
+        assert before.shape == after.shape and red_or_blue.sum() > 200
+        inside = red_or_blue[:, 1:] & red_or_blue[:, :-1]
+        stripes, left = (np.abs(np.diff(pixels, axis=1))[inside].mean() for pixels in (before, after))
+        assert left < 0.5 * stripes
     raw = tmp_path / "raw"
     make_dataset(raw)
+    assert read_examples(mirror.open(str(raw))) == []
     assert summarize_redactions(mirror.open(str(raw))) is None

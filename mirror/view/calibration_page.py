@@ -36,7 +36,7 @@ _CSS: Final = (
     ".limit{stroke:#c0392b;stroke-width:1.5;stroke-dasharray:4 3}.axis{stroke:currentColor;opacity:.4}"
     ".hist{fill:#4c78a8}.over{fill:#c0392b}.verdict{font-size:1.4rem;font-weight:700}"
     "svg text{font-size:11px;fill:currentColor}"
-    ".whole{white-space:normal;width:26em;overflow-wrap:break-word}"
+    ".whole{white-space:normal;min-width:17em;max-width:40em;overflow-wrap:break-word}"
     "td:first-child{white-space:normal;overflow-wrap:anywhere;min-width:11em}"
 )
 

@@ -55,8 +55,8 @@ def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> F
     charts: Any = figure
     if examples:
         parts: Any = figure.subfigures(2, 1, height_ratios=[counted, 3.6])
-        charts, pictures = parts
-        _draw_examples(pictures, examples)
+        charts, lower = parts
+        _draw_examples(lower, examples)
     first, *more = (
         [charts.subplots()] if removed is None else charts.subplots(2, 1, height_ratios=[max(len(cameras), 2), 3])
     )
@@ -72,10 +72,10 @@ def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> F
     return figure
 
 
-def _draw_examples(pictures: Any, examples: Sequence[tuple[str, UInt8, UInt8]]) -> None:
+def _draw_examples(lower: Any, examples: Sequence[tuple[str, UInt8, UInt8]]) -> None:
     """Draw the examples in columns: before above, after below."""
-    pictures.suptitle("Largest regions before and after: not for publication", fontsize=10)
-    grid = pictures.subplots(2, len(examples), squeeze=False)
+    lower.suptitle("Largest regions before and after: not for publication", fontsize=10)
+    grid = lower.subplots(2, len(examples), squeeze=False)
     for column, (kind, before, after) in enumerate(examples):
         for axes, pixels, name in zip(grid[:, column], (before, after), ("before", "after")):
             axes.imshow(pixels, interpolation="nearest")

@@ -143,7 +143,8 @@ def _format_heading(board: Board) -> str:
         evidence += f" <small>split {escape(board.split)}{codes}{older}</small>"
     ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"
     word = "ordered" if MEASURES[board.ranked_by[1]].forgeable else "ranked"
-    download = f' <small>{word} by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
+    separator = "· " if evidence else ""
+    download = f' <small>{separator}{word} by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
     return f"<h3>{escape(board.title)}{evidence}{download}</h3>"
 
 

@@ -22,7 +22,6 @@ BOARD: Final = Path("leaderboard")
 """The default board."""
 
 _BUILD_EXAMPLES = (
-    "mirror leaderboard build --out site",
     "mirror leaderboard build --papers --out site",
     "mirror leaderboard build --board demo/board --unsigned --out site",
 )

@@ -25,6 +25,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64, UInt8
+from mirror.compiled import inner_njit
 from mirror.ingest.metric import scales, unwrap
 
 _MIN_TRACK_FIXES = 3
@@ -86,7 +87,7 @@ def count_backward(stamps: Int64) -> tuple[int, int]:
     return count, row
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _is_usable(lon_or_x: float, lat_or_y: float, geodetic: bool) -> bool:
     """Return whether a position is finite and on the globe, or within `LOCAL_LIMIT_M`."""
     if geodetic:
@@ -105,7 +106,7 @@ def _is_next_fix(index: int, after: int, fixes: Fixes) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _find_next_fix(index: int, fixes: Fixes) -> int:
     """The first row after ``index`` for which `_is_next_fix` holds; N if there is none."""
     for after in range(index + 1, len(fixes.stamps_ns)):
@@ -273,7 +274,7 @@ def _is_spike(dx: float, dy: float, dt: float, ex: float, ey: float, dt2: float,
     )
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _is_reachable(
     index: int, before: int, scale_x: float, scale_y: float, fixes: Fixes, limits: CleaningLimits
 ) -> bool:
@@ -285,7 +286,7 @@ def _is_reachable(
     return x * x + y * y <= reach * reach
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _start_track(restart: int, track_start: int, track_length: int, last: int, run_end: int, status: UInt8) -> None:
     """End the track from ``track_start`` to ``last`` and start a new one at ``restart``.
 
@@ -301,7 +302,7 @@ def _start_track(restart: int, track_start: int, track_length: int, last: int, r
     status[restart] = RESTART
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _keep_repetitions(last: int, run_end: int, status: UInt8) -> int:
     """Keep the repeated fixes after ``last`` up to ``run_end``. Returns their number."""
     count = 0

@@ -10,6 +10,7 @@ import math
 
 from numba import njit
 
+from mirror.compiled import inner_njit
 from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
 _RAD_PER_DEG = math.pi / 180.0
@@ -71,7 +72,7 @@ def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: fl
     return 2.0 * radius * math.asin(min(math.sqrt(chord2) / (2.0 * radius), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def plane_error(lat_or_y: float, radius: float, geodetic: bool) -> float:
     """Upper bound of the relative error of distances within a radius (m) that use the scales at the centre."""
     if not geodetic:

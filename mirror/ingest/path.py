@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64, Records
+from mirror.compiled import inner_njit
 from mirror.ingest.fix_status import RESTART, Fixes
 from mirror.ingest.metric import scales, step_m, unwrap
 from mirror.ingest.visits import CROSSING, STANDSTILL, dtype_of_rows
@@ -75,7 +76,7 @@ class _Points(NamedTuple):
     path_m: Float64
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _allocate_points(visits: Records) -> _Points:
     """Buffers for the points of the longest of the visits."""
     longest = 0
@@ -85,7 +86,7 @@ def _allocate_points(visits: Records) -> _Points:
     return _Points(np.empty(size, np.int64), np.empty(size), np.empty(size), np.empty(size))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _fill_points(fixes: Fixes, rule: StepRule, candidate: Records, points: _Points) -> tuple[int, int, bool]:
     """Fill the counted points of one pass.
 
@@ -118,7 +119,7 @@ def _fill_points(fixes: Fixes, rule: StepRule, candidate: Records, points: _Poin
     return count, kept, ends_at_exit
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _path_at(stamp: int, start: int, t: Int64, s: Float64, count: int) -> tuple[float, int]:
     """Cumulative path in metres at a time, linear between counted points.
 
@@ -143,7 +144,7 @@ def _path_at(stamp: int, start: int, t: Int64, s: Float64, count: int) -> tuple[
     return s[index - 1] + share * (s[index] - s[index - 1]), index
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _course_deg(a: Float64, b: Float64, index: int, geodetic: bool) -> float:
     """Direction from point ``index`` to the next one in degrees, clockwise from north (from +y in a plane)."""
     scale_x, scale_y = scales(0.5 * (b[index] + b[index + 1]), geodetic)
@@ -202,7 +203,7 @@ def measure_passes(
                 break
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _find_cut(away_m: Float64, away_ns: Int64) -> int:
     """The number of the longest excursion; of equally long ones the longest in time, of those the middle one.
 
@@ -286,7 +287,7 @@ def cut_standstills(fixes: Fixes, rule: StepRule, visits: Records, limit_ns: int
     return parts
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _store_part(
     out: Records, number: int, visit: Records, entry_ns: int, lon_or_x: float, lat_or_y: float, kind: int
 ) -> None:
@@ -297,7 +298,7 @@ def _store_part(
         part.entry_ns, part.entry_lon_or_x, part.entry_lat_or_y, part.entry_kind = entry_ns, lon_or_x, lat_or_y, kind
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _end_part(out: Records, number: int, exit_ns: int, lon_or_x: float, lat_or_y: float) -> None:
     """End a stored part with a standstill."""
     if number < len(out):

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Int64, Records
+from mirror.compiled import inner_njit
 from mirror.ingest.fix_status import RESTART, Fixes
 from mirror.ingest.grid import Circles
 from mirror.ingest.metric import distance_m, plane_error, scales, unwrap
@@ -223,7 +224,7 @@ def find_visits(fixes: Fixes, circles: Circles, stretches: Int64, max_gap_ns: in
     return count
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _scale_slope(lat_or_y: float, geodetic: bool) -> float:
     """Half the derivative by latitude of the metres per degree of longitude.
 
@@ -254,7 +255,7 @@ def _enter(
     visit.start, visit.closest_m = start, closest_m
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _leave(out: Records, number: int, exit_ns: int, lon_or_x: float, lat_or_y: float, kind: int, stop: int) -> None:
     visit = out[number]
     visit.exit_ns, visit.exit_lon_or_x, visit.exit_lat_or_y, visit.exit_kind = exit_ns, lon_or_x, lat_or_y, kind

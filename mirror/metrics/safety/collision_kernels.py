@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64
+from mirror.compiled import inner_njit
 from mirror.metrics.safety.rectangle_kernels import signed_gap
 
 # A contact that lasts less than this may be missed; the time of any other is found to a nanosecond.
@@ -15,7 +16,7 @@ _SHORTEST_CONTACT_S = 1e-4
 _BISECTIONS = 40
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _gap_at(share: float, ego: Float64, agent: Float64, halves: Float64, row: int, other: int) -> float:
     """Signed gap at a share of the step from ``row`` to the next."""
     rest = 1.0 - share
@@ -26,7 +27,7 @@ def _gap_at(share: float, ego: Float64, agent: Float64, halves: Float64, row: in
     return float(signed_gap(dx, dy, yaw_a, yaw_b, halves[0, 0], halves[0, 1], halves[other, 0], halves[other, 1]))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _contact_in_step(ego: Float64, agent: Float64, halves: Float64, row: int, other: int, duration: float) -> float:
     """Share of a step at which two rectangles first touch; inf: they do not.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64
+from mirror.compiled import inner_njit
 
 # Segments in one bounding box: a box that is farther than the nearest segment so far is passed over whole.
 _GROUP = 16
@@ -27,7 +28,7 @@ def _bounds(begins: Float64, ends: Float64) -> Float64:
     return bounds
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _signed_distance(x: float, y: float, bounds: Float64, begins: Float64, ends: Float64) -> float:
     """Distance of a point from segments: positive inside (even-odd rule), else negative."""
     least, inside = math.inf, False
@@ -46,7 +47,7 @@ def _signed_distance(x: float, y: float, bounds: Float64, begins: Float64, ends:
     return math.sqrt(least) if inside else -math.sqrt(least)
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _square_from_origin(ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
     """Square of the distance of a segment from the origin, and the share of the segment that is nearest to it."""
     ux, uy = bx - ax, by - ay
@@ -66,7 +67,7 @@ def signed_distances(points: Float64, begins: Float64, ends: Float64) -> Float64
     return found
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _clearance(path: Float64, bounds: Float64, begins: Float64, ends: Float64) -> tuple[float, float]:
     """Least distance of a path (x, y, x, y) from segments, 0 where it crosses one; and the share of the path there."""
     x, y, ux, uy = path[0], path[1], path[2] - path[0], path[3] - path[1]
@@ -191,7 +192,7 @@ def least_margin(
     return best, at_row, at_share
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _corner_at(states: Float64, row: int, share: float, corner: Float64, out: Float64) -> None:
     rest = 1.0 - share
     yaw = rest * states[row, 2] + share * states[row + 1, 2]

@@ -6,6 +6,8 @@ import math
 
 from numba import njit
 
+from mirror.compiled import inner_njit
+
 NEVER = math.inf
 
 
@@ -46,7 +48,7 @@ def _clip(offset: float, speed: float, reach: float, enter: float, leave: float)
     return max(enter, first), min(leave, last)
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def contact_time(
     dx: float,
     dy: float,

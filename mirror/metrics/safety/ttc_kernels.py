@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64
+from mirror.compiled import inner_njit
 from mirror.metrics.safety.rectangle_kernels import contact_time
 
 # Longest distance between samples. Between samples the least value is refined by bisection and golden section.
@@ -16,7 +17,7 @@ _REFINEMENTS = 30
 _GOLDEN = 0.3819660112501051
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def time_to_collision_at(ego: Float64, agent: Float64, halves: Float64, row: int, other: int, share: float) -> float:
     """Time to collision at a share of the step from ``row`` to the next, both with their velocities of that instant."""
     after = min(row + 1, len(ego) - 1)
@@ -32,7 +33,7 @@ def time_to_collision_at(ego: Float64, agent: Float64, halves: Float64, row: int
     )
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _lower_bound(ego: Float64, agent: Float64, row: int, radius: float) -> float:
     """No time to collision within the step from ``row`` to the next is less than this."""
     ax, ay = agent[row, 0] - ego[row, 0], agent[row, 1] - ego[row, 1]
@@ -74,7 +75,7 @@ def _refine(
     return best, at
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _least_in_step(
     ego: Float64, agent: Float64, halves: Float64, row: int, other: int, duration: float, best: float
 ) -> tuple[float, float]:

@@ -7,11 +7,10 @@ observations and microscopic simulations", Phys. Rev. E 62, 2000) with a limit o
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
-
-from numba import njit
+from typing import Final, NamedTuple
 
 from mirror.arrays import Float64, Int64, UInt8
+from mirror.compiled import inner_njit
 from mirror.synth.driving.ways import STEP_M
 from mirror.synth.portable import scalars
 
@@ -19,10 +18,6 @@ STANDSTILL_M: Final = 0.5
 """Gap to the road user ahead when both stand."""
 _HARDEST_MPS2: Final = 7.0
 _GENTLE_MPS2: Final = 2.5
-
-# For functions that Python does not call: omitting the wrappers saves a third of the compile time. (numba's stubs lack
-# these options.)
-inner_njit: Any = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # type: ignore[call-overload]
 
 
 class Ways(NamedTuple):

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import inner_njit
 from mirror.synth.driving.following import (
     Users,
     Ways,
     advance_along,
     free_acceleration,
-    inner_njit,
     pace_at,
     stopping_acceleration,
 )

@@ -6,7 +6,8 @@ import math
 from typing import Final, NamedTuple
 
 from mirror.arrays import Float64, Int64, UInt8
-from mirror.synth.driving.following import Users, following_acceleration, inner_njit, stopping_acceleration
+from mirror.compiled import inner_njit
+from mirror.synth.driving.following import Users, following_acceleration, stopping_acceleration
 from mirror.synth.driving.zones import GRID_M
 
 FAR: Final = 1e6

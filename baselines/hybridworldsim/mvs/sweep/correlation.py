@@ -9,6 +9,7 @@ import numpy as np
 
 from hybridworldsim.kernels.threads import in_parallel, numba_threads
 from mirror.arrays import AnyArray, Float32, Float64, UInt8
+from mirror.compiled import inner_njit
 
 _STRIP_ROWS = 24
 RADIUS = 2
@@ -103,7 +104,7 @@ def _fill(
         _enter_costs(best_scores, inverse_depth[plane], first, start, end, low, high, volume[first : first + rows])
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _pad_strip(image: AnyArray, first: int, rows: int) -> Float32:
     """Copy a strip with a halo: (rows + 2 radius, W + 2 radius), NaN outside the image."""
     height, width = image.shape
@@ -113,7 +114,7 @@ def _pad_strip(image: AnyArray, first: int, rows: int) -> Float32:
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _compute_statistics(grey: AnyArray, deviation: float) -> tuple[Float32, Float32]:
     """Compute the mean and inverse standard deviation (rows, W) of the windows of a strip.
 
@@ -137,7 +138,7 @@ def _compute_statistics(grey: AnyArray, deviation: float) -> tuple[Float32, Floa
     return mean, scale
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _find_columns(plane: AnyArray, first: int, rows: int, width: int, low: float, high: float) -> tuple[int, int]:
     """Find the columns (start, end) of a strip in which a plane's inverse depth can lie between low and high."""
     a, b, c = plane[0], plane[1], plane[2]
@@ -156,7 +157,7 @@ def _find_columns(plane: AnyArray, first: int, rows: int, width: int, low: float
     return int(np.floor(min(start, float(width)))), int(np.ceil(max(end, 0.0)))
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _warp(
     source: AnyArray, h: AnyArray, first: int, start: int, end: int, coordinates: AnyArray, out: AnyArray
 ) -> bool:
@@ -245,7 +246,7 @@ def _correlate(
                 score[column] = current if new > current else new
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _enter_costs(
     best_scores: AnyArray, plane: AnyArray, first: int, start: int, end: int, low: float, high: float, volume: AnyArray
 ) -> None:

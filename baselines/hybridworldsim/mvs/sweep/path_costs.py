@@ -13,6 +13,7 @@ import numpy as np
 from hybridworldsim.kernels.threads import in_row_spans
 from hybridworldsim.mvs.sweep.correlation import UNKNOWN
 from mirror.arrays import AnyArray, Float32, UInt8
+from mirror.compiled import inner_njit
 
 
 def smooth_costs(volume: UInt8, grey: Float32, *, step: int, jump: int, neutral: int, contrast: float) -> AnyArray:
@@ -58,7 +59,7 @@ def _add_paths(
             _add_path(volume[line], grey[line], total[line], back == 1, step, jump, neutral, unknown, contrast)
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _add_path(
     costs: AnyArray,
     grey: AnyArray,

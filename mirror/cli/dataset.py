@@ -152,9 +152,12 @@ def _publish(argv: Sequence[str]) -> int:
         return ExitCode.DONE
     counts = f"{len(bundle.files):,} files, {size / 1e6:,.1f} MB; {len(bundle.withheld):,} images withheld"
     print(f"{arguments.out}: {counts}")
-    print("README.md is the datasheet: read it, and add what only you know, before you publish the folder")
-    if missing := publication.missing():
-        print(f"croissant.json lacks what only you know, and Croissant asks for: {', '.join(missing)}")
+    print("README.md is the datasheet, croissant.json the metadata: read both before you publish the folder")
+    unsaid = [*publication.missing(), *(["--contact"] if options.contact is None else [])]
+    if unsaid:
+        print(
+            f"they lack what only you know: run it again with {', '.join(unsaid)} (a file that is edited fails `fetch`)"
+        )
     _print_same(report.same_bytes)
     if report.altered:
         print(f"{len(report.altered):,} images have other bytes than their table states, such as {report.altered[0]}")

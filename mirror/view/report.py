@@ -152,7 +152,7 @@ def _format_places(
             parts.append(f"<h3>{escape(scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
     if parts:
         yield "<h2>One place, every traversal</h2>"
-        yield '<p class="dim">The same view in every traversal that passes a place; times are UTC.</p>'
+        yield '<p class="dim">The same view in every traversal that passes a place.</p>'
         yield from parts
 
 

@@ -31,7 +31,7 @@ _TRAVERSALS: Final = (
     "duration_s", "path_m", "mean_speed_mps", "images",
 )  # fmt: skip
 _PASSES: Final = (
-    "scene_id", "drive_id", "entry_ns", "decision", "rule", "measured", "threshold", "entry_solar", "light", "weather",
+    "scene_id", "drive_id", "entry_ns", "entry_solar", "decision", "rule", "measured", "threshold", "light", "weather",
     "duration_s", "path_m", "overlap",
 )  # fmt: skip
 _SHORT: Final = {

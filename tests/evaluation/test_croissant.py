@@ -128,6 +128,14 @@ def test_what_only_the_publisher_knows_is_asked_for(
     words = ["dataset", "publish", str(root), "--split", SPLIT, "--out", str(tmp_path / "b"), "--licence", "CC0-1.0"]
     assert main([*words, "--date", "yesterday"]) == 2
     assert "--date: 'yesterday'" in capsys.readouterr().err
+    assert main(words) == 0
+    assert "run it again with --url, --creator, --date, --contact" in capsys.readouterr().out
+    given = [word for pair in {**GIVEN, "--contact": "data@example.org"}.items() for word in pair]
+    assert main([*words, *given]) == 0
+    assert "run it again" not in capsys.readouterr().out
+    again = json.loads((tmp_path / "b" / "croissant.json").read_text())
+    assert again["creator"]["name"] == GIVEN["--creator"]
+    assert not fetch(str(tmp_path / "b"), tmp_path / "c").failed
     document = Bundle.model_validate_json((bundle / "bundle.json").read_bytes())
     plain = json.loads(write_croissant(dataset, document, (), name="Street", publication=Publication()))
     assert not {"url", "creator", "datePublished"} & plain.keys()

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from mirror.errors import RecordingError
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.registry import list_drives, load_readers
+
+_SYNTH: Final = "synth.json"
+_BESIDE_SYNTHETIC: Final = (_SYNTH, "maps", "rois.geojson", "secret.json")
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRe
     """Replace each folder of recordings by the recordings that lie directly in it, or that its format keeps in it.
 
     A path that a reader recognises is a recording, whatever it contains. A path without a recording in it also counts
-    as one: opening it then reports what is wrong with it. Names that begin with a dot are ignored.
+    as one: opening it then reports what is wrong with it. Names that begin with a dot are ignored, and in a folder of
+    `mirror synth` what it writes beside the recordings.
 
     Args:
         paths: recordings, and folders of recordings.
@@ -47,11 +52,13 @@ def find_recordings(paths: Sequence[Path], reader: str | None = None) -> FoundRe
         for child, yes in is_recording.items():
             if yes:
                 recordings.update(dict.fromkeys(_drives(child, reader)))
+        names = {child.name for child in children}
         # A topics file describes the log beside it that has its name.
         described = {child.stem for child, yes in is_recording.items() if yes}
         for child, yes in is_recording.items():
             is_description = child.suffix == ".toml" and child.name.partition(".")[0] in described
-            if not yes and not is_description:
+            is_synthetic = child.name in _BESIDE_SYNTHETIC and _SYNTH in names
+            if not (yes or is_description or is_synthetic):
                 passed_over[child] = None
     return FoundRecordings(tuple(recordings), tuple(passed_over))
 

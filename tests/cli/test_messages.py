@@ -35,3 +35,11 @@ def test_the_topics_file_of_a_log_is_not_listed_as_passed_over(tmp_path: Path) -
     found = find_recordings([tmp_path])
     assert found.recordings == (tmp_path / "drive.mcap",)
     assert found.passed_over == (tmp_path / "notes.toml",)
+
+
+def test_what_synth_writes_beside_recordings_is_not_listed_as_passed_over(tmp_path: Path) -> None:
+    for name in ("drive.mcap", "rois.geojson", "maps", "notes.txt"):
+        (tmp_path / name).touch()
+    assert [path.name for path in find_recordings([tmp_path]).passed_over] == ["maps", "notes.txt", "rois.geojson"]
+    (tmp_path / "synth.json").touch()
+    assert [path.name for path in find_recordings([tmp_path]).passed_over] == ["notes.txt"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Final
 
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.ranking import ALL, Ranking
-from mirror.schema.files import sha256_bytes
+from mirror.schema.hashing import hash_document
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.former import find_former
 from mirror_leaderboard.measures import MEASURES
@@ -70,8 +69,8 @@ class Board:
     @property
     def id(self) -> str:
         """Identifier for links within the page."""
-        evidence = json.dumps([self.split, self.hashes, self.options])
-        words = [self.protocol, self.title, "" if self.hashes is None else sha256_bytes(evidence.encode())[:8]]
+        evidence = hash_document([self.split, self.hashes, self.options])
+        words = [self.protocol, self.title, "" if self.hashes is None else evidence[:8]]
         return "-".join(re.sub("[^a-z0-9]", "-", word.lower()) for word in words if word)
 
     @property

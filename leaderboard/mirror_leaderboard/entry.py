@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from datetime import date
 from pathlib import Path
@@ -14,7 +13,8 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.evaluation.submission.manifest import MOST_FRAMES_PER_SECOND
 from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
-from mirror.schema.files import read_json, sha256_bytes
+from mirror.schema.files import read_json
+from mirror.schema.hashing import HashStyle, hash_document
 from mirror_leaderboard.keys import KeyId
 from mirror_leaderboard.measures import MEASURES
 
@@ -209,7 +209,7 @@ class Measured(Document):
     def content_hash(self) -> str:
         """The correct value of the seal."""
         plain = self.model_dump(mode="json", exclude={"seal", *_SIGNATURE})
-        return sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())
+        return hash_document(plain, HashStyle.CANONICAL)
 
 
 Entry = Reported | Measured

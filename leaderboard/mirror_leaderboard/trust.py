@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from mirror.errors import UsageError
 from mirror.schema.documents import Document
-from mirror.schema.files import read_json, sha256_bytes, write_json
+from mirror.schema.files import read_json, write_json
+from mirror.schema.hashing import HashStyle, hash_document
 from mirror_leaderboard.entry import Entry, Hash, Measured, Reported, load_entries, load_entry_files
 from mirror_leaderboard.keys import KEYS, OrganiserKey, OrganiserKeys, key_id, load_public_keys, read_keys
 from mirror_leaderboard.refused import RefusedError
@@ -211,7 +211,7 @@ def _find_signature_problem(entry: Measured, keys: OrganiserKeys, public: Mappin
 
 def hash_reported(entry: Reported) -> str:
     """SHA-256 of the canonical content of a reported entry."""
-    return sha256_bytes(json.dumps(entry.model_dump(mode="json"), sort_keys=True, separators=(",", ":")).encode())
+    return hash_document(entry.model_dump(mode="json"), HashStyle.CANONICAL)
 
 
 def list_rows(folder: Path) -> ReviewedRows:

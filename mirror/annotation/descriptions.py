@@ -5,7 +5,6 @@ A package offers a describer by an entry point of the group ``mirror.describers`
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.light import Light
 from mirror.recordings.weather import WEATHER
 from mirror.schema.finished_work import hash_values
+from mirror.schema.hashing import hash_document
 from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 DESCRIBERS: Final = PluginKind("describer", "mirror.describers", "--describer", "models")
@@ -138,7 +138,7 @@ class ProgramDescriber:
     """
 
     def __init__(self, command: list[str], limit_s: float) -> None:
-        self.fingerprint = f"subprocess {hashlib.sha256(json.dumps(command).encode()).hexdigest()}"
+        self.fingerprint = f"subprocess {hash_document(command)}"
         self._program = FrameProgram(command, limit_s, REQUEST)
 
     def describe(self, frame: Frame) -> Description:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,6 +24,7 @@ from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.hashing import hash_document
 from mirror.schema.tables import BOXES, MASKS
 
 _SHIFT = 4
@@ -127,10 +126,8 @@ def mask_layer(
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-hulls", version or own_version
-    settings = json.dumps(
-        ["instances", options.margin, options.min_score, dataset.layers.poses, dataset.layers.calibrations]
-    )
-    digest = hashlib.sha256(settings.encode()).hexdigest()
+    layers = dataset.layers
+    digest = hash_document(["instances", options.margin, options.min_score, layers.poses, layers.calibrations])
     layout = dataset.layout
     written, kept = [], []
     images, share = 0, 0.0

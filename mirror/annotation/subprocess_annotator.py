@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -14,6 +12,7 @@ from mirror.annotation.frame_program import FrameProgram, program_settings
 from mirror.annotation.protocol import Annotator, require_settings
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
+from mirror.schema.hashing import hash_document
 
 FORMAT: Final = "mirror-annotate/1"
 _SETTINGS: Final = {
@@ -34,7 +33,7 @@ class SubprocessAnnotator:
 
     def __init__(self, command: list[str], limit_s: float, name: str) -> None:
         self.name, self.version = name, "1"
-        self.fingerprint = f"subprocess {hashlib.sha256(json.dumps(command).encode()).hexdigest()}"
+        self.fingerprint = f"subprocess {hash_document(command)}"
         self._program = FrameProgram(command, limit_s, FORMAT)
 
     @property

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from typing import Final, Literal
 
@@ -12,6 +10,7 @@ from pydantic import Field
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.protocols.document import Protocol
 from mirror.schema.documents import Document
+from mirror.schema.hashing import HashStyle, hash_document
 
 RESULT: Final = "result.json"
 IMAGES: Final = "images.parquet"
@@ -110,7 +109,7 @@ class Result(Document):
     def hash(self) -> str:
         """SHA-256 of the canonical content; leaderboard entries refer to it."""
         plain = self.model_dump(mode="json")
-        return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        return hash_document(plain, HashStyle.CANONICAL)
 
 
 def finite_or_none(value: float) -> float | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +21,7 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.schema.files import write_bytes, write_json
 from mirror.schema.folders import FolderKind, find_kind, require_output_folder
+from mirror.schema.hashing import HashStyle, hash_document
 from mirror.schema.rollout import MAP_FILE, ROLLOUT, SCENARIO_FILE, Rollout, read_rollout
 
 _OTHERS: Final = {
@@ -104,7 +103,7 @@ def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
         protocol_hash=protocol.hash,
         dataset=identity,
         submission=manifest,
-        submission_hash=_hash([one.rollout.hash for one in scored]),
+        submission_hash=hash_document([one.rollout.hash for one in scored], HashStyle.CANONICAL),
         figures=tuple(rollout_figures(protocol, scored)),
         unavailable={},
         weights={},
@@ -171,13 +170,9 @@ def _identify(scored: Sequence[ScoredRollout]) -> DatasetIdentity:
         [one.rollout.scene_id, one.rollout.files[SCENARIO_FILE].sha256, str(one.rollout.seed)] for one in scored
     )
     is_hash = stated is not None and re.fullmatch("[0-9a-f]{64}", stated) is not None
-    return DatasetIdentity(
-        split=first.world, dataset_hash=stated if stated and is_hash else _hash(maps), plan_hash=_hash([maps, plan])
-    )
-
-
-def _hash(content: object) -> str:
-    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    maps_hash, plan_hash = (hash_document(one, HashStyle.CANONICAL) for one in (maps, [maps, plan]))
+    dataset_hash = stated if stated and is_hash else maps_hash
+    return DatasetIdentity(split=first.world, dataset_hash=dataset_hash, plan_hash=plan_hash)
 
 
 def _map_source(scored: ScoredRollout) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -20,6 +18,7 @@ from mirror.evaluation.scorers.scorer import Job, ScoredJob, Values
 from mirror.evaluation.versions import list_versions
 from mirror.pools import process_pool
 from mirror.schema.finished_work import FinishedWork, hash_values
+from mirror.schema.hashing import HashStyle, hash_document
 
 _CHUNK: Final = 8
 _COMMON: Final = "key of all jobs"
@@ -110,7 +109,7 @@ def score_jobs(
     scored = tuple(ScoredJob(job, values) for job in jobs if (values := found[job.name].values) is not None)
     failed = {name: one.error for name, one in found.items() if one.error is not None}
     keys = [[job.name, found[job.name].key] for job in jobs]
-    return ScoringOutcome(scored, failed, reused, hashlib.sha256(json.dumps(keys).encode()).hexdigest())
+    return ScoringOutcome(scored, failed, reused, hash_document(keys))
 
 
 def job_key(job: Job, inputs: ScoringInputs) -> str:
@@ -124,7 +123,7 @@ def job_key(job: Job, inputs: ScoringInputs) -> str:
         [(inputs.recorded if job.recorded else inputs.truth).image_hash(view) for view in job.views if job.truth],
         job.fingerprint,
     ]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return hash_document(parts, HashStyle.AS_GIVEN)
 
 
 def _traversal_key(traversal_id: str, inputs: ScoringInputs) -> object:
@@ -152,7 +151,7 @@ def _common_key(inputs: ScoringInputs) -> object:
             inputs.fitted_part is not None,
             sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
         ]
-        inputs.made[_COMMON] = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+        inputs.made[_COMMON] = hash_document(parts, HashStyle.AS_GIVEN)
     return inputs.made[_COMMON]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +12,7 @@ from mirror.ingest.rois import merge_rois, read_rois
 from mirror.ingest.trigger import Trigger
 from mirror.schema.documents import CleaningOptions, DatasetDocument, Roi, TriggerOptions
 from mirror.schema.files import read_json
+from mirror.schema.hashing import hash_document
 from mirror.schema.version import SCHEMA_VERSION
 
 
@@ -100,4 +99,4 @@ def _configuration(document: DatasetDocument, options: IngestOptions) -> str:
         decisive["videos"] = options.write.videos
     if options.max_missing_images:
         decisive["max_missing_images"] = options.max_missing_images
-    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()
+    return hash_document(decisive)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
@@ -11,6 +9,7 @@ from mirror.privacy.detectors.registry import DEFAULT, DetectorChoice
 from mirror.privacy.log import DetectorRecord
 from mirror.privacy.operators import Redaction
 from mirror.privacy.propagation.vehicles import StripOptions
+from mirror.schema.hashing import hash_document
 from mirror.version import __version__
 
 
@@ -78,12 +77,12 @@ class DeidentifyOptions:
 
 def detection_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
     """The hash of what decides which regions the detectors find."""
-    return _digest({"detectors": [one.model_dump() for one in detectors], "skip": asdict(options.skip)})
+    return hash_document({"detectors": [one.model_dump() for one in detectors], "skip": asdict(options.skip)})
 
 
 def configuration_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
     """The hash of what decides the bytes of the layers and of their log; the number of workers does not."""
-    return _digest(
+    return hash_document(
         {
             "detection": detection_hash(detectors, options),
             "redaction": asdict(options.redaction),
@@ -92,7 +91,3 @@ def configuration_hash(detectors: Sequence[DetectorRecord], options: DeidentifyO
             "tool": __version__,
         }
     )
-
-
-def _digest(content: object) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

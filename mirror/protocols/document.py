@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -16,6 +14,7 @@ from mirror.protocols.metrics import Metric, figure_names, metric_name
 from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
+from mirror.schema.hashing import HashStyle, hash_document
 from mirror.schema.problems import describe_problem
 from mirror.schema.strict_toml import TomlError, decode_toml
 
@@ -221,7 +220,7 @@ class Protocol(Document):
     def hash(self) -> str:
         """SHA-256 of the canonical content without the description."""
         plain = self.model_dump(mode="json", exclude={"description"})
-        return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        return hash_document(plain, HashStyle.CANONICAL)
 
 
 def protocol_names() -> list[str]:

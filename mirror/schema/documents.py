@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from pathlib import PurePosixPath
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from mirror.schema.hashing import hash_document
 from mirror.schema.links import is_file_name
 from mirror.schema.version import SCHEMA_VERSION
 
@@ -329,7 +328,7 @@ class Manifest(Document):
     def content(self) -> str:
         """SHA-256 over ``files`` alone: equal content has the same hash, whatever its inputs are."""
         plain = self.model_dump(mode="json", include={"files"})
-        return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+        return hash_document(plain)
 
 
 Light = Literal["day", "dusk", "night", "unknown"]

@@ -7,13 +7,13 @@ hash decides, and a result with another hash counts as not there.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from mirror.errors import DatasetError
+from mirror.schema.hashing import hash_document
 from mirror.schema.json_lines import append_line, decode_object, read_lines
 
 Result = TypeVar("Result")
@@ -80,5 +80,5 @@ class FinishedWork(Generic[Result]):
 
 
 def hash_values(*values: object) -> str:
-    """SHA-256 of values of JSON, in hexadecimal."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    """Return the SHA-256 of values of JSON, in hexadecimal."""
+    return hash_document(values)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -11,6 +9,7 @@ from typing import Final
 from mirror.errors import UsageError
 from mirror.schema.files import remove_temporaries, write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
+from mirror.schema.hashing import hash_document
 
 UNFINISHED_MARK: Final = ".rendering"
 """Name of a file in a submission that is not complete: a hash of the settings that decide its files."""
@@ -36,7 +35,7 @@ def start_render_folder(
             settings.
         DatasetError: the folder cannot be written.
     """
-    digest = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+    digest = hash_document(settings)
     mark = out / _MARKS[kind]
     if require_output_folder(out, kind) is None:
         if settings is not None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -12,6 +10,7 @@ from pydantic import Field
 from mirror.errors import DatasetError
 from mirror.schema.documents import Document, FileEntry
 from mirror.schema.files import read_json, sha256_bytes
+from mirror.schema.hashing import HashStyle, hash_document
 
 ROLLOUT: Final = "run.json"
 STATES_FILE: Final = "states.parquet"
@@ -84,7 +83,7 @@ class Rollout(Document):
         # Rollouts that do not state the source of their map keep the hash that they had before it could be stated.
         unstated = {"map_source"} if self.map_source is None else set()
         plain = self.model_dump(mode="json", exclude={"versions", *unstated})
-        return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        return hash_document(plain, HashStyle.CANONICAL)
 
 
 def read_rollout(folder: Path) -> Rollout:

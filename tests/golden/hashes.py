@@ -14,7 +14,6 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.studies.hashing import hash_document
 from mirror.annotation.descriptions import ProgramDescriber
 from mirror.annotation.subprocess_annotator import SubprocessAnnotator
 from mirror.dataset.layout import Layout
@@ -40,6 +39,7 @@ from mirror.schema.documents import (
 from mirror.schema.files import write_json
 from mirror.schema.finished_work import FinishedWork, hash_values
 from mirror.schema.folders import FolderKind
+from mirror.schema.hashing import hash_document
 from mirror.schema.render_folder import start_render_folder
 from mirror.schema.rollout import Rollout
 from mirror_leaderboard.boards import Board

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias, get_args
@@ -16,6 +14,7 @@ from mirror.errors import UsageError
 from mirror.methods.plugin import ReconstructionTask
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
+from mirror.schema.hashing import hash_document
 
 GIVEN: Final = "dataset"
 PLANE_SWEEP: Final = "plane-sweep"
@@ -110,7 +109,7 @@ def _version(dataset: Dataset, task: ReconstructionTask) -> str:
 
 
 def _withheld_suffix(withheld: Set[ImageKey]) -> str:
-    digest = hashlib.sha256(json.dumps(sorted(withheld)).encode()).hexdigest()
+    digest = hash_document(sorted(withheld))
     return f"-without-{len(withheld)}-{digest[:8]}" if withheld else ""
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,6 +33,7 @@ from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
 from mirror.plugins import is_file_reference
 from mirror.progress import ProgressReporter
 from mirror.schema.files import write_json
+from mirror.schema.hashing import hash_document
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ class StaticMethod:
         return Run(
             method=self.name,
             settings=settings,
-            settings_hash=hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest(),
+            settings_hash=hash_document(settings),
             seed=task.seed,
             steps=task.steps,
             core_minutes=task.core_minutes,

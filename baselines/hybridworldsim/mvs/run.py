@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass, field, replace
@@ -19,6 +18,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.writing import writing_layers
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.hashing import hash_document
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ def _hash_inputs(
     view: Dataset, options: InitialisationOptions, estimator: DepthEstimator | None, withheld: Set[ImageKey]
 ) -> dict[str, str]:
     """Hash everything that the layers of a view depend on; the keys are part of the manifests."""
-    hashes = {"options": _digest(json.dumps(asdict(options), sort_keys=True)), "estimator": _digest(repr(estimator))}
+    hashes = {"options": hash_document(asdict(options)), "estimator": _digest(repr(estimator))}
     if withheld:
-        hashes["withheld"] = _digest(json.dumps(sorted(withheld)))
+        hashes["withheld"] = hash_document(sorted(withheld))
     choice = {key: value for key, value in asdict(view.layers).items() if key not in ("depth", "points")}
-    hashes["layers"] = _digest(json.dumps(choice, sort_keys=True))
+    hashes["layers"] = hash_document(choice)
     table = view.table("traversals", ["traversal_id", "layers"])
     rows = zip(*(column.to_pylist() for column in table.columns))
     names = {(traversal_id, name) for traversal_id, layers in rows for name in layers}

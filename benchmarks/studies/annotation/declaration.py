@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.studies.annotation.scoring import Bar
-from benchmarks.studies.hashing import hash_document
+from mirror.schema.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("experiment.toml")
 

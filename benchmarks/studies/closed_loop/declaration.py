@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.studies.hashing import hash_document
+from mirror.schema.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("experiment.toml")
 

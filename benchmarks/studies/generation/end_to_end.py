@@ -19,12 +19,12 @@ from benchmarks.studies.generation.score_files import EMPTY, TRUTH, read_scores,
 from benchmarks.studies.generation.stages import plan_declared_edits
 from benchmarks.studies.generation.study import Figures, Stage, Study
 from benchmarks.studies.generation.train_judges import load_judges
-from benchmarks.studies.hashing import hash_document
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import ClipList, clip_path, read_clip, write_clip, write_list
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.progress import ProgressReporter
+from mirror.schema.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("end_to_end.toml")
 OUTCOMES: Final = Path(__file__).with_name("end_to_end.jsonl")

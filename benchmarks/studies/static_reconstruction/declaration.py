@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from benchmarks.studies.hashing import hash_document
+from mirror.schema.hashing import hash_document
 
 FILE: Final = Path(__file__).with_name("comparison.toml")
 TRAINING: Final = "training"

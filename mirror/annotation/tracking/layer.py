@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
@@ -20,6 +18,7 @@ from mirror.dataset.layout import manifest_sha256
 from mirror.dataset.writing import writing_layers
 from mirror.geometry.poses import Poses
 from mirror.progress import NullProgress, ProgressReporter
+from mirror.schema.hashing import hash_document
 from mirror.schema.tables import BOXES
 
 _PROBLEM = "the layer was made with other options or of other boxes"
@@ -75,8 +74,7 @@ def track_layer(
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-tracks", version or own_version
-    settings = json.dumps({**asdict(options), "poses": dataset.layers.poses}, sort_keys=True)
-    digest = hashlib.sha256(settings.encode()).hexdigest()
+    digest = hash_document({**asdict(options), "poses": dataset.layers.poses})
     layout = dataset.layout
     counts: dict[str, int] = dict.fromkeys(("detections", "boxes", "tracks", "stationary"), 0)
     with writing_layers(layout):

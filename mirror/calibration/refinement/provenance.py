@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
@@ -13,6 +11,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.errors import DatasetError
+from mirror.schema.hashing import hash_document
 
 _KINDS: Final = ("poses", "calibrations", "boxes", "masks")
 OWN_KEYS: Final = ("recorded", REDACTION)
@@ -29,8 +28,7 @@ def hash_inputs(view: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
     Raises:
         DatasetError: a folder is not complete.
     """
-    text = json.dumps({**settings, "layers": asdict(view.layers)}, sort_keys=True)
-    hashes = {"settings": hashlib.sha256(text.encode()).hexdigest()}
+    hashes = {"settings": hash_document({**settings, "layers": asdict(view.layers)})}
     contents = ContentHashes(view.store)
     for traversal_id in view.traversals():
         layers = [f"{kind}/{name}" for kind, name in _input_layers(view, traversal_id)]

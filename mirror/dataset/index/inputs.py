@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -15,6 +13,7 @@ from mirror.dataset.store import Store
 from mirror.errors import DatasetError, SchemaError
 from mirror.schema.documents import DriveDocument, Manifest, Rig, Roi
 from mirror.schema.files import parse_json, sha256_bytes
+from mirror.schema.hashing import hash_document
 from mirror.schema.problems import describe_problem
 from mirror.schema.strict_json import JsonError, decode_json
 
@@ -215,13 +214,9 @@ def _fingerprints(
     for traversal in traversals.values():
         by_scene[traversal.scene_id].append([traversal.traversal_id, dict(sorted(traversal.hashes.items()))])
     prints = {
-        f"scene:{scene_id}": _hash([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
+        f"scene:{scene_id}": hash_document([DERIVATION, scenes[scene_id].model_dump(mode="json"), rows])
         for scene_id, rows in by_scene.items()
     }
     prints.update(maps)
-    prints[DATASET_KEY] = _hash([DERIVATION, prints, sorted(drives)])
+    prints[DATASET_KEY] = hash_document([DERIVATION, prints, sorted(drives)])
     return prints
-
-
-def _hash(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

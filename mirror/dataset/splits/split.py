@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -29,6 +28,7 @@ from mirror.schema.documents import (
     is_identifier,
 )
 from mirror.schema.files import read_json, write_json
+from mirror.schema.hashing import hash_document
 
 _FEWER: Final = "ask for fewer with --train N --held-out-traversals M"
 
@@ -242,7 +242,7 @@ def _document(
 
 def hash_manifests(manifests: Mapping[str, str]) -> str:
     """The dataset hash of a split: SHA-256 over ids of traversals and hashes of their recorded data."""
-    return hashlib.sha256(json.dumps(sorted(manifests.items())).encode()).hexdigest()
+    return hash_document(sorted(manifests.items()))
 
 
 def _keep(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -24,6 +22,7 @@ from mirror.protocols.views.edits import EditPlanner
 from mirror.protocols.views.final_camera import final_camera
 from mirror.protocols.views.view import RenderView
 from mirror.schema.documents import SplitDocument
+from mirror.schema.hashing import hash_document
 
 _MASKS = "masks"
 
@@ -60,7 +59,7 @@ class Plan:
             sorted(self.layers.items()),
             [(view.path, view.width_px, view.height_px) for view in self.views],
         ]
-        return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
+        return hash_document(plain)
 
 
 def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:

@@ -6,11 +6,12 @@ takes a URL is of type `str`.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, NamedTuple, TypeVar, get_args
@@ -61,7 +62,7 @@ def parse_arguments(
         renamed: old options that are still accepted, with their new names; see `apply_new_names`.
 
     Raises:
-        UsageError: a URL stands where a path is expected, or an output cannot be written.
+        UsageError: a URL stands where a path is expected, a number is not finite, or an output cannot be written.
         SystemExit: the help was printed (code 0), or the arguments are wrong (code 2).
     """
     words = apply_new_names(words, command, renamed or {})
@@ -74,6 +75,7 @@ def parse_arguments(
             print("\n".join(["examples, with the folders that `mirror demo` makes:", *(f"  {e}" for e in examples)]))
         raise
     refuse_urls(arguments)
+    refuse_numbers(arguments)
     for name in _OUTPUTS:
         out = getattr(arguments, name, None)
         if isinstance(out, Path) or (isinstance(out, str) and not _URL.match(out)):
@@ -225,6 +227,29 @@ def refuse_urls(arguments: _Arguments) -> _Arguments:
             if isinstance(item, Path):
                 local_path(item)
     return arguments
+
+
+def refuse_numbers(arguments: object) -> None:
+    """Require that every number of parsed arguments, also in groups of options, can be computed with.
+
+    Raises:
+        UsageError: a number is NaN or infinite, or a whole number does not fit into 64 bits.
+    """
+    for name, value in vars(arguments).items():
+        place = f"--{name.replace('_', '-')}"
+        for item in value if isinstance(value, tuple) else (value,):
+            if is_dataclass(item) and not isinstance(item, type):
+                refuse_numbers(item)
+            elif isinstance(item, float) and not math.isfinite(item):
+                raise UsageError(
+                    f"{item}", place=place, expected="a finite number",
+                    remedy=f"give another number with {place}",
+                )  # fmt: skip
+            elif isinstance(item, int) and not -(2**63) <= item < 2**63:
+                raise UsageError(
+                    f"{item}", place=place, expected="a whole number of at most 64 bits",
+                    remedy=f"give another number with {place}",
+                )  # fmt: skip
 
 
 def parse_settings(words: Sequence[str]) -> dict[str, str]:

@@ -173,10 +173,16 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _print(result: ReconstructionResult, scene: str, arguments: Arguments) -> None:
-    reached = "" if result.psnr_db is None else f"{result.psnr_db:.2f} dB on training images "
-    steps = "" if result.steps is None else f"after {result.steps} steps, "
-    core_s, wall_s = result.core_s or 0.0, result.wall_s or 0.0
-    print(f"{scene}: {reached}{steps}, {core_s / 60.0:.1f} core-minutes, {wall_s / 60.0:.1f} minutes")
+    reached = [
+        None if result.psnr_db is None else f"{result.psnr_db:.2f} dB on training images",
+        None if result.steps is None else f"after {result.steps} steps",
+    ]
+    trained = [
+        " ".join(filter(None, reached)) or "reconstructed",
+        None if result.core_s is None else f"{result.core_s / 60.0:.1f} core-minutes",
+        None if result.wall_s is None else f"{result.wall_s / 60.0:.1f} minutes",
+    ]
+    print(f"{scene}: {', '.join(filter(None, trained))}")
     counts = [
         count_of(len(result.blocks), "block") if result.blocks else None,
         None if result.pictures is None else f"{result.pictures} images",

@@ -198,8 +198,10 @@ def _print_findings(findings: Sequence[Finding]) -> None:
 def _review(words: Sequence[str]) -> int:
     arguments = parse_arguments(ReviewArguments, words, "mirror release review", examples=_REVIEW)
 
+    from mirror.addresses import require_listening
     from mirror.privacy.release.review import ReviewSession, review_server
 
+    require_listening("127.0.0.1", arguments.port)
     session = ReviewSession(arguments.dataset, arguments.reviewer, arguments.sample)
     with review_server(session, arguments.port) as server:
         print(f"{session.done} of {len(session.sample)} images are reviewed. Open this address, and end with Ctrl-C:")

@@ -74,6 +74,12 @@ def _propose(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Propose, argv, _COMMAND, examples=_EXAMPLES, renamed=RENAMED_THRESHOLDS)
     if not arguments.recordings:
         raise UsageError("no recording given", expected="mirror rois propose RECORDING...")
+    for place, number in (("--count", arguments.count), ("--min-traversals", arguments.min_traversals)):
+        if number < 1:
+            raise UsageError(
+                f"{number}", place=place, expected="a whole number of at least 1",
+                remedy=f"give another number with {place}",
+            )  # fmt: skip
 
     from mirror.ingest.propose import propose_rois
     from mirror.ingest.request import IngestOptions

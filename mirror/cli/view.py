@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mirror.addresses import require_listening
 from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
@@ -133,6 +134,7 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     model = arguments.model
     if model is None:
         raise UsageError("no model", place="MODEL", expected="the folder of a model")
+    require_listening(arguments.host, arguments.port)
     document = read_reconstruction(model)
     require_matching_split(dataset, document.split, document)
     if arguments.scene not in (None, document.scene):

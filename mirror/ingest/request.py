@@ -32,13 +32,11 @@ def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> 
         return kind.model_validate(dict(given))
     except ValidationError as error:
         first = error.errors()[0]
-        name = str(first["loc"][0]) if first["loc"] else "threshold"
+        place = f"--{str(first['loc'][0] if first['loc'] else 'threshold').replace('_', '-')}"
         raise UsageError(
-            f"{first.get('input')!r}",
-            place=f"--{name.replace('_', '-')}",
-            expected=describe_expected(first),
-            remedy="see `mirror ingest --help`",
-        ) from error
+            f"{first.get('input')!r}", place=place, expected=describe_expected(first),
+            remedy=f"give another number with {place}",
+        ) from error  # fmt: skip
 
 
 @dataclass(frozen=True)

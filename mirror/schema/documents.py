@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
@@ -83,6 +83,10 @@ class Roi(Document):
         return self
 
 
+_LONGEST_S: Final = 1e9
+"""Thirty-one years: no drive is longer, and nanoseconds of it fit into 64 bits."""
+
+
 class TriggerOptions(Document):
     """Thresholds that a pass must meet to become a traversal; the paper gives the defaults of the first three.
 
@@ -98,14 +102,14 @@ class TriggerOptions(Document):
         trim_standstill_s: a longer standstill ends a visit and is left out; None: standstills are kept.
     """
 
-    min_duration_s: float = Field(default=10.0, ge=0)
+    min_duration_s: float = Field(default=10.0, ge=0, le=_LONGEST_S)
     min_path_m: float = Field(default=20.0, ge=0)
     min_overlap: float = Field(default=0.9, ge=0, lt=1)
-    join_gap_s: float = Field(default=3.0, ge=0)
-    max_gap_s: float = Field(default=2.0, gt=0)
+    join_gap_s: float = Field(default=3.0, ge=0, le=_LONGEST_S)
+    max_gap_s: float = Field(default=2.0, gt=0, le=_LONGEST_S)
     min_step_m: float = Field(default=0.5, ge=0)
     step_sigmas: float = Field(default=6.0, ge=0)
-    trim_standstill_s: float | None = Field(default=60.0, gt=0)
+    trim_standstill_s: float | None = Field(default=60.0, gt=0, le=_LONGEST_S)
 
 
 class CleaningOptions(Document):

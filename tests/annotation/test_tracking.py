@@ -152,7 +152,7 @@ def test_one_frame_no_boxes_and_wrong_input() -> None:
         track([single], Poses.identity(2))
     with pytest.raises(UsageError, match="time 0 after 0"):
         track([single, single], Poses.identity(2))
-    with pytest.raises(UsageError, match="gate_m"):
+    with pytest.raises(UsageError, match="--gate-m: nan"):
         TrackingOptions(gate_m=float("nan"))
     assert (group_of("Bus"), group_of("pedestrian"), group_of("motorcycle")) == ("vehicle", "pedestrian", "two_wheeler")
 

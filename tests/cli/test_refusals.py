@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from pathlib import Path
 
@@ -151,3 +152,57 @@ def test_long_work_in_a_log_says_how_far_it_is(
         bar.advance(1)
     assert capsys.readouterr().err == ""
     assert not sys.stderr.isatty()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("rois propose {fleet}/there --max-gap-s 1e400", "--max-gap-s: inf; expected a finite number"),
+        ("rois propose {fleet}/there --max-gap-s 1e300", "--max-gap-s: 1e+300; expected a number less than"),
+        ("rois propose {fleet}/there --min-overlap 7", "give another number with --min-overlap"),
+        ("rois propose {fleet}/there --count 0", "--count: 0; expected a whole number of at least 1"),
+        ("annotate track {fleet}/dataset --gate-m nan", "--gate-m: nan; expected a finite number, more than 0"),
+        ("split {fleet}/dataset s --train nan", "--train: nan; expected a finite number"),
+        (
+            "split {fleet}/dataset s --seed 99999999999999999999",
+            "--seed: 99999999999999999999; expected a whole number",
+        ),
+    ],
+)
+def test_numbers_that_nothing_can_be_computed_with(
+    fleet: Path, capsys: pytest.CaptureFixture[str], words: str, named: str
+) -> None:
+    said = refused(fleet, capsys, words)
+    assert named in said
+    assert "Remedy: give another number with --" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("view {fleet}/dataset {fleet}/there --host 999.1.1.1", "--host: nobody can listen at '999.1.1.1'"),
+        ("view {fleet}/dataset {fleet}/there --port 70000", "--port: 70000; expected a port: 0 to 65535"),
+        ("serve {fleet}/dataset --host 192.0.2.1", "--host: nobody can listen at '192.0.2.1'"),
+        ("serve {fleet}/dataset --port -1", "--port: -1; expected a port: 0 to 65535"),
+        ("release review {fleet}/dataset --port 70000", "--port: 70000; expected a port: 0 to 65535"),
+    ],
+)
+def test_addresses_at_which_nobody_can_listen(
+    fleet: Path, capsys: pytest.CaptureFixture[str], words: str, named: str
+) -> None:
+    said = refused(fleet, capsys, words)
+    assert named in said
+    assert "Remedy: give " in said
+
+
+def test_a_driver_that_does_not_answer_is_found_before_the_street_is_opened(
+    fleet: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))  # Bound and not listening: every connection is refused.
+        address = f"127.0.0.1:{unused.getsockname()[1]}"
+        words = f"simulate {{fleet}}/none --scenario free-traffic --policy grpc://{address} --out {{fleet}}/run"
+        said = refused(fleet, capsys, words)
+    assert f"--policy: {address} does not answer" in said
+    assert "Remedy: start it first" in said
+    assert not (fleet / "run").exists()

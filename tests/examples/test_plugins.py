@@ -54,6 +54,8 @@ def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: P
     dataset, method = tiny_dataset.root, ("--method", "method.py:METHOD")
     said = mirror(tmp_path, "reconstruct", dataset, "--split", "novel", *method, "--out", "model")
     assert "safetensors" not in said
+    # A method that counts neither steps nor decibels leaves no gap in the sentence.
+    assert f"{tiny_dataset.scenes()[0]}: reconstructed, " in said
     document = json.loads((tmp_path / "model" / "reconstruction.json").read_text())
     assert (document["method"], document["done"]["model_bytes"]) == (
         "method.py:METHOD", (tmp_path / "model" / "colours.npz").stat().st_size,

@@ -187,11 +187,14 @@ def _policy(arguments: Arguments, name: str) -> Policy:
     if "://" not in name and arguments.driver is None:
         return make_policy(name)
     from hybridworldsim.simulator.remote.driver_file import DriverFile, read_driver_file
+    from hybridworldsim.simulator.remote.policy import require_driver
 
     driver = DriverFile() if arguments.driver is None else read_driver_file(arguments.driver)
     if arguments.deadline is not None:
         driver = driver.model_copy(update={"deadline_s": arguments.deadline})
-    return make_policy(name, driver)
+    policy = make_policy(name, driver)
+    require_driver(name)
+    return policy
 
 
 def _dataset_hash(source: str) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -60,6 +61,11 @@ class TrackingOptions:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            least = 0.0 if field.name not in ("sigma_m", "gate_m", "gate_sigmas", "max_gap_s", "min_boxes") else 1e-9
-            if not least <= value < float("inf"):
-                raise UsageError(f"{value}", place=field.name, expected=f"a number of {least:g} or more")
+            positive = field.name in ("sigma_m", "gate_m", "gate_sigmas", "max_gap_s", "min_boxes")
+            if not (math.isfinite(value) and (value > 0.0 if positive else value >= 0.0)):
+                place = f"--{field.name.replace('_', '-')}"
+                raise UsageError(
+                    f"{value}", place=place,
+                    expected=f"a finite number, {'more than 0' if positive else 'at least 0'}",
+                    remedy=f"give another number with {place}",
+                )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from mirror.addresses import require_listening
 from mirror.command_line import help_text, parse_arguments
 from mirror.errors import UsageError
 
@@ -17,7 +18,6 @@ _EXAMPLES = (
     "mirror serve demo/block/dataset demo/block/model",
     "mirror serve synth:tiny --port 50061",
 )
-_LAST_PORT = 65535
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,7 @@ class Arguments:
 def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror serve", examples=_EXAMPLES)
-    if not 0 <= arguments.port <= _LAST_PORT:
-        raise UsageError(f"port {arguments.port}", place="--port", expected=f"0 to {_LAST_PORT}")
+    require_listening(arguments.host, arguments.port)
     if not 0.0 < arguments.rate <= 1e6:
         raise UsageError(f"{arguments.rate:g} images", place="--rate", expected="a number above 0, at most 1e6")
 

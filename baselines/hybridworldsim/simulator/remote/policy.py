@@ -24,6 +24,7 @@ from hybridworldsim.simulator.remote.images import encode
 from hybridworldsim.simulator.remote.lenses import to_spec
 from hybridworldsim.simulator.remote.messages import DRIVER_SERVICE, wire
 from hybridworldsim.simulator.remote.poses import flat, to_flat_pose, to_pose, to_us, vector
+from mirror.addresses import LAST_PORT, require_answer
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 
@@ -33,7 +34,7 @@ _MAX_RECEIVED: Final = 4 << 20
 _CLOSE_S: Final = 1.0
 _EVERY: Final = 2
 _LEAST_STEP_M: Final = 3.5
-_LAST_PORT: Final = 65535
+_CONNECTION_S: Final = 2.0
 DRIVER_CALLS: Final = {
     "start_session": "SessionRequestStatus",
     "close_session": "Empty",
@@ -251,11 +252,21 @@ class RemotePolicy:
         return UsageError(f"{code.name}: {details}", place=name, expected=f"the service {DRIVER_SERVICE}")
 
 
+def require_driver(address: str) -> None:
+    """Require that somebody listens at a driver's address: a street that takes minutes to open is opened afterwards.
+
+    Raises:
+        UsageError: the address is none, or nobody accepts a connection.
+    """
+    host, _, port = _target_of(address).rpartition(":")
+    require_answer(host, int(port), place="--policy", timeout_s=_CONNECTION_S)
+
+
 def _target_of(address: str) -> str:
     """HOST:PORT of an address."""
     target = address.removeprefix(SCHEME)
     host, colon, port = target.rpartition(":")
-    is_port = port.isascii() and port.isdigit() and 0 < int(port) <= _LAST_PORT
+    is_port = port.isascii() and port.isdigit() and 0 < int(port) <= LAST_PORT
     if not (address.startswith(SCHEME) and host and colon and is_port):
         raise UsageError(f"the address is {address!r}", place="--policy", expected=f"{SCHEME}HOST:PORT")
     return target

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
 import sys
 import traceback
 from collections.abc import Iterable
@@ -107,6 +108,56 @@ class PluginKind:
         """
         return {name: self.load(name) for name in self.names()}
 
+    def require_parts(self, plugin: object, name: str, interface: type) -> None:
+        """Require that a plug-in has what its host reads and calls, before the host has worked for it.
+
+        Args:
+            plugin: the plug-in, or what it makes.
+            name: its name, for messages.
+            interface: the protocol that it follows.
+
+        Raises:
+            MirrorError: an attribute or a function is missing, or a function does not take the host's arguments; an
+                error of the class `error`.
+        """
+        expected = f"an object as {interface.__module__}.{interface.__qualname__} describes it"
+        stated = {part: getattr(interface, part, None) for part in sorted(_parts(interface))}
+        absent = [part for part in stated if not hasattr(plugin, part)]
+        if absent or isinstance(plugin, type):
+            problem = f"it has no {', '.join(absent)}" if absent else "a class, not an object"
+            raise self.error(
+                problem, file=name, place=self.option, expected=expected, remedy=f"mend the {self.noun} {name}"
+            )
+        for part, function in stated.items():
+            if inspect.isfunction(function):
+                self.require_call(getattr(plugin, part), name, part, inspect.signature(function).parameters.values())
+
+    def require_call(self, called: Any, name: str, part: str, given: Iterable[inspect.Parameter]) -> None:
+        """Require that a plug-in, or a function of it, can be called with the host's arguments.
+
+        Args:
+            called: what the host calls.
+            name: name of the plug-in, for messages.
+            part: name of the function, for messages.
+            given: the host's arguments, `self` among them.
+
+        Raises:
+            MirrorError: it cannot; an error of the class `error`.
+        """
+        own = [one for one in given if one.name != "self"]
+        by_name = {one.name: None for one in own if one.kind is inspect.Parameter.KEYWORD_ONLY}
+        try:
+            inspect.signature(called).bind(*[None] * (len(own) - len(by_name)), **by_name)
+        except (TypeError, ValueError) as error:
+            if callable(called) and isinstance(error, ValueError):
+                return  # A function of compiled code that does not state its arguments.
+            listed = f"{part}({', '.join(one.name for one in own)})"
+            raise self.error(
+                f"{part} does not take the arguments of its host: {error}" if callable(called) else
+                f"{part} is {type(called).__name__}, which cannot be called",
+                file=name, place=self.option, expected=listed, remedy=f"mend the {self.noun} {name}",
+            ) from error  # fmt: skip
+
     def _broken_error(self, entry: EntryPoint, error: Exception) -> MirrorError:
         """Describe the error of a plug-in that is installed but cannot be loaded."""
         place = f"package {_package(entry)}, entry point {entry.value}"
@@ -136,13 +187,26 @@ class PluginKind:
         if not path.is_file():
             raise self.error("no such file", file=path, place=self.option, expected=f"a Python file with a {self.noun}")
         _loaded[str(path.resolve())] = f"{self.noun} {name}"
-        module = _import_file(path.resolve())
+        try:
+            module = _import_file(path.resolve())
+        except SystemExit as ended:
+            raise self.error(
+                "the file ends the program when it is imported", file=path, place=self.option,
+                expected=f"a Python file that only defines a {self.noun}",
+                remedy='move what runs below `if __name__ == "__main__":`',
+            ) from ended  # fmt: skip
         if not hasattr(module, attribute):
             public = sorted(key for key in vars(module) if not key.startswith("_"))
             raise self.error(
                 f"the file has no {attribute!r}", file=path, place=self.option, expected=f"one of {', '.join(public)}"
             )
         return getattr(module, attribute)
+
+
+def _parts(interface: type) -> set[str]:
+    """Return the names of a protocol's attributes and functions, also of those that it inherits from."""
+    classes = [one for one in interface.__mro__ if getattr(one, "_is_protocol", False) and one.__name__ != "Protocol"]
+    return {name for one in classes for name in {*vars(one), *one.__annotations__} if not name.startswith("_")}
 
 
 def installed_entries(group: str) -> tuple[EntryPoint, ...]:

@@ -184,8 +184,10 @@ def installed_describer(name: str) -> InstalledDescriber:
     Raises:
         UsageError: no describer of that name is installed, or one of its dependencies is missing.
     """
-    describer: InstalledDescriber = DESCRIBERS.load(name)
-    return describer
+    describer = DESCRIBERS.load(name)
+    DESCRIBERS.require_parts(describer, name, InstalledDescriber)
+    loaded: InstalledDescriber = describer
+    return loaded
 
 
 @dataclass

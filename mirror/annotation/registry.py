@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
 
-from mirror.annotation.protocol import InstalledAnnotator
+from mirror.annotation.protocol import Annotator, InstalledAnnotator
 from mirror.plugins import PluginKind
+
+if TYPE_CHECKING:
+    from mirror.dataset.dataset import Dataset
 
 ANNOTATORS: Final = PluginKind("annotator", "mirror.annotators", "--annotator", "models")
 
@@ -22,7 +26,23 @@ def installed_annotator(name: str) -> InstalledAnnotator:
         name: name of an entry point, or ``FILE.py:OBJECT``.
 
     Raises:
-        UsageError: there is no such annotator, or one of its dependencies is missing.
+        UsageError: there is no such annotator, it lacks a part of the interface, or one of its dependencies is
+            missing.
     """
-    annotator: InstalledAnnotator = ANNOTATORS.load(name)
+    annotator = ANNOTATORS.load(name)
+    ANNOTATORS.require_parts(annotator, name, InstalledAnnotator)
+    loaded: InstalledAnnotator = annotator
+    return loaded
+
+
+def open_annotator(
+    name: str, installed: InstalledAnnotator, dataset: Dataset, settings: Mapping[str, str], device: str
+) -> Annotator:
+    """Open an annotator, see `InstalledAnnotator.open`, and require that it can annotate.
+
+    Raises:
+        UsageError: a setting is invalid, or what it returns lacks a part of the interface.
+    """
+    annotator = installed.open(dataset, settings, device)
+    ANNOTATORS.require_parts(annotator, name, Annotator)
     return annotator

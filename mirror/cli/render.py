@@ -230,7 +230,7 @@ def _trained_on(documents: Iterable[Reconstruction], rendered: Mapping[str, str]
 
 
 def _costs(models: Iterable[Path]) -> Runtime:
-    from mirror.evaluation.submission.manifest import Runtime
+    from mirror.evaluation.submission.manifest import LEAST_COSTS, Runtime
     from mirror.methods.model_document import read_reconstruction
 
     device = f"{platform.machine()} CPU"
@@ -238,11 +238,14 @@ def _costs(models: Iterable[Path]) -> Runtime:
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
         return Runtime(device=device)
-    return Runtime(
-        device=device,
-        model_bytes=sum(cost.model_bytes for cost in known),
-        driven_m=sum(cost.driven_m for cost in known),
-        training_s=sum(cost.wall_s for cost in known),
+    stated = {
+        "model_bytes": sum(cost.model_bytes for cost in known),
+        "driven_m": sum(cost.driven_m for cost in known),
+        "training_s": sum(cost.wall_s for cost in known),
+    }
+    # A method of one file may write nothing, or train within a step of the clock: such a cost is not stated.
+    return Runtime.model_validate(
+        {"device": device, **{name: value for name, value in stated.items() if value >= LEAST_COSTS[name]}}
     )
 
 

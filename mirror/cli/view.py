@@ -83,6 +83,12 @@ def main(argv: Sequence[str]) -> int:
     if arguments.save is not None and arguments.save.suffix != ".rrd":
         raise UsageError(f"{arguments.save}", place="--save", expected="a name that ends in .rrd")
 
+    if arguments.measure is not None and arguments.measure < 1:
+        raise UsageError(
+            f"{arguments.measure}", place="--measure", expected="a whole number of at least 1",
+            remedy="give another number with --measure",
+        )  # fmt: skip
+
     import mirror
 
     if arguments.model is None and (Path(arguments.dataset) / "reconstruction.json").is_file():

@@ -40,6 +40,7 @@ from mirror.weights.resolve import WeightResolver
 
 WORK: Final = "work"
 _EDITING: Final = "editing-accuracy"
+_RUNTIME: Final = "runtime"
 _WITHOUT_TRUTH: Final = (
     "needs the exact truth of the edits (--hidden); `mirror submission hidden` renders that of a synthetic street"
 )
@@ -231,7 +232,7 @@ def _find_availability(plan: Plan, manifest: SubmissionManifest, options: Evalua
 
 
 def _require_matching_options(plan: Plan, options: EvaluationOptions) -> None:
-    """Check that hidden truth and extractor are given exactly if the protocol uses them."""
+    """Check that hidden truth, extractor and a model to measure are given only if the protocol uses them."""
     name, use = plan.protocol.name, load_scorer(plan.protocol.task).hidden_use(plan)
     if use == "required" and options.hidden is None:
         raise UsageError(
@@ -250,6 +251,17 @@ def _require_matching_options(plan: Plan, options: EvaluationOptions) -> None:
         if plan.protocol.task != _EDITING:
             raise UsageError(f"protocol {name} extracts no regions", place="--extractor", expected="no such option")
         make_extractor(options.extractor)
+    if options.measured is not None:
+        if plan.protocol.task != _RUNTIME:
+            raise UsageError(
+                f"protocol {name} measures no speed", place="--measure", expected="no such option",
+                remedy="evaluate with --protocol runtime, or leave --measure out",
+            )  # fmt: skip
+        if not options.measured[1].is_dir():
+            raise UsageError(
+                "no such folder", file=options.measured[1], place="--measure", expected="METHOD=MODEL, a trained model",
+                remedy="name the folder that `mirror reconstruct` wrote",
+            )  # fmt: skip
 
 
 def _require_weights(resolver: WeightResolver, name: str) -> None:

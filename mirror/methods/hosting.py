@@ -87,7 +87,15 @@ def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callab
 
     Returns:
         A renderer that raises a `UsageError` where `render` returns something else than pixels of the view's size.
+
+    Raises:
+        UsageError: `render` is no function.
     """
+    if not callable(render):
+        raise UsageError(
+            f"open returned {type(render).__name__}", file=name, place="--method",
+            expected="a function from a mirror.methods.RenderView to its pixels", remedy=f"mend the method {name}",
+        )  # fmt: skip
 
     def checked(view: RenderView) -> UInt8:
         pixels = render(view)

@@ -26,13 +26,7 @@ def load_method(name: str) -> InstalledMethod:
             is missing.
     """
     method = METHODS.load(name)
-    missing = [function for function in ("reconstruct", "open") if not callable(getattr(method, function, None))]
-    if missing or isinstance(method, type):
-        problem = "a class, not an object" if isinstance(method, type) else f"it has no function {missing[0]}"
-        raise UsageError(
-            problem, file=name, place="--method",
-            expected="an object with the functions reconstruct and open (mirror.methods.plugin.InstalledMethod)",
-        )  # fmt: skip
+    METHODS.require_parts(method, name, InstalledMethod)
     loaded: InstalledMethod = method
     return loaded
 

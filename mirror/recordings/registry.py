@@ -32,6 +32,7 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
 
 
 def _make_reader(found: Callable[[], object], name: str) -> Reader:
+    READERS.require_call(found, name, name.rpartition(":")[2], ())
     reader = found()
     if not isinstance(reader, Reader):
         raise RecordingError(

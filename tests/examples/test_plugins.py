@@ -188,7 +188,7 @@ def test_an_annotator_in_a_file(tiny_dataset: Dataset, tmp_path: Path) -> None:
         ("class M:\n    def open(self, *_): ...\n    def reconstruct(self, *_): ...\nMETHOD = M()\n",
          "reconstruct returned NoneType"),
         ("OTHER = 1\n", "the file has no 'METHOD'; expected one of OTHER"),
-        ("METHOD = 1\n", "it has no function reconstruct"),
+        ("METHOD = 1\n", "it has no open, reconstruct"),
     ],
 )  # fmt: skip
 def test_a_fault_of_a_method_is_named_with_its_file_and_line(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.command_line import help_text, parse_arguments, parse_settings, require_device
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -59,8 +59,9 @@ def run(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
 
     from mirror.annotation.protocol import TrainableAnnotator
-    from mirror.annotation.registry import installed_annotator
+    from mirror.annotation.registry import installed_annotator, open_annotator
 
+    require_device(arguments.device)
     installed = installed_annotator(arguments.annotator)
 
     from mirror.annotation.run import annotate
@@ -70,7 +71,8 @@ def run(argv: Sequence[str]) -> int:
     dataset = open_to_write(arguments.dataset)
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
-    annotator = installed.open(dataset, parse_settings(arguments.set), arguments.device)
+    settings = parse_settings(arguments.set)
+    annotator = open_annotator(arguments.annotator, installed, dataset, settings, arguments.device)
     try:
         with progress_bar(quiet=arguments.json) as bar:
             report = annotate(

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 
 import tyro
 
-from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.command_line import help_text, parse_arguments, parse_settings, require_device
 from mirror.errors import ExitCode
 
 _EXAMPLES: Final = (
@@ -51,6 +51,7 @@ def run(argv: Sequence[str]) -> int:
     from mirror.annotation.descriptions import describe_frames, installed_describer
     from mirror.progress import progress_bar
 
+    require_device(arguments.device)
     installed = installed_describer(arguments.describer)
     dataset = mirror.open(arguments.dataset)
     if arguments.scene is not None:

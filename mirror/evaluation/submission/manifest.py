@@ -60,6 +60,10 @@ class Appearance(Document):
     description: Text = ""
 
 
+LEAST_COSTS: Final = {"model_bytes": 1, "driven_m": 1.0, "training_s": 0.01}
+"""Costs below these are not measured: of a method that writes nothing, or of a clock's step."""
+
+
 class Runtime(Document):
     """Time and memory that the method needs, as its authors measured them: stated figures, within plausible bounds.
 
@@ -74,9 +78,9 @@ class Runtime(Document):
 
     device: Word
     frames_per_second: Annotated[float, Field(ge=1e-6, le=MOST_FRAMES_PER_SECOND)] | None = None
-    model_bytes: Annotated[int, Field(ge=1, le=10**15)] | None = None
-    driven_m: Annotated[float, Field(ge=1.0, le=1e8)] | None = None
-    training_s: Annotated[float, Field(ge=0.01, le=1e9)] | None = None
+    model_bytes: Annotated[int, Field(ge=LEAST_COSTS["model_bytes"], le=10**15)] | None = None
+    driven_m: Annotated[float, Field(ge=LEAST_COSTS["driven_m"], le=1e8)] | None = None
+    training_s: Annotated[float, Field(ge=LEAST_COSTS["training_s"], le=1e9)] | None = None
     peak_memory_bytes: Annotated[int, Field(ge=10**5, le=10**14)] | None = None
 
 

@@ -35,11 +35,8 @@ def make_policy(name: str, driver: DriverFile | None = None) -> Policy:
         return RemotePolicy(name, driver)
     if driver is not None:
         raise UsageError(f"{name!r} runs in this process", place="--driver", expected="--policy grpc://HOST:PORT")
-    made: Policy = POLICIES.load(name)()
-    missing = [part for part in ("cameras", "privileged", "reset", "act", "close") if not hasattr(made, part)]
-    if missing:
-        raise UsageError(
-            f"the policy has no {', '.join(missing)}", file=name, place="--policy",
-            expected="a class as hybridworldsim.simulator.policies.protocol.Policy describes it",
-        )  # fmt: skip
+    maker = POLICIES.load(name)
+    POLICIES.require_call(maker, name, name.rpartition(":")[2], ())
+    made: Policy = maker()
+    POLICIES.require_parts(made, name, Policy)
     return made

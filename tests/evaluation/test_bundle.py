@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import resource
 import shutil
 import threading
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,6 +29,7 @@ from mirror.progress import NullProgress
 from mirror.protocols.png import encode_png
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import PUBLISHING, Bundle
+from tests.conftest import ROOT
 from tests.evaluation.submissions import SPLIT, small, write_renders
 
 BROKEN: set[str] = set()
@@ -298,6 +301,20 @@ def test_a_published_bundle_is_trained_on_and_its_submission_is_scored(
     write_manifest(out, make_manifest(plan, Method(name="one layer"), Appearance(policy="none"), None))
     result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1)).result
     assert {figure.metric for figure in result.figures} >= {"psnr", "ssim"}
+
+
+def test_the_loop_of_the_page_survives_batches_whose_images_are_all_withheld(root: Path, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    published(publish(root, str(tmp_path / "b"), options(protocols=(mirror.load_protocol("static-reconstruction"),))))
+    fetch(str(tmp_path / "b"), tmp_path / "d")
+    page = (ROOT / "docs" / "loading.md").read_text()
+    (code,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "optimiser.step" in block]
+    for withheld in (True, False):
+        names: dict[str, Any] = {"dataset": mirror.open(tmp_path / "d").where(withheld=withheld)}
+        exec(code, names)
+        assert bool(names["batch"]["valid"].any()) is not withheld
+        assert torch.isfinite(names["loss"])
+        assert all(torch.isfinite(values).all() for values in names["model"].parameters())
 
 
 class _Endless(SimpleHTTPRequestHandler):

@@ -41,6 +41,8 @@ class New:
     """YAML file of a lens: OpenCV, ROS, or Kalibr (FILE:cam0). Without it the camera is uncalibrated."""
     mounting: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=X,Y,Z,ROLL,PITCH,YAW")] = ()
     """Place (m) and angles (degrees about x forward, y left, z up) of a camera; seven numbers: quaternion and place."""
+    static_mask: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=FILE")] = ()
+    """PNG of the size of the images, white where they show the vehicle itself, such as its bonnet."""
     times: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=FILE")] = ()
     """CSV with the times of a camera: file (frame of a video) and timestamp_ns, timestamp or exposures."""
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="NAME=TIME")] = ()
@@ -92,13 +94,14 @@ def _new(argv: Sequence[str]) -> int:
     paths = _by_camera(arguments.camera, "--camera")
     stated = {
         name: _by_camera(getattr(arguments, name), f"--{name.replace('_', '-')}", known=paths)
-        for name in ("lens", "mounting", "times", "start", "time_offset_s")
+        for name in ("lens", "mounting", "static_mask", "times", "start", "time_offset_s")
     }
     cameras = [
         CameraInput(
             name, Path(path), stated["lens"].get(name), stated["mounting"].get(name),
             Path(stated["times"][name]) if name in stated["times"] else None,
             stated["start"].get(name), _seconds(stated["time_offset_s"].get(name, "0"), name),
+            Path(stated["static_mask"][name]) if name in stated["static_mask"] else None,
         )
         for name, path in paths.items()
     ]  # fmt: skip

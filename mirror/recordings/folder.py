@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import UInt8
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.recordings.calibration import STAGES, Calibration, Stage, to_calibration_table
@@ -24,12 +23,12 @@ from mirror.recordings.folder_document import (
     recording_errors,
 )
 from mirror.recordings.folder_images import image_stream
-from mirror.recordings.opening import find_file, read_file, require_file
+from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.orientation import ANGLES, QUATERNION, read_orientation
-from mirror.recordings.paths import list_files, list_folder, natural_key, require_inside
+from mirror.recordings.paths import list_files, list_folder, natural_key
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
-from mirror.recordings.raster import MAX_PIXELS, is_decodable
 from mirror.recordings.registry import refuse_options
+from mirror.recordings.static_masks import read_static_mask
 from mirror.recordings.tabular import RecordingRows, read_rows
 from mirror.recordings.time import TIME_BASES
 from mirror.schema.files import conform
@@ -94,29 +93,15 @@ class FolderRecording:
         if document.rig_id is None or document.reference_camera is None:
             return None
         cameras = tuple(
-            CameraInfo(name, entry.source_name or name, self._mask(name, entry.static_mask), entry.calibrated)
+            CameraInfo(
+                name,
+                entry.source_name or name,
+                read_static_mask(self.path, entry.static_mask, name, self.path / DOCUMENT_NAME),
+                entry.calibrated,
+            )
             for name, entry in document.cameras.items()
         )
         return RigInfo(document.rig_id, cameras, document.reference_camera)
-
-    def _mask(self, camera: str, name: str | None) -> UInt8 | None:
-        if name is None:
-            return None
-        import cv2
-
-        require_inside(self.path, name, file=self.path / DOCUMENT_NAME, place=f"cameras.{camera}.static_mask")
-        file = find_file(self.path, name)
-        data = read_file(file) if file is not None else b""
-        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if is_decodable(data) else None
-        if mask is None:
-            raise RecordingError(
-                "the mask is missing" if file is None else f"the mask is not an image of at most {MAX_PIXELS} pixels",
-                file=self.path / name,
-                place=f"camera {camera}",
-                expected="a PNG of the camera's raster",
-                remedy="restore it, or take static_mask out of recording.json",
-            )
-        return np.asarray(mask, np.uint8)
 
     def files(self) -> Sequence[tuple[str, str]]:
         """All files of the folder except hidden files and ``truth/``, which `mirror synth` writes."""

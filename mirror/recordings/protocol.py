@@ -125,6 +125,15 @@ class RigInfo:
     reference_camera: str
 
 
+def choose_reference_camera(cameras: Sequence[str]) -> str:
+    """Return the reference camera of a rig whose source names none: ``front_wide``, else the first.
+
+    Args:
+        cameras: names of the cameras, one at least.
+    """
+    return "front_wide" if "front_wide" in cameras else cameras[0]
+
+
 @runtime_checkable
 class ImageStream(Protocol):
     """The images of one camera in time order; no file is opened before `read`."""

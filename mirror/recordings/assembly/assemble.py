@@ -24,7 +24,7 @@ from mirror.recordings.calibration import to_calibration
 from mirror.recordings.folder_document import DOCUMENT_NAME
 from mirror.recordings.folder_lens import write_calibrations
 from mirror.recordings.orientation import QUATERNION
-from mirror.recordings.protocol import Recording, Track
+from mirror.recordings.protocol import Recording, Track, choose_reference_camera
 from mirror.recordings.time import SECOND_NS
 from mirror.schema.documents import is_identifier
 from mirror.schema.files import TEMPORARY, unwritable_error, write_bytes
@@ -208,9 +208,7 @@ def _describe_camera(camera: PreparedCamera, track: Track) -> list[str]:
 def _document(poses: Recording, cameras: Sequence[PreparedCamera], names: DriveNames) -> dict[str, Any]:
     info = poses.info
     vehicle = names.vehicle_id or info.vehicle_id
-    reference = names.reference_camera
-    if reference is None:
-        reference = next((camera.name for camera in cameras if camera.name == "front_wide"), cameras[0].name)
+    reference = names.reference_camera or choose_reference_camera([camera.name for camera in cameras])
     document: dict[str, Any] = {
         "format": "mirror-folder",
         "version": "1.0",
@@ -223,11 +221,21 @@ def _document(poses: Recording, cameras: Sequence[PreparedCamera], names: DriveN
         "body_frame": info.body_frame,
         "is_clip": info.is_clip,
         "reference_camera": reference,
-        "cameras": {camera.name: {} if camera.lens else {"calibrated": False} for camera in cameras},
+        "cameras": {camera.name: _entry(camera) for camera in cameras},
     }
     others = {"city": names.city or info.city, "licence": names.licence or info.licence, "weather": info.weather,
               "light": info.light}  # fmt: skip
     return document | {key: value for key, value in others.items() if value is not None}
+
+
+def _entry(camera: PreparedCamera) -> dict[str, Any]:
+    """Return the entry of a camera in ``recording.json``."""
+    masked = {"static_mask": _mask_name(camera)} if camera.static_mask is not None else {}
+    return masked | ({} if camera.lens else {"calibrated": False})
+
+
+def _mask_name(camera: PreparedCamera) -> str:
+    return f"masks/{camera.name}.png"
 
 
 def _place_camera(out: Path, camera: PreparedCamera) -> int:
@@ -242,6 +250,10 @@ def _place_camera(out: Path, camera: PreparedCamera) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         copied = sum(_place(camera.path / name, folder / name) for name in camera.keys)
         table, key = out / "images" / f"{camera.name}.csv", "file"
+    if camera.static_mask is not None:
+        mask = out / _mask_name(camera)
+        mask.parent.mkdir(exist_ok=True)
+        copied += int(_place(camera.static_mask, mask))
     rows = zip(camera.keys, camera.start_ns.tolist(), camera.end_ns.tolist())
     write_bytes(table, _encode((key, *_EXPOSURES), rows))
     return copied

@@ -17,6 +17,7 @@ from mirror.recordings.mounting import parse_mounting
 from mirror.recordings.opening import read_file
 from mirror.recordings.paths import list_file_names
 from mirror.recordings.raster import read_raster_size
+from mirror.recordings.static_masks import decode_static_mask
 from mirror.recordings.time import SECOND_NS
 from mirror.recordings.video import open_video, read_video_stamps, to_unix_stamps
 
@@ -36,6 +37,7 @@ class CameraInput:
         times: table of times; None: those of the images or the video.
         start: time of the first frame of a video; None: that of the container.
         offset_s: seconds that are added to the camera's times.
+        static_mask: PNG, non-zero where the image shows the vehicle itself; None: it does not show it.
     """
 
     name: str
@@ -45,6 +47,7 @@ class CameraInput:
     times: Path | None = None
     start: str | None = None
     offset_s: float = 0.0
+    static_mask: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,7 @@ class PreparedCamera:
         source: where the times come from, in words.
         lens: None: the camera is uncalibrated.
         mounting: ``ego_SE3_camera``; None: not given.
+        static_mask: as given, of the size of the images.
     """
 
     name: str
@@ -74,10 +78,11 @@ class PreparedCamera:
     source: str
     lens: Camera | None
     mounting: tuple[float, ...] | None
+    static_mask: Path | None
 
 
 def prepare_camera(camera: CameraInput, tz: str | None) -> PreparedCamera:
-    """Read times, lens and mounting of a camera, and compare the sizes of image and lens.
+    """Read times, lens, mounting and mask of a camera, and compare the sizes of image, lens and mask.
 
     Raises:
         RecordingError: an input is missing or damaged, or the inputs do not fit together.
@@ -111,12 +116,28 @@ def prepare_camera(camera: CameraInput, tz: str | None) -> PreparedCamera:
             file=camera.path, place=f"camera {camera.name}", expected="a lens that was calibrated at that size",
             remedy="calibrate the camera with the images that it records",
         )  # fmt: skip
+    if camera.static_mask is not None:
+        _require_mask(camera.name, camera.static_mask, size)
     offset = round(camera.offset_s * SECOND_NS)
     order = np.argsort(times.start_ns + times.end_ns, kind="stable")
     return PreparedCamera(
         camera.name, camera.path, is_video, tuple(times.names[index] for index in order.tolist()),
         times.start_ns[order] + offset, times.end_ns[order] + offset, offset, times.source, lens, mounting,
+        camera.static_mask,
     )  # fmt: skip
+
+
+def _require_mask(camera: str, file: Path, size: tuple[int, int]) -> None:
+    """Refuse a mask that is no PNG of the size of the images."""
+    way_out = f"take --static-mask {camera}=... out"
+    mask = decode_static_mask(file if file.is_file() else None, file, camera, way_out)
+    if file.suffix.lower() != ".png" or (mask.shape[1], mask.shape[0]) != size:
+        raise RecordingError(
+            f"the mask is a {file.suffix or 'file'} of {mask.shape[1]} x {mask.shape[0]} px, the images have"
+            f" {size[0]} x {size[1]} px",
+            file=file, place=f"camera {camera}", expected="a PNG of the size of the images",
+            remedy=f"draw it on an image of the camera, or {way_out}",
+        )  # fmt: skip
 
 
 def _folder_times(camera: CameraInput, tz: str | None) -> tuple[ImageTimes, tuple[int, int]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -60,6 +61,25 @@ def test_all_faults_are_listed_at_once(tmp_path: Path, images: Path, capsys: pyt
     assert not (tmp_path / "out").exists()
     for wrong in (["--lens", "side=x.yaml"], ["--camera", "front"], ["--time-offset-s", "front=soon"]):
         assert main([*words[:6], "--camera", f"front={images}", *wrong]) == 2
+
+
+def test_a_mask_of_the_vehicle_has_the_size_of_the_images(
+    tmp_path: Path, images: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = cv2.imread(str(next(images.iterdir()))).shape[:2]
+    drawn = np.zeros(size, np.uint8)
+    drawn[-5:] = 255
+    cv2.imwrite(str(tmp_path / "bonnet.png"), drawn)
+    cv2.imwrite(str(tmp_path / "small.png"), drawn[::2])
+    track = write_track(tmp_path / "track.csv")
+    words = ["recording", "new", "--poses", str(track), "--camera", f"front={images}", "--out", str(tmp_path / "out")]
+    for name, said in (("small.png", f"{size[1]} x {size[0] // 2 + size[0] % 2} px"), ("absent.png", "is missing")):
+        assert main([*words, "--static-mask", f"front={tmp_path / name}"]) == 2
+        assert said in (refused := capsys.readouterr().err) and "--static-mask front=" in refused
+    assert main([*words, "--static-mask", f"front={tmp_path / 'bonnet.png'}"]) == 0
+    rig = open_recording(tmp_path / "out").rig
+    assert rig is not None and rig.cameras[0].static_mask is not None
+    np.testing.assert_array_equal(rig.cameras[0].static_mask, drawn)
 
 
 def test_clocks_that_do_not_agree_are_refused(tmp_path: Path, images: Path, capsys: pytest.CaptureFixture[str]) -> None:

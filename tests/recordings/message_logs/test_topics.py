@@ -7,6 +7,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from mirror.cli.main import main
@@ -58,7 +60,7 @@ def test_a_proposal_is_a_topics_file_and_names_cameras(tmp_path: Path) -> None:
     }
     text = propose_topics({name: Topic(name, kind, "cdr") for name, kind in kinds.items()}, "monday 8 am")
     document = TopicsFile.model_validate(tomllib.loads(text))
-    assert document.drive_id == "monday_8_am"
+    assert document.drive_id == "monday_8_am" and document.reference_camera == "front_wide"
     assert (document.pose.topic, document.pose.orientation) == ("/gnss/fix", "/localization/odometry")
     assert {name: entry.info for name, entry in document.cameras.items()} == {
         "front_wide": "/sensing/camera/front_wide/camera_info",
@@ -166,3 +168,23 @@ def test_a_lens_and_a_mounting_of_the_topics_file(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(TOPICS + "mounting = [2.5, 0, 1.4, 0, 0, 0]\n")
     (row,) = open_recording(tmp_path / "a.mcap").calibrations().to_pylist()
     assert row["tx_m"] == 2.5
+
+
+def test_a_log_has_masks_of_the_vehicle_and_the_front_camera_as_reference(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "log.mcap", messages(ONE))
+    drawn = np.zeros((48, 64), np.uint8)
+    drawn[40:] = 255
+    cv2.imwrite(str(tmp_path / "bonnet.png"), drawn)
+    entry = '[cameras.{name}]\nimages = "/front/image/compressed"\n'
+    pose = '[pose]\ntopic = "/fix"\n'
+    text = pose + entry.format(name="a_side") + entry.format(name="front_wide") + 'static_mask = "bonnet.png"\n'
+    recording = opened(tmp_path, text)
+    assert recording.rig is not None and recording.rig.reference_camera == "front_wide"
+    side, front = recording.rig.cameras
+    assert side.static_mask is None and front.static_mask is not None
+    np.testing.assert_array_equal(front.static_mask, drawn)
+    assert "bonnet.png" in [name for name, _ in recording.files()]
+    for name, words in (("absent.png", "take static_mask out of log.toml"), ("../x.png", "leads out")):
+        with pytest.raises(RecordingError) as refused:
+            assert opened(tmp_path, pose + entry.format(name="a") + f'static_mask = "{name}"\n').rig
+        assert words in str(refused.value), str(refused.value)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from mirror.arrays import Float64, Int64
+from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import RecordingError
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses, to_pose_numbers
@@ -27,7 +27,7 @@ from mirror.recordings.coordinates import is_invalid_rotation, to_ego_track
 from mirror.recordings.lens_files import read_lens
 from mirror.recordings.mounting import mounting_pose
 from mirror.recordings.paths import require_inside, to_identifier
-from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track, choose_reference_camera
 from mirror.recordings.readers.message_logs.container import MessageLog
 from mirror.recordings.readers.message_logs.contents import CameraContents, Contents, read_contents
 from mirror.recordings.readers.message_logs.decoding import CameraMessage, FixMessage, PoseMessage
@@ -35,6 +35,7 @@ from mirror.recordings.readers.message_logs.images import MessageImages, Message
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile
 from mirror.recordings.readers.message_logs.zstd import without_suffix
 from mirror.recordings.row_faults import RowFaults
+from mirror.recordings.static_masks import read_static_mask
 
 # Unix nanoseconds of the year 2000: earlier stamps count from the start of a computer.
 _FIRST_CLOCK_NS: Final = 946_684_800_000_000_000
@@ -90,9 +91,14 @@ class LogRecording:
             return None
         rig_id = self.document.rig_id or f"rig_{self.document.vehicle_id}"
         infos = tuple(
-            CameraInfo(name, entry.images, is_calibrated=self._is_calibrated(name)) for name, entry in cameras.items()
+            CameraInfo(name, entry.images, self._static_mask(name), self._is_calibrated(name))
+            for name, entry in cameras.items()
         )
-        return RigInfo(rig_id, infos, self.document.reference_camera or next(iter(cameras)))
+        return RigInfo(rig_id, infos, self.document.reference_camera or choose_reference_camera(tuple(cameras)))
+
+    def _static_mask(self, camera: str) -> UInt8 | None:
+        name = self.document.cameras[camera].static_mask
+        return read_static_mask(self.topics_file.parent, name, camera, self.topics_file)
 
     def _is_calibrated(self, camera: str) -> bool:
         """False: the camera has no topic of intrinsics, or all its messages state that it is not calibrated."""
@@ -104,9 +110,11 @@ class LogRecording:
         return contents is None or bool(contents.intrinsics) or not contents.declared_uncalibrated
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The logs and the topics file."""
-        lenses = {self._lens_file(entry.lens)[0] for entry in self.document.cameras.values() if entry.lens is not None}
-        return sorted((file.name, file) for file in (*(log.path for log in self.logs), self.topics_file, *lenses))
+        """The logs, the topics file, and the files of lenses and masks that it names."""
+        cameras = self.document.cameras.values()
+        named = {self._lens_file(entry.lens)[0] for entry in cameras if entry.lens is not None}
+        named |= {self.topics_file.parent / entry.static_mask for entry in cameras if entry.static_mask is not None}
+        return sorted((file.name, file) for file in (*(log.path for log in self.logs), self.topics_file, *named))
 
     def _lens_file(self, stated: str) -> tuple[Path, str | None]:
         """The file of a lens, and the camera in it, if one is named."""

@@ -13,6 +13,7 @@ from mirror.errors import RecordingError
 from mirror.recordings.mounting import mounting_pose
 from mirror.recordings.opening import read_file
 from mirror.recordings.paths import to_identifier
+from mirror.recordings.protocol import choose_reference_camera
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.decoding import RAW_IMAGES, kind_of
 from mirror.schema.documents import Document, Identifier
@@ -55,6 +56,7 @@ class CameraTopics(Document):
             camera of a file of Kalibr.
         mounting: the camera in the ego frame (`mirror.recordings.mounting.mounting_pose`), in place of transforms.
         frame: the camera's optical frame; None: that of the images.
+        static_mask: PNG beside the topics file, non-zero where the image shows the vehicle itself.
     """
 
     images: str
@@ -62,6 +64,7 @@ class CameraTopics(Document):
     lens: str | None = None
     mounting: tuple[float, ...] | None = None
     frame: str | None = None
+    static_mask: str | None = None
 
     @model_validator(mode="after")
     def _one_lens(self) -> CameraTopics:
@@ -82,7 +85,7 @@ class TopicsFile(Document):
         vehicle_id: pseudonym of the vehicle.
         vehicle_type: make or class of the vehicle.
         rig_id: name of the rig; None: that of the vehicle.
-        reference_camera: the camera that defines the frames; None: the first one.
+        reference_camera: the camera that defines the frames; None: ``front_wide`` if there is one, else the first.
         stamps: ``header``: the messages' own stamps; ``log``: when they were logged.
         ego_frame: the frame at the rear axle on the ground, x forward, y left, z up.
         pose: where the poses come from.
@@ -189,12 +192,19 @@ def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
         '# rig_id = "rig_unknown"     # the same for all vehicles with these cameras at these mountings',
         'stamps = "header"            # "log": the time of logging, where the sensors have no common clock',
         'ego_frame = "base_link"      # the frame at the rear axle on the ground',
+    ]
+    sources = by_kind.get("image", []) + by_kind.get("video", [])
+    cameras = _name_cameras(sources)
+    if cameras:
+        reference = f'reference_camera = "{choose_reference_camera(list(cameras))}"'
+        lines.append(f"{reference}   # its exposures define the frames")
+    lines += [
+        '# licence = "CC-BY-NC-4.0"   # of the data; city = "Berlin", weather = "clear" if you know them',
         "",
         "[pose]",
     ]
     lines += _pose_lines(by_kind)
-    sources = by_kind.get("image", []) + by_kind.get("video", [])
-    for camera, images in _name_cameras(sources).items():
+    for camera, images in cameras.items():
         lines += ["", f"[cameras.{camera}]", f'images = "{images}"']
         info = _nearest(images, by_kind.get("camera", []))
         lines += (
@@ -205,6 +215,7 @@ def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
         lines.append(
             "# mounting = [1.5, 0, 1.4, 0, 0, 0]   # x y z (m), roll pitch yaw (degrees), if no transform has it"
         )
+        lines.append(f'# static_mask = "{camera}.png"   # white where the images show the vehicle itself')
     if not sources:
         lines += ["", "# The log has no topic of compressed images or video: the drive has poses only."]
     raw = [topic for topic in sorted(topics) if topics[topic].type.replace("/msg/", "/") in RAW_IMAGES]

@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import mlcroissant
 import numpy as np
 import pytest
 
@@ -22,6 +21,8 @@ from mirror.export.croissant import Publication, write_croissant
 from mirror.export.fetch import fetch
 from mirror.schema.bundle import Bundle
 from tests.evaluation.submissions import SPLIT
+
+mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is in the extra dev alone")
 
 GIVEN = {
     "--url": "https://example.org/street",

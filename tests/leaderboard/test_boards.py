@@ -10,7 +10,7 @@ import pytest
 from mirror.errors import DatasetError, MirrorError, SchemaError
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
-from mirror_leaderboard.boards import FLOOR, find_value, make_boards, seconds_per_image
+from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, find_value, make_boards, seconds_per_image
 from mirror_leaderboard.entry import Figure, Measured, Reported, load_entries
 from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.page import build_site
@@ -110,9 +110,14 @@ def test_every_metric_of_every_protocol_is_known() -> None:
         assert set(load_protocol(name).metric_names) - composite <= set(MEASURES), name
 
 
-def test_both_floors_are_on_the_board() -> None:
-    measured_here = {entry.method for entry in load_entries(MEASURED) if isinstance(entry, Measured)}
-    assert {"nearest_frame", "grey_frame", "mean_color"} <= measured_here & set(FLOOR)
+def test_all_floors_are_on_the_board() -> None:
+    measured = [entry for entry in load_entries(MEASURED) if isinstance(entry, Measured)]
+    by_protocol = {
+        protocol: {entry.method for entry in measured if entry.protocol_hash == load_protocol(protocol).hash}
+        for protocol in ("static-reconstruction", "editing-accuracy")
+    }
+    assert set(FLOOR) <= by_protocol["static-reconstruction"]
+    assert set(FLOOR_OF_EDITS) <= by_protocol["editing-accuracy"]
 
 
 def test_changed_entry_is_refused_by_name(board: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.door.files import RECORDED, ImageKey, list_dataset_files
+from mirror.dataset.door.files import ImageKey, list_dataset_files
 from mirror.dataset.door.inspection import Leak, SameBytes, inspect_files, read_below
 from mirror.dataset.door.placing import dataset_state, hash_file, place_file, require_unchanged
 from mirror.dataset.door.plan import Departure, plan_departure, require_own_files
@@ -78,7 +78,7 @@ class PublishReport:
         bundle: the bundle's document, which was written last; None: files must not leave, and nothing was sealed.
         leaks: the files that must not leave, and why.
         same_bytes: published images with the bytes of images that stay.
-        as_recorded: number of published images that no redaction replaced.
+        as_recorded: number of published images whose faces and plates were removed neither here nor at the source.
         altered: published images with other bytes than their table states: they were replaced since.
     """
 
@@ -152,7 +152,7 @@ def _publish(layout: Layout, out: Path, options: PublishOptions, progress: Progr
     present = {name for name in _walk(out) if name not in (CROISSANT, DATASHEET, PUBLISHING)}
     inspection = inspect_files(read_below(out), present, departure, secrets, progress, stated=stated)
     require_unchanged(layout, before)
-    as_recorded = sum(one.layer == RECORDED for one in departure.shown.values())
+    as_recorded = sum(not one.is_redacted for one in departure.shown.values())
     altered = tuple(sorted(name for name, sha256 in stated.items() if departure.files[name] not in (None, sha256)))
     if inspection.leaks:
         return PublishReport(None, inspection.leaks, inspection.same_bytes, as_recorded, altered)

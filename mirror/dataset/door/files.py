@@ -42,6 +42,7 @@ class ImageFile(NamedTuple):
         pts: presentation time stamp of the frame in a video; None: not a video.
         sha256: SHA-256 of the bytes, as the table states it, in hexadecimal; None: not stated.
         size: width and height in pixels.
+        is_redacted: whether faces and plates were removed, here or at the source, as the table states it.
     """
 
     key: ImageKey
@@ -53,6 +54,7 @@ class ImageFile(NamedTuple):
     pts: int | None
     sha256: str | None
     size: tuple[int, int]
+    is_redacted: bool = False
 
 
 @dataclass(eq=False)
@@ -145,6 +147,7 @@ def _image_files(layout: Layout, traversal_id: str, layer: str, table: Table) ->
             row.get("video_pts"),
             None if digest is None else digest.hex(),
             (row["width_px"], row["height_px"]),
+            row.get("privacy") == "redacted",
         )
 
 

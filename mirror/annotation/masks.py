@@ -15,7 +15,7 @@ from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image, Mask
-from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layer_writer import LayerWriter, require_layer_name
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
 from mirror.dataset.traversal import FrameBoxes
 from mirror.dataset.writing import writing_layers
@@ -126,6 +126,7 @@ def mask_layer(
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-hulls", version or own_version
+    require_layer_name(new_source, version)
     layers = dataset.layers
     digest = hash_document(["instances", options.margin, options.min_score, layers.poses, layers.calibrations])
     layout = dataset.layout

@@ -19,7 +19,7 @@ from mirror.annotation.protocol import Annotator
 from mirror.dataset.content_hashes import ContentHashes, has_layer
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
-from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layer_writer import LayerWriter, require_layer_name
 from mirror.dataset.unfinished_work import ANNOTATION, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import MirrorError
@@ -116,6 +116,7 @@ def annotate(
     """
     progress = progress or NullProgress()
     source, version = source or annotator.name, version or annotator.version
+    require_layer_name(source, version)
     report = AnnotationReport(f"{source}@{version}", trained_on=getattr(annotator, "trained_on", None))
     layout = dataset.layout
     fingerprint = hashlib.sha256(annotator.fingerprint.encode()).hexdigest()

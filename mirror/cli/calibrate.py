@@ -141,8 +141,11 @@ def _check(argv: Sequence[str]) -> int:
     from mirror.calibration.rig import ScalePrior
     from mirror.progress import progress_bar
     from mirror.schema.files import write_bytes
+    from mirror.schema.folders import find_kind
     from mirror.view.calibration_page import write_calibration_page
 
+    # A folder with the work of an interrupted check alone has no kind.
+    find_kind(arguments.out)
     scales = ScalePrior(arguments.focal_sigma_percent, arguments.way_sigma_percent)
     dataset = arguments.input.choose(mirror.open(arguments.dataset))
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
 from mirror.counting import count_of
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.evaluation.submission.check import CheckReport
@@ -157,6 +157,7 @@ def _hidden(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Hidden, argv, "mirror submission hidden", examples=_HIDDEN_EXAMPLES)
 
     import mirror
+    from mirror.evaluation.scorers import load_scorer
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
@@ -166,6 +167,11 @@ def _hidden(argv: Sequence[str]) -> int:
     preset, seed = read_recorded_seed(arguments.recordings, "--recordings")
     dataset = mirror.open(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
+    if load_scorer(plan.protocol.task).hidden_use(plan) == "unused":
+        raise UsageError(
+            f"protocol {plan.protocol.name} is scored against recorded images and uses no hidden truth",
+            place="--protocol", expected="a protocol of moved cameras or edited vehicles, such as lane-shift",
+        )  # fmt: skip
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("images", len(plan.views))
         count = write_hidden_truth(dataset, plan, preset, seed, arguments.out, bar.advance)

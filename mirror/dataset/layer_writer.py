@@ -23,6 +23,17 @@ from mirror.schema.files import encode_table, read_json, unwritable_error, write
 from mirror.schema.tables import Table
 
 
+def require_layer_name(source: str, version: str) -> None:
+    """Refuse a source or a version that cannot be a part of a folder's name; verbs do it before their work.
+
+    Raises:
+        UsageError: one of them has other characters than letters, digits, `_`, `-` and `.`, or begins with a sign.
+    """
+    for name in (source, version):
+        if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.\-]*", name) is None:
+            raise UsageError(f"{name!r} cannot name a layer", expected="letters, digits, `_`, `-` and `.`")
+
+
 @dataclass
 class LayerWriter:
     """Writes one layer; the caller holds the dataset's writer lock.
@@ -50,9 +61,7 @@ class LayerWriter:
 
     def __post_init__(self) -> None:
         self.folder = self.layout.layer(self.traversal_id, self.kind, self.source, self.version)
-        for name in (self.source, self.version):
-            if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.\-]*", name) is None:
-                raise UsageError(f"{name!r} cannot name a layer", expected="letters, digits, `_`, `-` and `.`")
+        require_layer_name(self.source, self.version)
         recorded = self.layout.recorded(self.traversal_id)
         if not (recorded / MANIFEST).is_file():
             raise DatasetError("there is no such traversal", file=recorded, remedy="check the id: `mirror info`")

@@ -76,6 +76,8 @@ def audit(
     require_dataset(layout)
     bundle = _read_bundle(store)
     names = _list_names(store, bundle)
+    if not names:
+        raise DatasetError("the folder is empty", file=store.root, expected="what was published")
     files = list_dataset_files(layout)
     departure = plan_departure(files, _withheld(layout, files, bundle, split, protocols))
     dataset = open_dataset(layout.root)

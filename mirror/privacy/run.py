@@ -20,6 +20,7 @@ import mirror
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
+from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import Layout, read_manifest, require_dataset
 from mirror.dataset.redaction import REDACTION
 from mirror.dataset.store import Store
@@ -131,6 +132,7 @@ def deidentify(
     """
     layout = Layout(Path(root))
     require_dataset(layout)
+    require_layer_name(SOURCE, options.version)
     options = replace(options, plate_region=require_coverage(options.detectors, options.plate_region))
     # Missing weights end the run here, before anything is written.
     records = [describe(choice.make()) for choice in options.detectors]

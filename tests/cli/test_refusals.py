@@ -11,8 +11,10 @@ import pytest
 from benchmarks.__main__ import main as benchmarks
 from mirror import progress
 from mirror.cli.main import main
+from mirror.dataset.dataset import Dataset
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
+from mirror.synth import SynthReport
 from tests.ingest.recordings import SCENE, write_recording
 
 
@@ -51,6 +53,7 @@ def test_no_workers(fleet: Path, capsys: pytest.CaptureFixture[str], words: str)
         "ingest {fleet}/there --rois {fleet}/rois.geojson --out {fleet}/file",
         "rois propose {fleet}/there --min-traversals 1 --out {fleet}/file/x.geojson",
         "stats {fleet}/dataset --plots {fleet}/file",
+        "calibrate check {fleet}/dataset --out {fleet}/file",
     ],
 )
 def test_an_output_below_a_file(fleet: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
@@ -206,3 +209,32 @@ def test_a_driver_that_does_not_answer_is_found_before_the_street_is_opened(
     assert f"--policy: {address} does not answer" in said
     assert "Remedy: start it first" in said
     assert not (fleet / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "deidentify {fleet}/dataset --plate-region EU --version ../x",
+        "calibrate refine {fleet}/dataset --version ../x",
+    ],
+)
+def test_a_version_that_cannot_name_a_layer_is_refused_before_the_work(
+    fleet: Path, capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    pytest.importorskip("scipy")
+    assert "'../x' cannot name a layer" in refused(fleet, capsys, words)
+
+
+def test_hidden_truth_that_no_evaluation_uses_is_not_rendered(
+    fleet: Path, tiny_dataset: Dataset, tiny_recordings: SynthReport, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recordings = tiny_recordings.recordings[0].parent
+    words = f"submission hidden {tiny_dataset.root} --split novel --recordings {recordings} --out {fleet}/hidden"
+    said = refused(fleet, capsys, f"{words} --protocol static-reconstruction")
+    assert "uses no hidden truth" in said
+    assert not (fleet / "hidden").exists()
+
+
+def test_an_audit_of_nothing_is_refused(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (fleet / "nothing").mkdir()
+    assert "the folder is empty" in refused(fleet, capsys, "dataset audit {fleet}/nothing --against {fleet}/dataset")

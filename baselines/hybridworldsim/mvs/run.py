@@ -15,6 +15,7 @@ from hybridworldsim.mvs.writing.layers import InitialisationLayers
 from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.writing import writing_layers
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
@@ -83,6 +84,7 @@ def initialise(
     chosen = options or InitialisationOptions()
     if width_px is not None:
         chosen = replace(chosen, width_px=width_px)
+    require_layer_name(method, version or split)
     view = dataset.where(split=split, role="train")
     if method == SPARSE and estimator is None:
         kinds: tuple[str, ...] = ("points",)

@@ -13,7 +13,7 @@ from mirror.annotation.tracking.static import merge_stationary
 from mirror.annotation.tracking.tracker import Track, find_tracks, to_frames
 from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.layer_writer import LayerWriter
+from mirror.dataset.layer_writer import LayerWriter, require_layer_name
 from mirror.dataset.layout import manifest_sha256
 from mirror.dataset.writing import writing_layers
 from mirror.geometry.poses import Poses
@@ -74,6 +74,7 @@ def track_layer(
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-tracks", version or own_version
+    require_layer_name(new_source, version)
     digest = hash_document({**asdict(options), "poses": dataset.layers.poses})
     layout = dataset.layout
     counts: dict[str, int] = dict.fromkeys(("detections", "boxes", "tracks", "stationary"), 0)

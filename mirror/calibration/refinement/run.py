@@ -21,6 +21,7 @@ from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gath
 from mirror.calibration.refinement.summary import CameraRefinement, summarise
 from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.unfinished_work import REFINEMENT, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import MirrorError, UsageError
@@ -65,6 +66,7 @@ def refine_calibrations(
         DatasetError: a layer of this version was made from other inputs, or another process writes the dataset.
     """
     require_scipy()
+    require_layer_name(SOURCE, version)
     settings, reporter = _Settings(choice, prior or RefinementPrior(), matching or MatchingOptions()), progress
     report = RefinementReport(dataset.root, f"{SOURCE}@{version}")
     rows = [row for row in dataset.table("traversals").to_pylist() if row["has_images"]]

@@ -50,6 +50,8 @@ ONLY_FROM_PYTHON: Final = {
 """Modules whose errors reach programs that import the toolkit: no verb gives them arguments of its user."""
 
 RAISED_BY: Final = {
+    "mirror/addresses.py": ("view", "serve"),
+    "mirror/command_line.py": ("annotate", "reconstruct"),
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),
     "mirror/cli/recording.py": ("recording new",),
     "mirror/cli/view.py": ("view",),

@@ -30,6 +30,7 @@ from mirror.evaluation.submission.template import expected_files, make_manifest,
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.methods import registry
+from mirror.methods.appearance import AppearancePolicy
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.protocols.document import Protocol, load_protocol
@@ -469,7 +470,7 @@ def test_speed_of_an_installed_method_is_measured(
     seen: list[RenderView] = []
 
     class Slow:
-        def open(self, model: Path):
+        def open(self, model: Path, appearance: AppearancePolicy):
             def render(view: RenderView) -> UInt8:
                 seen.append(view)
                 time.sleep(0.02)

@@ -23,6 +23,7 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import make_manifest, write_manifest
+from mirror.methods.appearance import AppearancePolicy
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.png import encode_png
@@ -207,7 +208,7 @@ def test_costs_are_stated_unless_they_are_measured_here(
     assert dict(board.options) == {"stated:": "by the submissions, not measured here"}
 
     class Grey:
-        def open(self, model: Path) -> Callable[[RenderView], UInt8]:
+        def open(self, model: Path, appearance: AppearancePolicy) -> Callable[[RenderView], UInt8]:
             return lambda view: np.zeros((view.height_px, view.width_px, 3), np.uint8)
 
     monkeypatch.setattr("mirror.evaluation.scorers.runtime.installed_method", lambda name: Grey())

@@ -30,7 +30,9 @@ _FORGEABLE: Final = (
 _NO_INTERVAL: Final = "no interval: "
 
 _MAX_COLUMNS: Final = 9
-"""The number of columns that fits a window of 1280 px."""
+"""The number of usual columns that fits a window of 1280 px."""
+_USUAL_HEAD: Final = 14
+"""Letters of the longest head of a usual column."""
 
 
 def board_table(board: Board, notes: dict[str, int]) -> str:
@@ -56,11 +58,30 @@ def format_notes(notes: dict[str, int]) -> str:
 
 
 def _split_columns(columns: Sequence[Column]) -> list[list[Column]]:
-    """Split columns into parts of similar width, each with whole groups."""
-    groups = [list(members) for _, members in groupby(columns, key=lambda column: column[0])]
-    each = len(groups) if len(columns) <= _MAX_COLUMNS else max(_MAX_COLUMNS // max(map(len, groups)), 1)
+    """Split columns into parts that fit a window, each with whole groups; a group that does not fit is cut."""
+    groups = [
+        piece for _, members in groupby(columns, key=lambda column: column[0]) for piece in _cut_group(list(members))
+    ]
+    widest = max(map(_find_width, groups))
+    each = len(groups) if _find_width(columns) <= _MAX_COLUMNS else max(int(_MAX_COLUMNS // widest), 1)
     each = ceil(len(groups) / ceil(len(groups) / each))
     return [list(chain(*groups[start : start + each])) for start in range(0, len(groups), each)]
+
+
+def _cut_group(columns: Sequence[Column]) -> list[list[Column]]:
+    """Cut the columns of a group into pieces with similar numbers of columns that fit a window."""
+    each = ceil(len(columns) / ceil(_find_width(columns) / _MAX_COLUMNS))
+    return [list(columns[start : start + each]) for start in range(0, len(columns), each)]
+
+
+def _find_width(columns: Sequence[Column]) -> float:
+    """Find the width of columns, in usual ones: long heads take more."""
+    return sum(max(1.0, max(map(len, _head_lines(MEASURES[metric].head))) / _USUAL_HEAD) for _, metric in columns)
+
+
+def _head_lines(head: str) -> list[str]:
+    """Return the lines of a column's head: the part of the image, as in ``PSNR, new hull (dB)``, has its own."""
+    return head.split(", ")
 
 
 def _format_table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> str:
@@ -103,10 +124,11 @@ def _format_head(column: Column, board: Board, notes: dict[str, int]) -> str:
     sort = f' aria-sort="{direction}"' if column == board.ranked_by else ""
     first = " first" if _opens_group(board.columns, column) else ""
     marks = _format_marks([_FORGEABLE] if measure.forgeable else [], notes)
+    lines = ",<br>".join(map(escape, _head_lines(measure.head)))
     return (
         f'<th scope="col" class="n{first}" data-better="{measure.better}"{sort}>'
         f'<button type="button" title="{escape(measure.about)}; {measure.better} is better">'
-        f'{escape(measure.head)}{marks} <span aria-hidden="true">{measure.arrow}</span></button></th>'
+        f'{lines}{marks} <span aria-hidden="true">{measure.arrow}</span></button></th>'
     )
 
 

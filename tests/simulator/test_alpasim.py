@@ -28,6 +28,11 @@ def walk(descriptor: Any) -> Iterator[Any]:
         yield from walk(nested)
 
 
+def _is_repeated(field: Any) -> bool:
+    """Return whether a field is repeated; protobuf 5 has the label alone, protobuf 7 the property alone."""
+    return field.is_repeated if hasattr(field, "is_repeated") else field.label == field.LABEL_REPEATED
+
+
 def ours() -> dict[str, Any]:
     return {
         descriptor.full_name: descriptor
@@ -43,7 +48,7 @@ def test_every_field_of_every_message_has_their_name_number_and_type(theirs: Any
             field.name: [
                 field.number,
                 field.type,
-                3 if field.is_repeated else 1,
+                3 if _is_repeated(field) else 1,
                 getattr(field.message_type or field.enum_type, "full_name", ""),
             ]
             for field in descriptor.fields

@@ -10,6 +10,7 @@ import pytest
 
 PACKAGES = [
     "mirror",
+    "mirror.synth",
     "mirror.privacy",
     "mirror.metrics",
     "mirror.methods",

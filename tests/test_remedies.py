@@ -70,6 +70,7 @@ RAISED_BY: Final = {
     "mirror/annotation/": ("annotate", "annotate track", "annotate train", "annotate masks", "annotate export"),
     "mirror/calibration/": ("calibrate check", "calibrate refine", "calibrate intrinsics"),
     "mirror/synth/": ("synth", "submission hidden"),
+    "mirror/traffic/": ("synth", "simulate"),
     "mirror/dataset/splits/": ("split",),
     "mirror/evaluation/": ("evaluate",),
     "mirror/view/": ("view", "plot", "report", "stats"),

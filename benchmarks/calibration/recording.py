@@ -15,11 +15,11 @@ from mirror.calibration.rig import TrackedRig
 from mirror.calibration.tracking import PairTracks, TrackedImage, track_rig
 from mirror.geometry import Poses, interpolate, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
-from mirror.synth.driving.trace import TraceMotion
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.model import Label
 from mirror.synth.writing.poses import pose_stamps
+from mirror.traffic.placement.trace import TraceMotion
 
 _STEP_S: Final = 0.05
 _JPEG_QUALITY: Final = 90

@@ -18,11 +18,12 @@ from mirror.synth.light.sun import instant_of
 from mirror.synth.model import FACE, ROUND
 from mirror.synth.render.rendering import render
 from mirror.synth.render.view import RasterizedView
-from mirror.synth.road_users.body import Placement, RoadUser, StaticMotion
+from mirror.synth.road_users.body import RoadUser
 from mirror.synth.road_users.cars import build_car
 from mirror.synth.road_users.people import draw_pedestrian
 from mirror.synth.street.world import World, build_world
 from mirror.synth.textures.catalogue import FACES, PLATES
+from mirror.traffic.placement.motion import Placement, StaticMotion
 
 _PLACE: Final = (8.41694, 49.01252)
 _VIEW_DEG: Final = 70.0

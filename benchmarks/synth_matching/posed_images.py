@@ -13,13 +13,13 @@ from mirror.arrays import Bool, Float32, Float64, Int64, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.recordings.light import Light
-from mirror.synth.driving.trace import TraceMotion
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.light.condition import Condition, Weather
 from mirror.synth.light.sun import instant_of
 from mirror.synth.model import Label
 from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
+from mirror.traffic.placement.trace import TraceMotion
 
 SKY_M: Final = 1e6
 """Assumed distance of the sky."""

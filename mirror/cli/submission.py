@@ -161,8 +161,7 @@ def _hidden(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
-    from mirror.synth.hidden_truth import write_hidden_truth
-    from mirror.synth.writing.secret import read_recorded_seed
+    from mirror.synth import read_recorded_seed, write_hidden_truth
 
     preset, seed = read_recorded_seed(arguments.recordings, "--recordings")
     dataset = mirror.open(arguments.dataset)

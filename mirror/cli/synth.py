@@ -64,9 +64,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, "mirror synth", examples=_EXAMPLES)
 
     from mirror.progress import progress_bar
-    from mirror.synth import Effects, Errors, write_recordings
-    from mirror.synth.writing.secret import SECRET
-    from mirror.synth.writing.truth import parse_truth_kinds
+    from mirror.synth import SECRET, Effects, Errors, parse_truth_kinds, write_recordings
 
     with progress_bar(quiet=arguments.json) as bar:
         written = write_recordings(

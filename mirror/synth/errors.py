@@ -13,7 +13,7 @@ from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 Stage = Literal["factory", "online"]
 

@@ -10,9 +10,9 @@ import shapely
 from mirror.schema.road_map import MapArea, MapCrossing, MapLane, MapSignal, RoadMap, SignalState
 from mirror.synth.roads.crossing import Crossing
 from mirror.synth.roads.layouts import find_approaches
-from mirror.synth.street.network import Lane, Network
 from mirror.synth.street.plan import Plan
 from mirror.synth.street.world.world import AMBER_S, READY_S
+from mirror.traffic.lanes.network import Lane, Network
 
 
 def street_map(plan: Plan) -> RoadMap:

@@ -16,7 +16,7 @@ from hybridworldsim.simulator.policies.references import LaneKeeping
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from mirror.errors import UsageError
 from mirror.metrics.safety import find_collisions, least_time_to_collision
-from mirror.synth.driving.ways import Piece, build_way
+from mirror.traffic.lanes.ways import Piece, build_way
 from tests.simulator.streets import LANE_M, scenario, straight_street
 
 STREET = straight_street()

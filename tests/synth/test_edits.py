@@ -22,11 +22,11 @@ from mirror.synth.hidden_truth import render_view
 from mirror.synth.light.condition import Effects
 from mirror.synth.model import Label
 from mirror.synth.render.scene import Scene
-from mirror.synth.road_users.body import StaticMotion
 from mirror.synth.road_users.edits import edit_road_users
 from mirror.synth.truth.casting import cast_rays
 from mirror.synth.writing.boxes import world_SE3_boxes
 from mirror.synth.writing.images import encode_image
+from mirror.traffic.placement.motion import StaticMotion
 
 SHIFTS_M = {"0m": 0.0, "left-2m": 2.0}
 SPLIT = "novel"

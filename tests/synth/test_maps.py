@@ -8,9 +8,9 @@ import shapely
 
 from mirror.schema.road_map import RoadMap
 from mirror.synth import street_map
-from mirror.synth.driving.signals import Signal, signal_state
 from mirror.synth.fleet.places import GUANGZHOU_HIGHWAY, KARLSRUHE_CAMPUS, KARLSRUHE_RURAL, TORONTO_URBAN
 from mirror.synth.street.plan import Plan, plan_scene
+from mirror.traffic.following.signals import Signal, signal_state
 
 
 @pytest.fixture(scope="module", params=[TORONTO_URBAN, KARLSRUHE_RURAL, GUANGZHOU_HIGHWAY, KARLSRUHE_CAMPUS])

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from mirror.synth.street.network import Lane, Network
+from mirror.traffic.lanes.network import Lane, Network
 
 RADIUS = 120.0
 EXTENT = RADIUS + 80.0

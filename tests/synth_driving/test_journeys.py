@@ -15,7 +15,7 @@ from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from mirror.synth.driving.journey import Journey, simulate_journey
 from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.trace import Chassis, TraceMotion
+from mirror.traffic.placement.trace import Chassis, TraceMotion
 from tests.synth_driving import street
 
 SITE = Site(street.network(), street.RADIUS, street.heights, np.array([[60.0, 8.0]]))

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import box
 
-from mirror.synth.driving.overlaps import select_non_overlapping
-from mirror.synth.driving.participants import Manner, Participant, simulate_participants
-from mirror.synth.driving.signals import Signal, signal_state
-from mirror.synth.driving.trace import Aside, Chassis, Schedule
-from mirror.synth.driving.ways import Piece, build_way, follow_lanes
-from mirror.synth.driving.zones import find_zones
+from mirror.traffic.following.participants import Manner, Participant, simulate_participants
+from mirror.traffic.following.signals import Signal, signal_state
+from mirror.traffic.following.zones import find_zones
+from mirror.traffic.lanes.ways import Piece, build_way, follow_lanes
+from mirror.traffic.placement.overlaps import select_non_overlapping
+from mirror.traffic.placement.trace import Aside, Chassis, Schedule
 from tests.synth_driving import street
 
 NETWORK = street.network()

@@ -8,10 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mirror.synth.model import Label, Model
-from mirror.synth.road_users.body import Placement, Saddle
+from mirror.synth.road_users.body import Saddle
 from mirror.synth.road_users.people import Pedestrian, build_rider, draw_pedestrian, draw_person
 from mirror.synth.road_users.skeleton import STRIDE, Skeleton, head_half_m, riding_skeleton, walking_skeleton
 from mirror.synth.textures.catalogue import FACES
+from mirror.traffic.placement.motion import Placement
 
 _SADDLE = Saddle((-0.20, 0.0, 0.94), (0.42, 0.28, 1.02), (-0.02, 0.12, 0.12), (0.02, -0.12, 0.46))
 _SEEDS = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from mirror.synth.road_users.body import Placement, StaticMotion
+from mirror.traffic.placement.motion import Placement, StaticMotion
 
 _ANGLE = st.floats(-3.1, 3.1)
 

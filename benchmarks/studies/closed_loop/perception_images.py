@@ -22,7 +22,7 @@ from mirror.arrays import AnyArray, Float64, UInt8
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.schema.road_features import MapLane
-from mirror.synth.driving.ways import STEP_M, Way
+from mirror.traffic.lanes.ways import STEP_M, Way
 
 _KINDS: Final = ("car", "car", "car", "van", "truck", "car", "cyclist", "pedestrian", "motorcycle", "bus")
 _LEAD_KINDS: Final = ("car", "car", "car", "van", "cyclist", "pedestrian", "truck")

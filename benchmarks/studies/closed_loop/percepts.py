@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from hybridworldsim.simulator.agents.leaders import gap_on_way
+from hybridworldsim.simulator.agents.corridor import gap_on_way
 from hybridworldsim.simulator.ego.vehicle import EgoState, VehicleParameters
 from mirror.arrays import Float64, UInt8
-from mirror.synth.driving.ways import STEP_M
+from mirror.traffic.lanes.ways import STEP_M
 
 _MARGIN_M: Final = 0.15
 OFFSET_M: Final = 0.5

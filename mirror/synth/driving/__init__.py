@@ -1,1 +1,1 @@
-"""The motion of road users: paths along lanes, traffic that is simulated in advance, traffic lights."""
+"""The traffic of a street: routes of the recording vehicle, and the road users that are parked, stand or move."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from mirror.synth.road_users.body import Body
-
-Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
-KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian")
+from mirror.traffic.following.participants import KINDS, Kind
 
 POPULATION: Final[dict[Kind, int]] = {
     "car": 96, "van": 24, "truck": 16, "bus": 8, "motorcycle": 8, "cyclist": 20, "pedestrian": 64,

@@ -11,9 +11,9 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
-from mirror.synth.driving.trace import Schedule, Trace
-from mirror.synth.driving.ways import STEP_M
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
+from mirror.traffic.lanes.ways import STEP_M
+from mirror.traffic.placement.trace import Schedule, Trace
 
 _DIVE_DEG: Final = 0.22
 _LEAN_DEG: Final = 0.32

@@ -10,22 +10,23 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import MirrorError
+from mirror.portable import arrays, scalars
 from mirror.synth.driving.bodies import get_body
 from mirror.synth.driving.drive import Drive
-from mirror.synth.driving.overlaps import select_non_overlapping
 from mirror.synth.driving.parking import ParkedCar, place_parked_cars
-from mirror.synth.driving.participants import Manner, Participant, simulate_participants
 from mirror.synth.driving.routes import Route, make_route
-from mirror.synth.driving.simulation import TICK_S
 from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.trace import Aside, Chassis, Schedule, TraceMotion, build_trace
 from mirror.synth.driving.vehicles import Ways, make_cyclists, make_leaving_cars, make_vehicles
 from mirror.synth.driving.walkers import make_walkers, place_standing_people
-from mirror.synth.driving.ways import STEP_M
-from mirror.synth.driving.zones import find_zones
-from mirror.synth.portable import arrays, scalars
-from mirror.synth.road_users.body import Body, Motion, RoadUser
+from mirror.synth.road_users.body import Body, RoadUser
 from mirror.synth.seeds import name_seed, random_stream
+from mirror.traffic.following.participants import Manner, Participant, simulate_participants
+from mirror.traffic.following.simulation import TICK_S
+from mirror.traffic.following.zones import find_zones
+from mirror.traffic.lanes.ways import STEP_M
+from mirror.traffic.placement.motion import Motion
+from mirror.traffic.placement.overlaps import select_non_overlapping
+from mirror.traffic.placement.trace import Aside, Chassis, Schedule, TraceMotion, build_trace
 
 _WARM_UP_S: Final = 60.0
 _LONGEST_S: Final = 240.0

@@ -8,13 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from mirror.synth.driving.bodies import POPULATION, Kind, get_body
-from mirror.synth.driving.paths import select_lanes
+from mirror.portable import arrays
+from mirror.synth.driving.bodies import POPULATION, get_body
 from mirror.synth.driving.site import Site
-from mirror.synth.portable import arrays
-from mirror.synth.road_users.body import Body, Placement, StaticMotion
+from mirror.synth.road_users.body import Body
 from mirror.synth.seeds import random_stream
-from mirror.synth.street.network import Lane
+from mirror.traffic.following.participants import Kind
+from mirror.traffic.lanes.network import Lane
+from mirror.traffic.lanes.paths import select_lanes
+from mirror.traffic.placement.motion import Placement, StaticMotion
 
 _PITCH_M: Final = 6.2
 _STAYS: Final = 0.42

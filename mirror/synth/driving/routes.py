@@ -11,12 +11,12 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.synth.driving.paths import Path, beside_m, iterate_paths, select_lanes, source_lanes, turn_rad
-from mirror.synth.driving.trace import trail_rear_axle
+from mirror.portable import arrays
 from mirror.synth.driving.turning import build_turn_around, point_and_direction_at
-from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, change_lane_pieces, lane_piece
-from mirror.synth.portable import arrays
-from mirror.synth.street.network import Network
+from mirror.traffic.lanes.network import Network
+from mirror.traffic.lanes.paths import Path, beside_m, iterate_paths, select_lanes, source_lanes, turn_rad
+from mirror.traffic.lanes.ways import STEP_M, Piece, Way, build_way, change_lane_pieces, lane_piece
+from mirror.traffic.placement.trace import trail_rear_axle
 
 LEAD_M: Final = 24.0
 _EDGE: Final = 0.85

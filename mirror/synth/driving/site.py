@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.driving.trace import HeightField
-from mirror.synth.street.network import Network
+from mirror.traffic.lanes.network import Network
+from mirror.traffic.placement.trace import HeightField
 
 
 @dataclass(frozen=True, eq=False)

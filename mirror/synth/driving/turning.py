@@ -9,9 +9,9 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.synth.driving.paths import Path, beside_m
-from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way, lane_piece
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
+from mirror.traffic.lanes.paths import Path, beside_m
+from mirror.traffic.lanes.ways import STEP_M, Piece, Way, build_way, lane_piece
 
 _SWING_M: Final = 4.9
 _SWING_LEAD_M: Final = 18.0

@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from mirror.synth.driving.bodies import POPULATION, Kind, get_body
-from mirror.synth.driving.participants import Manner, Participant
-from mirror.synth.driving.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, source_lanes
+from mirror.portable import arrays
+from mirror.synth.driving.bodies import POPULATION, get_body
 from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.trace import Aside, Chassis
-from mirror.synth.driving.ways import Piece, Way, build_way, change_lane_pieces, lane_piece
-from mirror.synth.portable import arrays
-from mirror.synth.street.network import Lane, Network
+from mirror.traffic.following.participants import Kind, Manner, Participant
+from mirror.traffic.lanes.network import Lane, Network
+from mirror.traffic.lanes.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, source_lanes
+from mirror.traffic.lanes.ways import Piece, Way, build_way, change_lane_pieces, lane_piece
+from mirror.traffic.placement.trace import Aside, Chassis
 
 _MIX: Final[dict[Kind, float]] = {"car": 0.78, "van": 0.10, "truck": 0.05, "bus": 0.03, "motorcycle": 0.04}
 _MOTORWAY_MIX: Final[dict[Kind, float]] = {"car": 0.62, "van": 0.11, "truck": 0.22, "bus": 0.03, "motorcycle": 0.02}

@@ -9,15 +9,16 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.driving.bodies import POPULATION, get_body
-from mirror.synth.driving.participants import Manner, Participant
-from mirror.synth.driving.paths import Path, select_lanes, turn_rad
 from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.trace import Aside, Chassis
 from mirror.synth.driving.vehicles import Ways
-from mirror.synth.portable import arrays, scalars
-from mirror.synth.road_users.body import Body, Placement, StaticMotion
-from mirror.synth.street.network import Lane
+from mirror.synth.road_users.body import Body
+from mirror.traffic.following.participants import Manner, Participant
+from mirror.traffic.lanes.network import Lane
+from mirror.traffic.lanes.paths import Path, select_lanes, turn_rad
+from mirror.traffic.placement.motion import Placement, StaticMotion
+from mirror.traffic.placement.trace import Aside, Chassis
 
 _EVERY_M: Final = 75.0
 """Length of pavement per person on a busy day; a group counts as one person."""

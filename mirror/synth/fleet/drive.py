@@ -92,7 +92,7 @@ class SynthDrive:
         from mirror.synth.driving.journey import simulate_journey
         from mirror.synth.driving.site import Site as Traffic
         from mirror.synth.driving.site import TrafficDensity
-        from mirror.synth.driving.trace import Chassis
+        from mirror.traffic.placement.trace import Chassis
 
         world, size, condition = self.world, self.vehicle.kind.size, self.condition
         rng = random_stream("journey", self.seed, 0)
@@ -193,7 +193,7 @@ class SynthDrive:
 
     def placements(self, user: RoadUser, timestamp_ns: Int64) -> tuple[Float64, Float64]:
         """Return a road user's placements (N, 6) x, y, z, yaw, pitch, roll and speeds (N,) at Unix times (N,)."""
-        from mirror.synth.driving.trace import TraceMotion
+        from mirror.traffic.placement.trace import TraceMotion
 
         motion = user.motion
         if isinstance(motion, TraceMotion):

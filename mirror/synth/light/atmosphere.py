@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 DOME: Final = 96
 """Samples along a side of a dome: a square around the zenith in stereographic projection; the horizon is the inscribed

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 SIDE: Final = 1024
 """Samples along a period of the finest level."""

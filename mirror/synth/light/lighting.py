@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Records
+from mirror.portable import arrays
 from mirror.synth.light.atmosphere import clear_dome, dome_directions, dome_weights
 from mirror.synth.light.clouds import PERIOD, cloud_field
 from mirror.synth.light.condition import Condition, Weather
 from mirror.synth.light.sky import sky
 from mirror.synth.light.sun import season_of, sun_direction, sunlight
 from mirror.synth.model import flat
-from mirror.synth.portable import arrays
 
 LIGHTING: Final = np.dtype(
     [

@@ -6,9 +6,9 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Records
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
+from mirror.portable import scalars
 from mirror.synth.light.clouds import LEVELS, PERIOD, SIDE
-from mirror.synth.portable import scalars
 
 # The cloud layer curves down to the horizon: in a level direction its distance is 1 / _BEND heights.
 _BEND: Final = 0.11

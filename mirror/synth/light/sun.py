@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64, Int64
+from mirror.portable import arrays
 from mirror.recordings.light import Light, solar_elevation_deg
-from mirror.synth.portable import arrays
 
 SUN_ELEVATION_DEG: Final[dict[Light, float]] = {"day": 38.0, "dusk": -2.5, "night": -25.0}
 """Target elevations of the sun; in winter at high latitudes the highest of the day, if that is lower."""

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
+from mirror.portable import arrays
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.polygons import polygons
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model
-from mirror.synth.portable import arrays
 
 
 def tubes(

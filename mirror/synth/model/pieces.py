@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
+from mirror.portable import arrays
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.polygons import polygons
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, Model, merge_models
-from mirror.synth.portable import arrays
 
 Place = Sequence[float] | Float64
 Way = Literal["-x", "+x", "-y", "+y", "-z", "+z"]

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
+from mirror.portable import arrays
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.surfaces import FACE, MOST_CORNERS, NO_IMAGE, NO_OBJECT, ROUND, Model, Side
-from mirror.synth.portable import arrays
 
 Colour = Sequence[float] | Float64
 LEAST_AREA_M2: Final = 1e-8

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from mirror.portable import arrays, scalars
 from mirror.synth.model.labels import Label
 from mirror.synth.model.materials import Material
 from mirror.synth.model.polygons import LEAST_AREA_M2, Colour, polygon
 from mirror.synth.model.surfaces import FACE, NO_IMAGE, NO_OBJECT, ROUND, Model, Side, merge_models
-from mirror.synth.portable import arrays, scalars
 
 
 def block(

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from mirror.arrays import Float64, Records
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 NO_OBJECT: Final = -1
 NO_IMAGE: Final = -1

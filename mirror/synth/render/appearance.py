@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Int64, Records, UInt8
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 from mirror.synth.model import Material
 from mirror.synth.textures.catalogue import Grain
 from mirror.synth.textures.sampling import grain_at, image_at

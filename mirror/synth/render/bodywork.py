@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from mirror.arrays import Records
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
+from mirror.portable import scalars
 from mirror.synth.model import Material, Side
-from mirror.synth.portable import scalars
 from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import band, hash_unit, stripes
 from mirror.synth.road_users.coachwork.sheets import Panel

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
-from mirror.synth.kernels import per_pixel
-from mirror.synth.portable import scalars
+from mirror.compiled import per_pixel
+from mirror.portable import scalars
 from mirror.synth.render.lens import TILE_PX
 
 SKY: Final = -1

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 from mirror.arrays import Records
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 from mirror.synth.render.appearance import Appearance
 from mirror.synth.render.texture import grain, hash_unit
 

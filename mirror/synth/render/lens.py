@@ -11,7 +11,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.render.develop.motion import ImageJacobian, compute_image_jacobian
 
 TILE_PX: Final = 8

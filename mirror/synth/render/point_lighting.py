@@ -6,10 +6,10 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Records
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
+from mirror.portable import scalars
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Label, Material
-from mirror.synth.portable import scalars
 from mirror.synth.render.shadows import CELL_M, sun_visibility
 from mirror.synth.render.surroundings import AMBIENT_OCCLUSION_CELL_M, GLOW_CELL_M, GROUND_CELL_M, LAMP_CELL_M
 

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from mirror.arrays import Float32, Float64, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
+from mirror.portable import arrays, scalars
 from mirror.schema.documents import Roi
 from mirror.synth.light.condition import Condition
 from mirror.synth.light.lighting import LIGHTING, Lighting, compute_lighting
 from mirror.synth.model import FACE, NO_IMAGE, NO_OBJECT, ROUND, Label, Model, flat, merge_models
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.render.binning import bounding_spheres
 from mirror.synth.render.develop.camera_response import CameraResponse
 from mirror.synth.render.develop.developing import develop
@@ -33,9 +33,10 @@ from mirror.synth.render.surroundings import (
 )
 from mirror.synth.render.view import RasterizedView, rasterize_view
 from mirror.synth.render.wet import add_reflections
-from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
+from mirror.synth.road_users.body import Body, RoadUser
 from mirror.synth.roads.markings import MARK, restrict_layouts
 from mirror.synth.street.foliage import apply_season
+from mirror.traffic.placement.motion import Placement, StaticMotion
 
 _LAMP_REACH_M: Final = 22.0
 _RENDER_RANGE_M: Final = 220.0

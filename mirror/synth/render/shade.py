@@ -1,6 +1,6 @@
 """Computes the radiance along the rays of a view.
 
-Functions that run for every pixel are compiled without reference counts (`mirror.synth.kernels`): counting the
+Functions that run for every pixel are compiled without reference counts (`mirror.compiled`): counting the
 references of each array at every pixel would take a fifth of the time.
 """
 
@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 from mirror.synth.light.sky import sky
 from mirror.synth.model import Material
 from mirror.synth.render.appearance import image_surface, lamp_surface, plain_surface

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Records
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
+from mirror.portable import arrays
 from mirror.synth.model import FACE, ROUND, Model, flat
-from mirror.synth.portable import arrays
 
 CELL_M: Final = 0.125
 _NOTHING_M: Final = -1e9

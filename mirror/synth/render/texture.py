@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 
 _MASK: Final = 127
 _RANDOM: Final = np.random.default_rng(0).uniform(-1.0, 1.0, (_MASK + 1, _MASK + 1)).astype(np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.render.lens import Lens
 from mirror.synth.render.surroundings import GROUND_CELL_M, Surroundings
 from mirror.synth.render.view import rasterize_view

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.geometry import Poses, quaternion_from_matrix
 from mirror.geometry.cameras import Camera
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 
 _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mirror.errors import DatasetError
-from mirror.synth.road_users.body import Motion, Placement, RoadUser, StaticMotion
+from mirror.synth.road_users.body import RoadUser
+from mirror.traffic.placement.motion import Motion, Placement, StaticMotion
 
 Shifts = Mapping[str, float | None]
 """Shift of road users to their own left, in metres, by track id; None: the road user is removed."""

@@ -9,9 +9,9 @@ from typing import Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import NO_IMAGE, Label, Material, Model, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.skeleton import Skeleton, head_half_m
 from mirror.synth.textures.faces import HEAD_ASPECT, draw_features
 

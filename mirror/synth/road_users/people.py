@@ -8,12 +8,13 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import arrays
 from mirror.synth.model import Label, Model
-from mirror.synth.portable import arrays
-from mirror.synth.road_users.body import Body, Placement, Saddle
+from mirror.synth.road_users.body import Body, Saddle
 from mirror.synth.road_users.figure import Bag, Colour, Garment, Hat, Person, build_person
 from mirror.synth.road_users.skeleton import STRIDE, riding_skeleton, walking_skeleton
 from mirror.synth.textures.catalogue import FACES
+from mirror.traffic.placement.motion import Placement
 
 _TOPS: Final[tuple[Colour, ...]] = (
     (0.018, 0.019, 0.022), (0.018, 0.019, 0.022), (0.028, 0.034, 0.060), (0.075, 0.078, 0.082), (0.17, 0.165, 0.155),

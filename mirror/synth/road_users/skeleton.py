@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 from mirror.synth.road_users.body import Saddle
 
 _THIGH: Final = 0.245

@@ -7,9 +7,9 @@ from typing import Final, Literal
 
 import numpy as np
 
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material, Side, ellipsoid, tube
 from mirror.synth.model.surfaces import merge_models
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.body import Body, Saddle, make_body
 from mirror.synth.road_users.coachwork.fittings import (
     BLACK,

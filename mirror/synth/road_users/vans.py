@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from mirror.portable import scalars
 from mirror.synth.model import Label, Material, Side
-from mirror.synth.portable import scalars
 from mirror.synth.road_users.body import Body, make_body
 from mirror.synth.road_users.coachwork.design import Design, build_vehicle
 from mirror.synth.road_users.coachwork.fittings import draw_car_paint

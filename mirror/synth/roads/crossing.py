@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.errors import UsageError
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 from mirror.synth.roads.line import Line
 from mirror.synth.roads.section import Section
 

@@ -16,8 +16,8 @@ import numpy as np
 import shapely
 
 from mirror.arrays import AnyArray, Bool, Float64, Int64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material, Model, merge_models, polygons
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.relief import Relief
 from mirror.synth.roads.section import Section

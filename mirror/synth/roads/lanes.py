@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.layouts import Approach, find_approaches
 from mirror.synth.roads.section import Track
-from mirror.synth.street.network import Lane
+from mirror.traffic.lanes.network import Lane
 
 _STEP_M: Final = 1.0
 _PARK_CLEAR_M: Final = 6.0

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Records
+from mirror.portable import scalars
 from mirror.synth.model import Material
-from mirror.synth.portable import scalars
 from mirror.synth.roads.crossing import Arm, Crossing, Street
 from mirror.synth.roads.ground import Stretch
 from mirror.synth.roads.markings import Mark, dashed_line, pack_layouts, stop_line, yield_line, zebra_marks

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 _STEP_M: Final = 0.1
 _COARSE: Final = 30

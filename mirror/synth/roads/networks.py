@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.roads.crossing import Crossing, Street
 from mirror.synth.roads.lanes import Port, build_lanes
 from mirror.synth.roads.turnings import assign_right_of_way, build_footways, build_turnings, link_lanes
-from mirror.synth.street.network import Lane, Network
+from mirror.traffic.lanes.network import Lane, Network
 
 _CYCLE_S: Final = 60.0
 _GREEN_S: Final = np.array([[0.0, 24.0], [30.0, 54.0], [30.0, 46.0], [0.0, 16.0]])

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 from mirror.synth.roads.crossing import Crossing, Street
 
 _FADE_M: Final = 12.0

@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.roads.crossing import Arm, Crossing, Street, build_crossing
 from mirror.synth.roads.ground import Cover
 from mirror.synth.roads.line import Bend, Line, build_line

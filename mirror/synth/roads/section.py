@@ -15,7 +15,7 @@ from mirror.synth.roads.markings import (
     solid_line,
     wheel_tracks,
 )
-from mirror.synth.street.network import Use
+from mirror.traffic.lanes.network import Use
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 from mirror.synth.roads.crossing import Corner, Crossing
 from mirror.synth.roads.lanes import WALK_MPS, Port
-from mirror.synth.street.network import Lane
+from mirror.traffic.lanes.network import Lane
 
 _STEP_M: Final = 0.3
 _STRAIGHT_RAD: Final = math.radians(30.0)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays, scalars
+from mirror.portable import arrays, scalars
 from mirror.synth.roads.crossing import Street
 from mirror.synth.street.lots import Lot, LotKind
 

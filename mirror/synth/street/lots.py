@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.portable import scalars
+from mirror.portable import scalars
 
 LotKind = Literal["front", "corner", "yard", "hall", "farm", "works"]
 """A row house; a house at a crossing; a house behind others; a campus building; a farm; a motorway shed."""

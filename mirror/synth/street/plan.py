@@ -25,8 +25,8 @@ from mirror.synth.roads.schemes import BEYOND_M, SCHEMES
 from mirror.synth.seeds import derive_hash_seed, random_stream
 from mirror.synth.street.frontages import place_lots
 from mirror.synth.street.lots import Lot, Rail, Spot
-from mirror.synth.street.network import Network
 from mirror.synth.street.spots import place_rails, place_spots
+from mirror.traffic.lanes.network import Network
 
 _FIELDS_M: Final = 260.0
 _FORECOURT_M: Final = 0.4

@@ -10,9 +10,9 @@ import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import UsageError
+from mirror.portable import arrays
 from mirror.synth.model import Label, Material, Model, block, merge_models, polygons
 from mirror.synth.model.batches import ellipsoids, tubes
-from mirror.synth.portable import arrays
 from mirror.synth.street.foliage import Colour, Species, draw_leaf_seeds
 
 Kind = Literal["lime", "plane", "birch", "poplar", "cypress", "spruce", "pine", "cherry", "oak"]

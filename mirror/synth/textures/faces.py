@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.catalogue import FACES
 
 Colour = tuple[float, float, float]

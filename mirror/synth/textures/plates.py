@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.catalogue import PLATES
 from mirror.synth.textures.images.drawing import disc, new_image, rounded_rectangle
 from mirror.synth.textures.images.lettering import letter

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Float64, Int64, UInt8
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 
 _CLOSE: Final = 1.25
 """Number of taps of a single row per width of the pixel along its length."""

@@ -11,8 +11,8 @@ import numpy as np
 from mirror.arrays import Float64, Int32, Int64
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
+from mirror.portable import arrays
 from mirror.synth.model import Model
-from mirror.synth.portable import arrays
 from mirror.synth.truth.casting import NOTHING, cast_rays
 
 _MOST_RAYS: Final = 6000

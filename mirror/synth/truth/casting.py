@@ -11,8 +11,8 @@ from numba import njit
 from mirror.arrays import Bool, Float64, Int64, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 from mirror.geometry.cameras import Camera
+from mirror.portable import arrays
 from mirror.synth.model import Model
-from mirror.synth.portable import arrays
 
 NOTHING: Final = -1
 

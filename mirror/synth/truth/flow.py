@@ -9,7 +9,7 @@ from mirror.arrays import Float32
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 
 def static_flow(

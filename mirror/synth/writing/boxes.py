@@ -13,8 +13,9 @@ from mirror.geometry import Poses, matrix_from_quaternion, project_boxes, quater
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.road_users.body import Placement, RoadUser
+from mirror.synth.road_users.body import RoadUser
 from mirror.synth.writing.schedule import ImageSchedule
+from mirror.traffic.placement.motion import Placement
 from mirror.version import __version__
 
 SOURCE: Final = "synth"
@@ -108,7 +109,7 @@ def _make_table(
         return BOXES.schema.empty_table()
     ahead = matrix_from_quaternion(world_SE3_box.rotation)[:, :, 0] * speed_mps[:, None]
     velocity = np.einsum("nij,ni->nj", matrix_from_quaternion(world_SE3_ego.rotation), ahead)
-    # Rounded, because processors differ in the last bit (see `mirror.synth.portable`).
+    # Rounded, because processors differ in the last bit (see `mirror.portable`).
     columns: Mapping[str, Any] = {
         "timestamp_ns": timestamp_ns,
         "track_id": [user.track_id for user in road_users],

@@ -10,15 +10,15 @@ import pyarrow as pa
 
 from mirror.arrays import AnyArray, Int64
 from mirror.geometry import heading_deg, matrix_from_quaternion, quaternion_from_matrix
+from mirror.portable import arrays
 from mirror.recordings.time import GPS_EPOCH_NS
 from mirror.schema.files import write_bytes
 from mirror.synth.errors import Errors
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.portable import arrays
 from mirror.synth.seeds import random_stream
 
 _LEAP_NS: Final = 18 * 1_000_000_000
-# Coarser than the last bit, in which processors differ (see `mirror.synth.portable`), and finer than 0.02 mm.
+# Coarser than the last bit, in which processors differ (see `mirror.portable`), and finer than 0.02 mm.
 _DECIMALS_DEG: Final = 10
 _DECIMALS_M: Final = 6
 _DECIMALS_QUATERNION: Final = 9

@@ -14,9 +14,9 @@ import pyarrow as pa
 from mirror.arrays import AnyArray, Int64
 from mirror.errors import UsageError
 from mirror.geometry import Poses
+from mirror.portable import arrays
 from mirror.schema.files import write_bytes, write_table
 from mirror.synth.fleet.drive import SynthDrive
-from mirror.synth.portable import arrays
 from mirror.synth.truth.files import FOLDER, TruthObject, write_document
 from mirror.synth.truth.flow import static_flow
 from mirror.synth.truth.images import KINDS, Kind, truth_file

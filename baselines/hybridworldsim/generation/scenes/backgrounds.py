@@ -17,11 +17,11 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.png import HEADER_BYTES, png_size
 from mirror.protocols.views.view import RenderView
-from mirror.synth.seeds import parse_public_seed
+from mirror.synth import parse_public_seed
 from mirror.weights.resolve import file_sha256
 
 if TYPE_CHECKING:
-    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth import SynthDrive
 
 Background: TypeAlias = Callable[[RenderView], UInt8]
 """From a view to the image (H, W, 3) of the street without road users, in the view's raster."""
@@ -107,7 +107,7 @@ def _open_model(
 
 
 def _require_preset(preset: str) -> None:
-    from mirror.synth.fleet.presets import PRESETS
+    from mirror.synth import PRESETS
 
     if preset not in PRESETS:
         raise UsageError(
@@ -223,15 +223,14 @@ class _ExactStreet:
 
 @lru_cache(16)
 def _drive(preset: str, seed: int, drive_id: str) -> SynthDrive:
-    from mirror.synth.fleet.drives import make_drive
+    from mirror.synth import make_drive
 
     return make_drive(preset, seed, drive_id)
 
 
 @lru_cache(4)
 def _empty_street(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, Any]:
-    from mirror.synth.model import Model
-    from mirror.synth.render.scene import Scene
+    from mirror.synth import Model, Scene
 
     drive = _drive(preset, seed, drive_id)
     return drive, Scene(drive.world, drive.condition, (), Model.empty(), clock_s=drive.truth.clock_s)
@@ -239,6 +238,6 @@ def _empty_street(preset: str, seed: int, drive_id: str) -> tuple[SynthDrive, An
 
 @lru_cache(16)
 def _lens(camera: Any) -> Any:
-    from mirror.synth.render.lens import make_lens
+    from mirror.synth import make_lens
 
     return make_lens(camera)

@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.simulator.agents.leaders import poses_on_ways
+from hybridworldsim.simulator.agents.corridor import poses_on_ways
 from hybridworldsim.simulator.agents.scripts import Script
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.metrics.safety import StateLog, find_collisions, least_time_to_collision
-from mirror.synth.driving.ways import Way
+from mirror.traffic.lanes.ways import Way
 
 MOST_EVALUATIONS: Final = 50
 _STEP_S: Final = 0.2

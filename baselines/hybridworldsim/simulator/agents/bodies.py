@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mirror.synth.driving.bodies import KINDS, POPULATION, Kind, get_body
+from mirror.synth import POPULATION, get_body
+from mirror.traffic.following.participants import KINDS, Kind
 
 if TYPE_CHECKING:
-    from mirror.synth.road_users.body import Body
+    from mirror.synth import Body
 
 _CANDIDATES: Final = 12
 _ALIASES: Final[dict[str, Kind]] = {"bicycle": "cyclist", "person": "pedestrian"}

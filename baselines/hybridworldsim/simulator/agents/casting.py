@@ -44,8 +44,8 @@ from mirror.schema.behaviours import (
     Trigger,
 )
 from mirror.schema.scenario import Scenario, ScenarioAgent
-from mirror.synth.driving.participants import Manner
-from mirror.synth.driving.ways import Piece, Way, build_way
+from mirror.traffic.following.participants import Manner
+from mirror.traffic.lanes.ways import Piece, Way, build_way
 
 _FASTEST_MPS: Final = 60.0
 _STANDING_GAP_M: Final = 6.0

@@ -11,13 +11,13 @@ from typing import Final
 import numpy as np
 
 from hybridworldsim.simulator.agents.attack import Attacker, AttackPlan, search_attack
-from hybridworldsim.simulator.agents.leaders import follow, place_on_way, poses_on_ways
+from hybridworldsim.simulator.agents.corridor import follow, place_on_way, poses_on_ways
 from hybridworldsim.simulator.agents.scripts import Script
 from hybridworldsim.simulator.agents.states import Agent, AgentStates, Boxes
 from mirror.arrays import Float64, Int64
-from mirror.synth.driving.following import Users, Ways
-from mirror.synth.driving.participants import Manner
-from mirror.synth.driving.ways import Way
+from mirror.traffic.following.acceleration import Users, Ways
+from mirror.traffic.following.participants import Manner
+from mirror.traffic.lanes.ways import Way
 
 _BEYOND_M: Final = 200.0
 _MANNERS: Final = {

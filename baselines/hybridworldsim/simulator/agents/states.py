@@ -11,7 +11,7 @@ from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
-    from mirror.synth.road_users.body import Body
+    from mirror.synth import Body
 
 PEDESTRIAN: Final = "pedestrian"
 

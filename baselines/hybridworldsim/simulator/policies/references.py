@@ -11,7 +11,7 @@ from hybridworldsim.simulator.ego.tracker import TrajectoryTracker
 from hybridworldsim.simulator.ego.vehicle import Controls, curvature_of
 from hybridworldsim.simulator.policies.protocol import Action, Observation, ObservationSpec, PrivilegedState
 from mirror.errors import UsageError
-from mirror.synth.driving.ways import STEP_M
+from mirror.traffic.lanes.ways import STEP_M
 
 _HEADWAY_S: Final = 1.5
 _STANDSTILL_M: Final = 2.0
@@ -99,7 +99,7 @@ class LaneKeeping(_Reference):
 
 
 def _leader(state: PrivilegedState, nearest: int, front_m: float, half_width_m: float) -> tuple[float, float]:
-    from hybridworldsim.simulator.agents.leaders import gap_on_way
+    from hybridworldsim.simulator.agents.corridor import gap_on_way
 
     best = math.inf, 0.0
     for box in state.boxes[1:]:

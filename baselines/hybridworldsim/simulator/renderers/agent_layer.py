@@ -18,14 +18,19 @@ from mirror.arrays import Float32, Float64, Int32, Int64, Records, UInt8
 from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.schema.documents import Roi
-from mirror.synth.light.condition import Condition, Effects
-from mirror.synth.model import Model
-from mirror.synth.render.coverage import SKY
-from mirror.synth.render.develop.camera_response import CameraResponse
-from mirror.synth.render.develop.developing import develop
-from mirror.synth.render.scene import Instant, Scene
-from mirror.synth.render.view import RasterizedView, rasterize_view
-from mirror.synth.roads.markings import MARK
+from mirror.synth import (
+    MARK,
+    SKY,
+    CameraResponse,
+    Condition,
+    Effects,
+    Instant,
+    Model,
+    RasterizedView,
+    Scene,
+    develop,
+    rasterize_view,
+)
 
 _EFFECTS: Final = replace(Effects(), exposure=False, noise=False, vignetting=False, bloom=False, motion_blur=False)
 _RESPONSE: Final = CameraResponse()

@@ -14,8 +14,7 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Int32, UInt8
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
-from mirror.synth.light.condition import Condition
-from mirror.synth.light.sun import instant_of
+from mirror.synth import Condition, instant_of
 
 _NOISE_SEEDS = 1 << 31
 
@@ -47,8 +46,7 @@ class ExactRenderer(Renderer):
         *,
         shows_ego: bool = True,
     ) -> None:
-        from mirror.synth.model import Model
-        from mirror.synth.render.scene import Scene
+        from mirror.synth import Model, Scene
 
         if street.drive is None:
             raise UsageError(

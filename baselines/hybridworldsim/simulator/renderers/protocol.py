@@ -20,10 +20,11 @@ from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera, undistorted
-from mirror.synth.road_users.body import Body, Placement, RoadUser
+from mirror.synth import Body, RoadUser
+from mirror.traffic.placement.motion import Placement
 
 if TYPE_CHECKING:
-    from mirror.synth.render.lens import Lens
+    from mirror.synth import Lens
 
 _BASE_SHARE: Final = 0.6
 _TRACK_SHARE: Final = 0.8
@@ -115,7 +116,7 @@ def rig_cameras(
 @lru_cache(maxsize=64)
 def lens_of(camera: Camera) -> Lens:
     """Return the rays of a camera; those of the last cameras are kept."""
-    from mirror.synth.render.lens import make_lens
+    from mirror.synth import make_lens
 
     return make_lens(camera)
 

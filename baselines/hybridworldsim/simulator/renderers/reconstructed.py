@@ -32,8 +32,7 @@ from mirror.methods.model_document import Reconstruction, read_reconstruction
 from mirror.methods.registry import method_of_model
 from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
-from mirror.synth.light.condition import Condition
-from mirror.synth.light.sun import instant_of
+from mirror.synth import Condition, instant_of
 
 _NO_POSITION = (0.0, 45.0)
 _NEAR_M = 70.0

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Float64
 from mirror.geometry import Poses, quaternion_from_heading_pitch_roll
-from mirror.synth.road_users.body import Placement
+from mirror.traffic.placement.motion import Placement
 
 HeightField = Callable[[npt.ArrayLike, npt.ArrayLike], Float64]
 _NEIGHBOURS = 6

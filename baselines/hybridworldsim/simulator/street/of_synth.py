@@ -10,7 +10,7 @@ from hybridworldsim.simulator.ego.vehicle import VehicleParameters
 from hybridworldsim.simulator.street.ground import Ground
 from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
 from mirror.errors import UsageError
-from mirror.synth.fleet.drive import SynthDrive
+from mirror.synth import SynthDrive
 
 SCHEME = "synth:"
 _STEP_S = 0.1
@@ -22,8 +22,7 @@ def open_synthetic_street(name: str) -> Street:
     Raises:
         UsageError: the name is malformed, or there is no such preset or drive.
     """
-    from mirror.synth.fleet.drives import make_drive, make_drives
-    from mirror.synth.seeds import parse_public_seed
+    from mirror.synth import make_drive, make_drives, parse_public_seed
 
     preset, *rest = name.removeprefix(SCHEME).split(":")
     if not name.startswith(SCHEME) or len(rest) > 2:
@@ -78,7 +77,7 @@ def street_of_drive(drive: SynthDrive) -> Street:
 
 
 def _tracks(drive: SynthDrive, times: np.ndarray, stamps: np.ndarray) -> list[RecordedTrack]:
-    from mirror.synth.road_users.body import StaticMotion
+    from mirror.traffic.placement.motion import StaticMotion
 
     tracks = []
     for user in drive.road_users:

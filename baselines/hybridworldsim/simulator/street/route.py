@@ -16,7 +16,7 @@ from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.schema.road_map import MapLane, RoadMap
 from mirror.schema.scenario import EgoPlan, LaneStart, PoseStart, Turn
-from mirror.synth.driving.ways import STEP_M, Piece, Way, build_way
+from mirror.traffic.lanes.ways import STEP_M, Piece, Way, build_way
 
 DEFAULT_LIMIT_MPS: Final = 13.9
 """Speed limit of a lane whose limit is not known."""

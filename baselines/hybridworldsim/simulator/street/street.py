@@ -21,7 +21,7 @@ from mirror.schema.road_map import RoadMap
 from mirror.schema.rollout import MapSource
 
 if TYPE_CHECKING:
-    from mirror.synth.fleet.drive import SynthDrive
+    from mirror.synth import SynthDrive
 
 _BESIDE_M: Final = 2.0
 """Half of a lane and a little more: a recorded line so near is one in the same lane."""

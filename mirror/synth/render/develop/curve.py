@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 BRIGHTEST: Final = 16.0
 """Exposed light above this is white."""

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Records
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.render.develop.glare import QUARTER, quarter_excess
 
 DROP: Final = np.dtype([(name, np.float64) for name in ("x", "y", "half_x", "half_y", "reach", "depth")])

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float32, Records
+from mirror.portable import arrays, scalars
 from mirror.synth.light.condition import Effects
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.render.develop.camera_response import CameraResponse
 
 _EVERY_PX: Final = 4

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from numba import njit
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 BLOCK_PX: Final = 4
 _LEAST_PX: Final = 1.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mirror.portable import scalars
 from mirror.synth.model import Label, Side
-from mirror.synth.portable import scalars
 from mirror.synth.road_users.coachwork.fittings import (
     BLACK,
     HEADLIGHT,

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Material, Side, ellipsoid
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.road_users.coachwork.sheets import Finish, Sheets
 from mirror.synth.road_users.coachwork.shell import End, Shape
 from mirror.synth.textures.catalogue import PLATES

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material, Model, Side, merge_models
 from mirror.synth.model.polygons import polygons
 from mirror.synth.model.surfaces import NO_IMAGE
-from mirror.synth.portable import arrays, scalars
 
 Colour = Sequence[float] | Float64
 Texture = Callable[[Float64], Float64]

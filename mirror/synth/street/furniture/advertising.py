@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 from mirror.synth.street.furniture.signs import add_sign
 from mirror.synth.textures.catalogue import BILLBOARDS, POSTERS, Sign

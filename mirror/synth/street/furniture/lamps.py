@@ -8,8 +8,8 @@ from typing import Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import arrays
 
 LampKind = Literal["arm", "double", "column", "lantern"]
 """High lamp with an arm over the road; lamp with two arms, between carriageways; low modern lamp; historic lantern."""

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import arrays
 from mirror.synth.street.houses.styles import Colour
 
 _UP: Final = np.array([0.0, 0.0, 1.0])

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Int64
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 
 _POLE: Final = Finish((0.26, 0.27, 0.27), Material.METAL, Label.POLE)

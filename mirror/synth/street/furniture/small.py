@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces, ellipsoid
-from mirror.synth.portable import arrays
 from mirror.synth.street.furniture.lamps import FOOT_M
 from mirror.synth.textures.catalogue import POSTERS
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import scalars
 from mirror.synth.model import Finish, Label, Material, Pieces
-from mirror.synth.portable import scalars
 from mirror.synth.street.houses.body import Body
 from mirror.synth.street.houses.styles import TILES, Colour, RoofKind
 from mirror.synth.street.houses.windows import Windows

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import arrays
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import arrays
 from mirror.synth.street.houses.body import FOOT_M, STONE
 from mirror.synth.street.houses.styles import TILES, Colour
 from mirror.synth.street.houses.windows import Windows

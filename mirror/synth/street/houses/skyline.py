@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import scalars
 from mirror.synth.model import Finish, Label, Material, Model, Pieces
-from mirror.synth.portable import scalars
 from mirror.synth.street.houses.windows import Windows
 
 Height = Callable[[float, float], Float64]

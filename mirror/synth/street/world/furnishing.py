@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Model
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.seeds import random_stream
 from mirror.synth.street import furniture
 from mirror.synth.street.furniture import LampKind, LampPost, SignalHead

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Model
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.seeds import random_stream
 from mirror.synth.street.furniture import fence, garden_wall
 from mirror.synth.street.houses import HouseStyle, build_house

@@ -8,15 +8,16 @@ from typing import Final
 
 import numpy as np
 
+from mirror.portable import scalars
 from mirror.synth.model import Label, Material
-from mirror.synth.portable import scalars
-from mirror.synth.road_users.body import Body, Placement, RoadUser, StaticMotion
+from mirror.synth.road_users.body import Body, RoadUser
 from mirror.synth.road_users.cars import build_car
 from mirror.synth.road_users.vans import build_van
 from mirror.synth.seeds import random_stream
-from mirror.synth.street.network import Lane
 from mirror.synth.street.plan import Plan
 from mirror.synth.textures.catalogue import PLATES
+from mirror.traffic.lanes.network import Lane
+from mirror.traffic.placement.motion import Placement, StaticMotion
 
 _BAY_M: Final = 6.2
 _OCCUPIED_SHARE: Final = 0.62

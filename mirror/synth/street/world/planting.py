@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
+from mirror.portable import arrays, scalars
 from mirror.synth.model import Material, Model
-from mirror.synth.portable import arrays, scalars
 from mirror.synth.seeds import random_stream
 from mirror.synth.street.plan import Plan
 from mirror.synth.street.plants import STREET_TREES, Kind, build_bush, build_hedge, build_tree

@@ -15,12 +15,12 @@ from mirror.synth.model import Model, merge_models
 from mirror.synth.road_users.body import RoadUser
 from mirror.synth.seeds import random_stream
 from mirror.synth.street.houses import build_far_houses, build_far_woods
-from mirror.synth.street.network import Network
 from mirror.synth.street.plan import Plan, plan_scene
 from mirror.synth.street.world.furnishing import Furniture, furnish
 from mirror.synth.street.world.housing import build_houses
 from mirror.synth.street.world.parking import place_parked_vehicles
 from mirror.synth.street.world.planting import build_plants
+from mirror.traffic.lanes.network import Network
 
 AMBER_S: Final = 3.0
 """Duration of amber after a signal's green."""

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.grains.noise import waves, wrap_patch
 
 _SHIFT = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.grains.noise import joints, waves
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from mirror.arrays import Float32, Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 
 def waves(

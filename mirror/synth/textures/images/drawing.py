@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Float32, UInt8
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 Colour = tuple[int, int, int]
 Box = tuple[float, float, float, float]

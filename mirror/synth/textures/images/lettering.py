@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.images.drawing import Box, Colour, to_fixed_point
 
 Style = Literal["sans", "italic", "uni"]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import UInt8
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 from mirror.synth.textures.catalogue import Sign
 from mirror.synth.textures.images.drawing import (
     Colour,

@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64
-from mirror.synth.driving.ways import STEP_M, Way
-from mirror.synth.portable import arrays, scalars
-from mirror.synth.road_users.body import Placement
+from mirror.portable import arrays, scalars
+from mirror.traffic.lanes.ways import STEP_M, Way
+from mirror.traffic.placement.motion import Placement
 
 HeightField = Callable[[Float64, Float64], Float64]
 """Function from arrays of x and y to the heights of the ground, metres."""

@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.compiled import inner_njit
-from mirror.synth.driving.following import Users, following_acceleration, stopping_acceleration
-from mirror.synth.driving.zones import GRID_M
+from mirror.traffic.following.acceleration import Users, following_acceleration, stopping_acceleration
+from mirror.traffic.following.zones import GRID_M
 
 FAR: Final = 1e6
 """A distance or time beyond any that matters, metres or seconds."""
@@ -40,7 +40,7 @@ class State(NamedTuple):
 
 
 class Meetings(NamedTuple):
-    """Pairs of users with a common zone, as arrays (E, 2): see `mirror.synth.driving.zones.Zone`.
+    """Pairs of users with a common zone, as arrays (E, 2): see `mirror.traffic.following.zones.Zone`.
 
     ``hold_m`` is the position where each user waits if the other goes first; ``table`` and ``counts`` give the first
     index and the number of its entries in ``limits``; ``major`` is the user with right of way (0 or 1), or -1 if the

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.driving.bodies import Kind
-from mirror.synth.driving.following import Users, Ways
-from mirror.synth.driving.simulation import TICK_S, simulate
-from mirror.synth.driving.trace import Aside, Chassis, Schedule
-from mirror.synth.driving.ways import Way
-from mirror.synth.driving.yielding import Meetings, State
-from mirror.synth.driving.zones import Zone, find_zones
-from mirror.synth.street.network import Network
+from mirror.traffic.following.acceleration import Users, Ways
+from mirror.traffic.following.simulation import TICK_S, simulate
+from mirror.traffic.following.yielding import Meetings, State
+from mirror.traffic.following.zones import Zone, find_zones
+from mirror.traffic.lanes.network import Network
+from mirror.traffic.lanes.ways import Way
+from mirror.traffic.placement.trace import Aside, Chassis, Schedule
+
+Kind = Literal["car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian"]
+KINDS: Final[tuple[Kind, ...]] = ("car", "van", "truck", "bus", "motorcycle", "cyclist", "pedestrian")
 
 _NEVER: Final = 1e9
 _ROOM_M: Final = 0.35

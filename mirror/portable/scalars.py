@@ -1,7 +1,7 @@
 """Elementary functions of one number, with the same bits on every x86-64 processor; for Python and for kernels.
 
 Errors, in units in the last place: below 1.5 for `sin`, `cos`, `exp`, `log` and `hypot`, below 3 for the others, and
-``3 + 2 |y log x|`` for `power` (tests/synth/test_portable.py). Angles of `sin`, `cos` and `tan` are below 10^6 rad.
+``3 + 2 |y log x|`` for `power` (tests/portable/test_portable.py). Angles of `sin`, `cos` and `tan` are below 10^6 rad.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from mirror.synth.kernels import per_pixel
+from mirror.compiled import per_pixel
 
 # Parts of pi/2 and of log 2 (Cody and Waite, 1980): the leading parts have 33 bits, so that their products with the
 # number of periods are exact.

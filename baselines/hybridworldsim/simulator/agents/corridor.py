@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
-from mirror.synth.driving.following import (
+from mirror.traffic.following.acceleration import (
     Users,
     Ways,
     advance_along,
@@ -17,7 +17,7 @@ from mirror.synth.driving.following import (
     free_acceleration,
     stopping_acceleration,
 )
-from mirror.synth.driving.ways import STEP_M
+from mirror.traffic.lanes.ways import STEP_M
 
 _SIDE_MARGIN_M: Final = 0.15
 _LEAST_SIGHT_M: Final = 15.0

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mirror.arrays import Float64
-from mirror.synth.kernels import per_pixel
-from mirror.synth.portable import scalars
+from mirror.compiled import per_pixel
+from mirror.portable import scalars
 
 
 def sin(x: ArrayLike) -> Any:

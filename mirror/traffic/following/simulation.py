@@ -9,7 +9,7 @@ from numba import njit
 
 from mirror.arrays import Float64, Int64
 from mirror.compiled import inner_njit
-from mirror.synth.driving.following import (
+from mirror.traffic.following.acceleration import (
     Users,
     Ways,
     advance_along,
@@ -17,7 +17,7 @@ from mirror.synth.driving.following import (
     pace_at,
     stopping_acceleration,
 )
-from mirror.synth.driving.yielding import FAR, Meetings, State, limit_position, yield_at_meeting
+from mirror.traffic.following.yielding import FAR, Meetings, State, limit_position, yield_at_meeting
 
 TICK_S: Final = 0.1
 AMBER_S: Final = 3.0

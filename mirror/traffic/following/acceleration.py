@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.compiled import inner_njit
-from mirror.synth.driving.ways import STEP_M
-from mirror.synth.portable import scalars
+from mirror.portable import scalars
+from mirror.traffic.lanes.ways import STEP_M
 
 STANDSTILL_M: Final = 0.5
 """Gap to the road user ahead when both stand."""

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64
-from mirror.synth.portable import scalars
+from mirror.portable import scalars
 
 
 @njit(cache=True, nogil=True)

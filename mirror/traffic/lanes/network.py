@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
+from mirror.portable import arrays
 
 Use = Literal["drive", "turn", "park", "cycle", "walk", "cross"]
 """Purpose of a lane: driving; turning or going straight through a crossing; parking; cycling; walking on the pavement;

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
-from mirror.synth.driving.ways import STEP_M, Way
-from mirror.synth.portable import arrays, scalars
-from mirror.synth.street.network import Lane
+from mirror.portable import arrays, scalars
+from mirror.traffic.lanes.network import Lane
+from mirror.traffic.lanes.ways import STEP_M, Way
 
 GRID_M: Final = 1.0
 _STRIDE: Final = round(GRID_M / STEP_M)

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.synth.portable import arrays
-from mirror.synth.street.network import Lane, Network, Use
+from mirror.portable import arrays
+from mirror.traffic.lanes.network import Lane, Network, Use
 
 TURN_RAD: Final = math.radians(40.0)
 _LONGEST: Final = 40

@@ -1,4 +1,4 @@
-"""Portable mathematics against references of 160 bits, and its use by the synthetic street."""
+"""Portable mathematics against references of 160 bits, and its use by the synthetic street and its traffic."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import mpmath
 import numpy as np
 import pytest
 
-import mirror.synth
-from mirror.synth.portable import arrays, scalars
+import mirror
+from mirror.portable import arrays, scalars
 
 COUNT = 1500
 RNG = np.random.default_rng(3)
@@ -82,8 +82,8 @@ def test_linear_functions_are_those_of_numpy() -> None:
 
 
 def test_the_street_uses_no_function_that_depends_on_the_processor() -> None:
-    root = Path(mirror.synth.__file__).parent
-    texts = {path: path.read_text() for path in sorted(root.rglob("*.py")) if path.parent.name != "portable"}
+    root = Path(mirror.__file__).parent
+    texts = {path: path.read_text() for room in ("synth", "traffic") for path in sorted((root / room).rglob("*.py"))}
     found = [
         f"{path.relative_to(root)}:{node.lineno} {ast.unparse(node)[:60]}"
         for path, text in texts.items()

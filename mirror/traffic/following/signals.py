@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mirror.arrays import Int64
-from mirror.synth.driving.simulation import signal_at
-from mirror.synth.street.network import Network
+from mirror.traffic.following.simulation import signal_at
+from mirror.traffic.lanes.network import Network
 
 
 class Signal(IntEnum):

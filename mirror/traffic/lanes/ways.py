@@ -11,8 +11,8 @@ import numpy as np
 
 from mirror.arrays import Float64, Int32
 from mirror.errors import UsageError
-from mirror.synth.portable import arrays
-from mirror.synth.street.network import Lane, Network
+from mirror.portable import arrays
+from mirror.traffic.lanes.network import Lane, Network
 
 STEP_M: Final = 0.5
 _SMOOTH_M: Final = 2.0

@@ -1,0 +1,1 @@
+"""Motion along ways: following, yielding, signals, and the simulation of all participants."""

@@ -1,0 +1,1 @@
+"""Lanes and their network, paths through it, and the smooth ways along lanes."""

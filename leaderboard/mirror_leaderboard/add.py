@@ -15,6 +15,7 @@ from mirror.evaluation.extractors import DEFAULT_EXTRACTOR
 from mirror.evaluation.result import Figure as Scored
 from mirror.evaluation.result import Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
+from mirror.metrics.catalogue import find_measure
 from mirror.progress import ProgressReporter
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.ranking import ALL
@@ -24,7 +25,6 @@ from mirror.schema.problems import describe_problem
 from mirror.version import __version__
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
 from mirror_leaderboard.images import copy_pairs
-from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
 from mirror_leaderboard.refused import RefusedError
@@ -35,9 +35,6 @@ from mirror_leaderboard.trust import today
 _MAX_BYTES: Final = 64 << 20
 _LINK: Final[TypeAdapter[str]] = TypeAdapter(Link)
 _MAX_NOTE_CHARACTERS: Final = 400
-_NOT_SHOWN: Final = re.compile(r"psnr_pooled|ap_.+")
-"""Additional figures of a result that are not metrics of its protocol."""
-
 _RUNTIME_GROUPS: Final = ("reported", MEASURED_HERE)
 
 
@@ -238,12 +235,18 @@ def _require_protocol(result: Result, file: Path) -> None:
 def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
     groups = _list_groups(result)
     for number, figure in enumerate(result.figures):
-        if figure.level != "group" or _NOT_SHOWN.fullmatch(figure.metric):
+        if figure.level != "group":
             continue
         place = f"figures.{number}"
+        try:
+            measure = find_measure(figure.metric)
+        except UsageError as error:
+            raise RefusedError(error.problem, file=file, place=place) from error
+        if not measure.is_listed:
+            continue
         if figure.group not in (*groups, ALL):
             raise RefusedError(f"the protocol has no group {figure.group!r}", file=file, place=place)
-        if figure.metric in MEASURES and figure.better != MEASURES[figure.metric].better:
+        if figure.better != measure.better:
             raise RefusedError(f"{figure.metric} is stated to be better {figure.better}", file=file, place=place)
         try:
             yield Figure(

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.ranking import ALL, Ranking
 from mirror.schema.hashing import hash_document
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.former import find_former
-from mirror_leaderboard.measures import MEASURES
 
 FLOOR: Final = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
@@ -39,9 +39,6 @@ Column = tuple[str, str]
 
 _Options = tuple[tuple[str, str], ...]
 _Key = tuple[str, str, str | None, tuple[str, ...] | None, _Options]
-
-_NEVER_RANKS: Final = ("psnr_cc", "psnr_affine")
-"""Metrics that rank nothing: a render can be recoloured for their fits (docs/threat-model.md)."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +199,7 @@ def _select_rank_column(ranking: Ranking | None, columns: Sequence[Column], entr
     """Return the column that ranks, or the first column with the most values if no entry has a value in that."""
     if ranking is not None and any(find_value(entry, ranking.column) is not None for entry in entries):
         return ranking.column
-    allowed = [column for column in columns if column[1] not in _NEVER_RANKS] or columns
+    allowed = [column for column in columns if MEASURES[column[1]].may_rank] or columns
     return max(allowed, key=lambda column: sum(find_value(entry, column) is not None for entry in entries))
 
 

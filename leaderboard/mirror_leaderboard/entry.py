@@ -11,12 +11,12 @@ from pydantic import Field, RootModel, model_validator
 
 from mirror.errors import DatasetError, SchemaError
 from mirror.evaluation.submission.manifest import MOST_FRAMES_PER_SECOND
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import protocol_names
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json
 from mirror.schema.hashing import HashStyle, hash_document
 from mirror_leaderboard.keys import KeyId
-from mirror_leaderboard.measures import MEASURES
 
 IMAGE_FOLDER: Final = "pictures"
 """Folder of images, in a board beside its folder of entries, and in the site."""
@@ -60,7 +60,7 @@ class Figure(Document):
     @model_validator(mode="after")
     def _possible(self) -> Figure:
         measure = MEASURES.get(self.metric)
-        if measure is None:
+        if measure is None or not measure.is_listed:
             raise ValueError(f"metric {self.metric!r} is unknown")
         if self.value is None:
             if not self.note:

@@ -216,10 +216,14 @@ def _print(result: Result, out: Path, page: Path | None, scored: str = "image") 
 
 def figure_words(figure: Figure) -> tuple[str, str, str]:
     """Value, interval and count of a figure as text."""
-    digits = 2 if figure.unit == "dB" else 4
-    value = f"{figure.value:.{digits}f} {figure.unit}".strip() if figure.value is not None else figure.reason or "none"
+    from mirror.metrics.catalogue import find_measure
+
+    measure = find_measure(figure.metric)
+    value = figure.reason or "none"
+    if figure.value is not None:
+        value = f"{measure.format_exactly(figure.value)} {measure.unit}".strip()
     interval = ""
     if figure.low is not None and figure.high is not None:
-        interval = f"{figure.low:.{digits}f} to {figure.high:.{digits}f}"
+        interval = f"{measure.format_exactly(figure.low)} to {measure.format_exactly(figure.high)}"
     more = [f"{figure.n_inf} equal"] * bool(figure.n_inf) + [f"{figure.n_missing} missing"] * bool(figure.n_missing)
     return value, interval, f"{figure.n}" + (f" ({', '.join(more)})" if more else "")

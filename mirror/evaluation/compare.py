@@ -22,6 +22,7 @@ from mirror.evaluation.figures import (
 )
 from mirror.evaluation.result import IMAGES, Figure, Result, finite_or_none
 from mirror.evaluation.run import read_result
+from mirror.metrics.catalogue import find_measure
 from mirror.metrics.images.bootstrap import paired_difference
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
@@ -185,8 +186,8 @@ def _compare_figure(
     interval = paired.interval
     better = None
     is_significant = paired.p_value <= 1.0 - options.level
-    if first.better != "none" and is_significant and (interval.low > 0.0 or interval.high < 0.0):
-        better = "other" if (interval.low > 0.0) == (first.better == "higher") else "first"
+    if is_significant and (interval.low > 0.0 or interval.high < 0.0):
+        better = "other" if (interval.low > 0.0) == (find_measure(name).better == "higher") else "first"
     return FigureComparison(
         metric=name,
         group=first.group,

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from mirror.arrays import Float64, Int64
 from mirror.evaluation.result import Figure, Level, finite_or_none
+from mirror.metrics.catalogue import Measure
 from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
-
-Better = Literal["higher", "lower", "none"]
 
 _PARTS: Final[Mapping[Level, Callable[[RenderView], str]]] = {
     "scene": lambda view: view.scene_id,
@@ -35,15 +33,6 @@ _CACHED: Final = 256
 
 MIN_BLOCKS: Final = 5
 TOO_FEW_BLOCKS: Final = f"fewer than {MIN_BLOCKS} blocks of frames: an interval would say more than is known"
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A metric of single images: its name, its unit, and which direction is better."""
-
-    name: str
-    unit: str
-    better: Better
 
 
 def compute_figures(

@@ -16,12 +16,20 @@ import numpy as np
 
 from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
-from mirror.evaluation.report_tables import Footnotes, breakdown_tables, find_headline, format_value, summary_table
+from mirror.evaluation.report_tables import (
+    Footnotes,
+    breakdown_tables,
+    find_headline,
+    format_value,
+    metrics_list,
+    summary_table,
+)
 from mirror.evaluation.result import Result
 from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import ScoredJob
 from mirror.html import inline_image, style_sheet
+from mirror.metrics.catalogue import find_measure
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
 from mirror.version import __version__
@@ -58,6 +66,8 @@ def write_report(done: Evaluation, out: Path, baselines: Sequence[Result] = ()) 
         _format_unavailable(result),
         *breakdown_tables(result, notes),
         notes.format(),
+        "<h2>Metrics</h2>",
+        metrics_list(result),
         *_list_examples(result, done.scored, done.inputs),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
@@ -162,7 +172,7 @@ def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringI
         if isinstance(value, float) and not math.isnan(value):
             ranked.setdefault(scored_job.job.views[0].group, []).append((value, scored_job))
     for group, group_ranked in ranked.items():
-        group_ranked.sort(key=lambda item: item[0], reverse=figure.better == "lower")
+        group_ranked.sort(key=lambda item: item[0], reverse=find_measure(metric).better == "lower")
         yield f"<h2>Renders of {escape(group)}</h2>"
         yield '<p class="dim">Render, truth, and error: white is 64 of 255 levels or more, grey is not scored.</p>'
         for title, ranks in _select_ranks(len(group_ranked)).items():

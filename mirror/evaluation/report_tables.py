@@ -9,6 +9,7 @@ from typing import Final
 
 from mirror.evaluation.result import Figure, Level, Result
 from mirror.html import html_table
+from mirror.metrics.catalogue import find_measure
 
 _WIDEST: Final = 8
 """With more metrics a table has a row for each, since a page would not show so many columns."""
@@ -67,6 +68,13 @@ def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, st
             yield f"<h3>{title}</h3>{_format(('group', level), parts, notes)}"
 
 
+def metrics_list(result: Result) -> str:
+    """Format the sentence and the direction of every metric of a result."""
+    measures = [find_measure(metric) for metric in dict.fromkeys(figure.metric for figure in result.figures)]
+    items = (f"<li><b>{escape(one.name)}</b>: {escape(one.about)}; {one.better} is better.</li>" for one in measures)
+    return f'<ul class="notes">{"".join(items)}</ul>'
+
+
 def find_headline(result: Result) -> Figure | None:
     """Find the figure that ranks; without a ranking key, the first figure of a group with a value."""
     of_groups = [figure for figure in result.figures if figure.level == "group"]
@@ -86,7 +94,7 @@ def _format(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> st
     metrics = metrics or dict.fromkeys(metric for row in rows for metric in row.figures)
     if len(metrics) > _WIDEST:
         return _format_long(labels, rows, notes)
-    head = [*labels, *(f"n:{_head(metric, rows)}" for metric in metrics), "n:n"]
+    head = [*labels, *(f"n:{_head(metric)}" for metric in metrics), "n:n"]
     cells = []
     for row in rows:
         values = [_format_cell(row.figures.get(metric), notes) for metric in metrics]
@@ -104,8 +112,8 @@ def _format_long(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) 
     return html_table([*labels, "metric", "n:value", "n:n"], cells)
 
 
-def _head(metric: str, rows: Sequence[_Row]) -> str:
-    unit = next(row.figures[metric].unit for row in rows if metric in row.figures)
+def _head(metric: str) -> str:
+    unit = find_measure(metric).unit
     return f"{metric}, {unit}" if unit else metric
 
 
@@ -132,4 +140,4 @@ def _list_remarks(figure: Figure) -> Iterator[str]:
 
 
 def _number(figure: Figure, value: float) -> str:
-    return f"{value:.{2 if figure.unit == 'dB' else 4}f}"
+    return find_measure(figure.metric).format_exactly(value)

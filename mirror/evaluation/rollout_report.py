@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64
-from mirror.evaluation.report_tables import Footnotes, breakdown_tables, summary_table
+from mirror.evaluation.report_tables import Footnotes, breakdown_tables, metrics_list, summary_table
 from mirror.evaluation.rollouts import RolloutEvaluation
 from mirror.evaluation.scorers.safety import ScoredRollout
 from mirror.html import html_table, style_sheet
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety import StateLog, find_collisions, read_state_log
 from mirror.schema.files import write_bytes
 from mirror.schema.road_map import RoadMap, read_road_map
@@ -61,6 +62,8 @@ def write_rollout_report(done: RolloutEvaluation, folder: Path, out: Path) -> No
         # The protocol's traversals are the scenarios of the rollouts.
         *breakdown_tables(result, notes, {"traversal": "By scenario"}),
         notes.format(),
+        "<h2>Metrics</h2>",
+        metrics_list(result),
         f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
         f"result {result.hash[:12]}.</footer>",
     ]
@@ -118,8 +121,9 @@ def _format_worst(scored: Sequence[ScoredRollout], folder: Path) -> str:
     for one in _rank(scored)[:_SHOWN]:
         run = folder / one.path
         plan = draw_plan(read_state_log(run / STATES_FILE), read_road_map(run / MAP_FILE))
-        score = one.values.get(_RANKED_BY)
-        words = f"{one.rollout.scenario}, seed {one.rollout.seed}: EPDMS {'none' if score is None else f'{score:.2f}'}"
+        score, measure = one.values.get(_RANKED_BY), MEASURES[_RANKED_BY]
+        shown = "none" if score is None else f"{score:.2f}"
+        words = f"{one.rollout.scenario}, seed {one.rollout.seed}: {measure.title} {shown}"
         plans.append(f"<figure>{plan}<figcaption>{escape(words)}</figcaption></figure>")
     legend = (
         "<p>From above: the drivable area grey, the ego's way blue with its box at the end, the ways of other road "

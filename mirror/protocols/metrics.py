@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
+from mirror.metrics.catalogue import plain_names
 from mirror.schema.documents import Document
 
-
-class Psnr(Document):
-    """Peak signal-to-noise ratio of the scored pixels, peak 255. Identical images are infinite and counted apart."""
-
-    metric: Literal["psnr"]
-
-
-class PsnrAffine(Document):
-    """PSNR after each channel got its own gain (0 or more) and offset by least squares."""
-
-    metric: Literal["psnr_affine"]
+if TYPE_CHECKING:
+    _OfImages: TypeAlias = str
+    _OfMethods: TypeAlias = str
+    _OfRollouts: TypeAlias = str
+else:
+    _OfImages, _OfMethods, _OfRollouts = (Literal[plain_names(kind)] for kind in ("image", "method", "rollout"))
 
 
-class PsnrInvariant(Document):
-    """PSNR that no recolouring of the render changes."""
+class ImageMetric(Document):
+    """A metric of single images without options, which the catalogue describes (mirror/metrics/catalogue.py)."""
 
-    metric: Literal["psnr_invariant"]
-
-
-class MsStructure(Document):
-    """Share of the truth's local structure that the render explains, over four octaves; renders are ranked by it."""
-
-    metric: Literal["ms_structure"]
+    metric: _OfImages
 
 
 class PsnrCc(Document):
@@ -109,7 +99,7 @@ class EditFidelity(Document):
 
     metric: Literal["edit_fidelity"]
     part: Part
-    figure: Annotated[MsStructure | Psnr | PsnrInvariant | Ssim, Field(discriminator="metric")]
+    figure: Annotated[ImageMetric | Ssim, Field(discriminator="metric")]
 
 
 class Detection(Document):
@@ -131,27 +121,13 @@ class Detection(Document):
 class ReportedFigure(Document):
     """A figure that the submission's manifest states. It is measured again if the method is installed."""
 
-    metric: Literal["frames_per_second", "model_bytes_per_100m", "training_s", "peak_memory_bytes"]
+    metric: _OfMethods
 
 
 class SafetyFigure(Document):
     """A figure of a rollout's safety (docs/safety.md)."""
 
-    metric: Literal[
-        "pdms",
-        "epdms",
-        "collisions",
-        "at_fault_collisions",
-        "impact_speed",
-        "ttc_nuplan_within_bound",
-        "ttc_navsim_within_bound",
-        "drivable_margin",
-        "off_road",
-        "wrong_lane",
-        "red_lights",
-        "comfort",
-        "progress_share",
-    ]
+    metric: _OfRollouts
 
 
 class LeastTtc(Document):
@@ -169,10 +145,7 @@ class DrivableArea(Document):
 
 
 Metric = Annotated[
-    Psnr
-    | PsnrInvariant
-    | MsStructure
-    | PsnrAffine
+    ImageMetric
     | PsnrCc
     | Ssim
     | Lpips

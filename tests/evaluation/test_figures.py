@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from mirror.evaluation.figures import (
     MIN_BLOCKS,
-    Measure,
     compute_figures,
     linearise_mean,
     mean_weights,
     weighted_interval,
 )
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.score import Score
 from mirror.protocols.views.view import RenderView
 from tests.evaluation.submissions import small
 
-MEASURE = Measure("psnr", "dB", "higher")
+MEASURE = MEASURES["psnr"]
 
 
 def view(scene: str, traversal: str, frame: int, camera: str = "front_wide") -> RenderView:

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from mirror.errors import DatasetError, MirrorError, SchemaError
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.schema.files import write_json
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, find_value, make_boards, seconds_per_image
 from mirror_leaderboard.entry import Figure, Measured, Reported, load_entries
-from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.page import build_site
 from tests.leaderboard.conftest import MEASURED, REPORTED, measured
 

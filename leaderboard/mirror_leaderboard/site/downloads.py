@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from mirror.metrics.catalogue import MEASURES
 from mirror.schema.csv_files import encode_csv
 from mirror_leaderboard.boards import Board, find_figure
 from mirror_leaderboard.entry import Entry, Measured
-from mirror_leaderboard.measures import MEASURES
 
 CSV_FOLDER: Final = "csv"
 ENTRY_FOLDER: Final = "rows"
@@ -66,7 +66,7 @@ def _list_keys(entry: Entry) -> Sequence[str]:
 
 def _list_heads(group: str, metric: str) -> Iterator[str]:
     name = f"{group} {metric}"
-    unit = MEASURES[metric].unit
+    unit = MEASURES[metric].board_unit
     yield from (f"{name} {unit}".strip(), f"{name} low", f"{name} high", f"{name} n")
 
 

@@ -13,13 +13,13 @@ from typing import Final
 
 from mirror.errors import DatasetError
 from mirror.html import style_sheet
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.version import __version__
 from mirror_leaderboard.boards import STATED, UNVERIFIED, Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
-from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, entry_file
 from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
+from mirror.metrics.catalogue import MEASURES
 from mirror_leaderboard.boards import Board, Column, find_value, seconds_per_image
 from mirror_leaderboard.entry import Entry
-from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.tables import group_title
 
 _WIDTH, _HEIGHT = 640, 340

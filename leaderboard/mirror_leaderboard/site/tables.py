@@ -9,9 +9,9 @@ from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
+from mirror.metrics.catalogue import MEASURES
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
-from mirror_leaderboard.measures import MEASURES
 from mirror_leaderboard.site.downloads import entry_file
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")

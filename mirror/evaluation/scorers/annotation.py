@@ -16,6 +16,7 @@ from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.template import detections_path
 from mirror.evaluation.submission.untrusted import UntrustedError, parse_untrusted
 from mirror.geometry.poses import Poses
+from mirror.metrics.catalogue import find_measure
 from mirror.metrics.detection.boxes import DetectionBoxes, in_range
 from mirror.metrics.detection.config import DETECTION_CVPR_2019, DetectionConfig
 from mirror.metrics.detection.nuscenes import NuScenesDetection, nuscenes_detection
@@ -28,12 +29,7 @@ from mirror.schema.problems import describe_problem
 
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e7, le=1e7)]
 Positive = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
-_ERRORS: Final = {
-    "trans_err": ("mate_m", "m"),
-    "scale_err": ("mase", ""),
-    "orient_err": ("maoe_rad", "rad"),
-    "vel_err": ("mave_mps", "m/s"),
-}
+_ERRORS: Final = {"trans_err": "mate_m", "scale_err": "mase", "orient_err": "maoe_rad", "vel_err": "mave_mps"}
 
 
 class DetectedBox(Document):
@@ -215,29 +211,30 @@ def _predicted_boxes(sample: str, frame: DetectedFrame | None, config: Detection
 
 
 def _make_figures(group: str, detection: NuScenesDetection, count: int) -> Iterable[Figure]:
-    def figure(metric: str, value: float, reason: str | None, unit: str, *, lower: bool = False) -> Figure:
+    def figure(metric: str, value: float, reason: str | None) -> Figure:
+        measure = find_measure(metric)
         return Figure(
             metric=metric,
             group=group,
             value=finite_or_none(value),
             reason=reason,
-            unit=unit,
-            better="lower" if lower else "higher",
+            unit=measure.unit,
+            better=measure.better,
             n=count,
             interval_reason="a single figure of all boxes",
         )
 
     errors = {name: detection.tp_errors[name] for name in _ERRORS}
-    yield figure("mean_ap", detection.mean_ap, detection.mean_ap.reason, "")
-    for name, (title, unit) in _ERRORS.items():
-        yield figure(title, errors[name], errors[name].reason, unit, lower=True)
+    yield figure("mean_ap", detection.mean_ap, detection.mean_ap.reason)
+    for name, metric in _ERRORS.items():
+        yield figure(metric, errors[name], errors[name].reason)
     reasons = [score.reason for score in (detection.mean_ap, *errors.values()) if score.reason is not None]
     weight = detection.config.mean_ap_weight
     total = weight * detection.mean_ap + sum(max(0.0, 1.0 - error) for error in errors.values())
-    yield figure("nds_no_attr", total / (weight + len(errors)), reasons[0] if reasons else None, "")
+    yield figure("nds_no_attr", total / (weight + len(errors)), reasons[0] if reasons else None)
     for name, row in zip(detection.config.class_range, detection.label_aps):
         if name not in detection.absent_classes:
-            yield figure(f"ap_{name}", float(np.mean(row)), None, "")
+            yield figure(f"ap_{name}", float(np.mean(row)), None)
 
 
 SCORER: Final = Annotation()

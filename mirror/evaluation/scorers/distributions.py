@@ -23,6 +23,7 @@ from mirror.evaluation.scorers.edit_fidelity import (
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.kid import kid
@@ -53,7 +54,7 @@ class Distributions:
     def needs(self, plan: Plan) -> Mapping[str, tuple[str, ...]]:
         """Return the weights of the networks."""
         return {
-            metric_name(metric): ("i3d-torchscript" if isinstance(metric, Fvd) else "inception-fid",)
+            metric_name(metric): MEASURES[metric_name(metric)].needs
             for metric in plan.protocol.metrics
             if isinstance(metric, Fid | Kid | Fvd)
         }
@@ -218,16 +219,18 @@ def _compute_figure(
     ]
     distance, min_samples = _select_distance(metric, protocol.intervals.seed)
     name = metric_name(metric)
+    unit, better = MEASURES[name].unit, MEASURES[name].better
     if len(jobs) < min_samples:
         reason = f"{len(jobs)} samples; at least {min_samples} are needed"
-        return Figure(metric=name, group=group, value=None, reason=reason, better="lower", n=len(jobs))
+        return Figure(metric=name, group=group, value=None, reason=reason, unit=unit, better=better, n=len(jobs))
     blocks = assign_blocks(protocol, [clip[0] for clip in clips])
     low, high, interval_reason = _compute_interval(distance, sides[0], sides[1], blocks, protocol, min_samples)
     return Figure(
         metric=name,
         group=group,
         value=finite_or_none(distance(*sides)),
-        better="lower",
+        unit=unit,
+        better=better,
         n=len(jobs),
         low=low,
         high=high,

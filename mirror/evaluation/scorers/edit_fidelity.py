@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.evaluation.figures import compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.inputs import ScoringInputs
-from mirror.evaluation.scorers.reconstruction import find_measure, find_score, score_pixels
+from mirror.evaluation.scorers.reconstruction import find_score, score_pixels
 from mirror.evaluation.scorers.scorer import ScoredJob, Values
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import EditFidelity, metric_name
@@ -98,7 +98,7 @@ def fidelity_figures(protocol: Protocol, scored: Sequence[ScoredJob], inputs: Sc
     figures: list[Figure] = []
     members = [one for one in scored if has_fidelity(one.job.views[0], inputs)]
     for metric in fidelity_metrics(protocol) if members else ():
-        measure = replace(find_measure(metric.figure.metric), name=metric_name(metric))
+        measure = MEASURES[metric_name(metric)]
         for group in [*dict.fromkeys(one.job.views[0].group for one in members), ALL]:
             of_group = [one for one in members if group in (ALL, one.job.views[0].group)]
             views = [one.job.views[0] for one in of_group]

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Bool
 from mirror.evaluation.extractors import Extractor, make_extractor
-from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
+from mirror.evaluation.figures import compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.edit_fidelity import fidelity_figures, has_fidelity, score_fidelity
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -20,6 +20,7 @@ from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.geometry.box_projection import project_boxes
 from mirror.metrics.boxes.iou_2d import HullVariant, hull_iou
 from mirror.metrics.boxes.raster import polygon_mask
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import EditIou, metric_name
 from mirror.protocols.views.edited_region import target_hull
@@ -104,13 +105,13 @@ class EditingAccuracy:
                 if isinstance(metric, EditIou):
                     name = metric_name(metric)
                     scores = [find_score(scored_job.values, name) for scored_job in members]
-                    figures += compute_figures(plan.protocol, Measure(name, "", "higher"), group, views, scores)
+                    figures += compute_figures(plan.protocol, MEASURES[name], group, views, scores)
         views = [scored_job.job.views[0] for scored_job in scored]
         for metric in plan.protocol.metrics:
             if isinstance(metric, EditIou):
                 name = metric_name(metric)
                 scores = [find_score(scored_job.values, name) for scored_job in scored]
-                figures += compute_overall_figure(plan.protocol, Measure(name, "", "higher"), views, scores)
+                figures += compute_overall_figure(plan.protocol, MEASURES[name], views, scores)
         return [*fidelity_figures(plan.protocol, scored, inputs), *figures]
 
 

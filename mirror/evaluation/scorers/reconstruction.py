@@ -7,37 +7,18 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
-from mirror.evaluation.figures import Measure, compute_figures, compute_overall_figure
+from mirror.evaluation.figures import compute_figures, compute_overall_figure
 from mirror.evaluation.result import Figure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
-from mirror.metrics.features.lpips import TRUNK_WEIGHTS
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.score import EMPTY_MASK, Score
-from mirror.protocols.metrics import (
-    Lpips,
-    Metric,
-    MsStructure,
-    Psnr,
-    PsnrAffine,
-    PsnrCc,
-    PsnrInvariant,
-    Ssim,
-    metric_name,
-)
+from mirror.protocols.metrics import ImageMetric, Lpips, Metric, PsnrCc, Ssim, metric_name
 from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:
     from mirror.metrics.features.perceptual import PerceptualDistance
-
-_MEASURES: Final = {
-    "psnr": Measure("psnr", "dB", "higher"),
-    "ms_structure": Measure("ms_structure", "", "higher"),
-    "psnr_invariant": Measure("psnr_invariant", "dB", "higher"),
-    "psnr_affine": Measure("psnr_affine", "dB", "higher"),
-    "psnr_cc": Measure("psnr_cc", "dB", "higher"),
-    "ssim": Measure("ssim", "", "higher"),
-}
 
 
 class Reconstruction:
@@ -54,9 +35,8 @@ class Reconstruction:
         weights: dict[str, tuple[str, ...]] = {}
         for metric in plan.protocol.metrics:
             if isinstance(metric, Lpips):
-                weights[metric_name(metric)] = (TRUNK_WEIGHTS[metric.net], f"lpips-heads-{metric.net}")
-                if metric.net != "squeeze":
-                    weights[_stand_in(metric)] = (f"st-lpips-{metric.net}",)
+                names = (metric_name(metric), _stand_in(metric))
+                weights |= {name: MEASURES[name].needs for name in names if name in MEASURES}
         return weights
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
@@ -100,7 +80,7 @@ class Reconstruction:
                 if name is None:
                     continue
                 scores = [find_score(scored_job.values, name) for scored_job in members]
-                for figure in compute_figures(plan.protocol, find_measure(name), group.name, views, scores):
+                for figure in compute_figures(plan.protocol, MEASURES[name], group.name, views, scores):
                     figures.append(_add_rank_note(figure, name, members) if figure.level == "group" else figure)
                 if name == "psnr" and members:
                     figures.append(_compute_pooled_psnr(group.name, members))
@@ -109,13 +89,8 @@ class Reconstruction:
             name = computed_metric_name(metric, inputs)
             if name is not None:
                 scores = [find_score(scored_job.values, name) for scored_job in scored]
-                figures += compute_overall_figure(plan.protocol, find_measure(name), views, scores)
+                figures += compute_overall_figure(plan.protocol, MEASURES[name], views, scores)
         return figures
-
-
-def find_measure(name: str) -> Measure:
-    """Find the unit and the direction of a metric of single images."""
-    return _MEASURES.get(name, Measure(name, "", "lower"))
 
 
 def computed_metric_name(metric: Metric, inputs: ScoringInputs) -> str | None:
@@ -152,25 +127,15 @@ def score_pixels(
         inputs: weights and networks.
     """
     # Imported late: a run that finds every image scored needs no compiled kernel.
-    from mirror.metrics.images.affine import psnr_affine
     from mirror.metrics.images.colour_correction import psnr_cc
-    from mirror.metrics.images.invariant import psnr_invariant
-    from mirror.metrics.images.psnr import psnr
     from mirror.metrics.images.ssim import ssim
-    from mirror.metrics.images.structure import ms_structure
 
     if not scored.any():
         return EMPTY_MASK, {}
     # Metrics without a mask are faster.
     mask = None if scored.all() else scored
-    if isinstance(metric, Psnr):
-        return psnr(render, truth, mask=mask), {}
-    if isinstance(metric, PsnrInvariant):
-        return psnr_invariant(render, truth, mask=mask), {}
-    if isinstance(metric, MsStructure):
-        return ms_structure(render, truth, mask=mask), {}
-    if isinstance(metric, PsnrAffine):
-        return psnr_affine(render, truth, mask=mask).db, {}
+    if isinstance(metric, ImageMetric):
+        return MEASURES[metric.metric].load()(render, truth, mask=mask), {}
     if isinstance(metric, PsnrCc):
         corrected = psnr_cc(render, truth, mask=mask, iterations=metric.iterations)
         return corrected.db, {} if corrected.full_rank else {"psnr_cc.rank": corrected.rank}
@@ -219,8 +184,8 @@ def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> Figure:
         group=group,
         value=None if value is None else finite_or_none(value),
         reason=reason,
-        unit="dB",
-        better="higher",
+        unit=MEASURES["psnr_pooled"].unit,
+        better=MEASURES["psnr_pooled"].better,
         n=len(scored),
         n_missing=len(scored) - len(known),
         interval_reason="not resampled",

@@ -15,15 +15,10 @@ from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.registry import installed_method
+from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.metrics import metric_name
 from mirror.protocols.views.plan import Plan
 
-_UNITS: Final[Mapping[str, tuple[str, str]]] = {
-    "frames_per_second": ("Hz", "higher"),
-    "model_bytes_per_100m": ("B", "lower"),
-    "training_s": ("s", "lower"),
-    "peak_memory_bytes": ("B", "lower"),
-}
 _REMEDY: Final = "state it in the manifest under runtime"
 
 
@@ -61,14 +56,13 @@ class Runtime:
             value = reported(runtime, name)
             if value is None or runtime is None:
                 continue
-            unit, better = _UNITS[name]
             figures.append(
                 Figure(
                     metric=name,
                     group="reported",
                     value=value,
-                    unit=unit,
-                    better="higher" if better == "higher" else "lower",
+                    unit=MEASURES[name].unit,
+                    better=MEASURES[name].better,
                     n=1,
                     interval_reason="reported by the submission",
                     note=f"reported, on {runtime.device}",
@@ -85,8 +79,8 @@ def _measure_speed(plan: Plan, name: str, model: Path) -> Figure:
         metric="frames_per_second",
         group="measured",
         value=speed,
-        unit="Hz",
-        better="higher",
+        unit=MEASURES["frames_per_second"].unit,
+        better=MEASURES["frames_per_second"].better,
         n=count,
         interval_reason="one run",
         note=f"measured here, on {platform.processor() or platform.machine()}",

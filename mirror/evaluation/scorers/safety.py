@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, Measure, compute_figures
+from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, compute_figures
 from mirror.evaluation.result import Figure
 from mirror.evaluation.scorers.scorer import Values
-from mirror.metrics.safety import FIGURES, StateLog, read_state_log, score_rollout
+from mirror.metrics.catalogue import MEASURES
+from mirror.metrics.safety import StateLog, read_state_log, score_rollout
 from mirror.metrics.score import Score
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import DrivableArea, LeastTtc
@@ -115,12 +116,11 @@ def rollout_figures(protocol: Protocol, scored: Sequence[ScoredRollout]) -> Iter
     group = protocol.groups[0].name
     views = [rollout_view(one, group) for one in scored]
     for name in protocol.metric_names:
-        unit, better = FIGURES[name]
         scores = [
             Score(math.nan if (value := one.values[name]) is None else float(value), one.reasons.get(name))
             for one in scored
         ]
-        for figure in compute_figures(protocol, Measure(name, unit, better), group, views, scores):
+        for figure in compute_figures(protocol, MEASURES[name], group, views, scores):
             # What is resampled are scenarios, not blocks of frames.
             few = figure.interval_reason == TOO_FEW_BLOCKS
             yield figure.model_copy(update={"interval_reason": TOO_FEW_SCENARIOS}) if few else figure

@@ -177,3 +177,8 @@ def _fit_channel(render: Float64, truth: Float64) -> _Fit:
 def _dot(one: Float64, other: Float64) -> float:
     # Not `@`: the sum of BLAS would depend on its number of threads.
     return float(np.einsum("i,i->", one, other))
+
+
+def psnr_affine_db(render: Pixels, truth: Pixels, *, mask: Pixels | None = None) -> Score:
+    """Return the score of `psnr_affine` of one image, without the gains and offsets."""
+    return psnr_affine(render, truth, mask=mask).db

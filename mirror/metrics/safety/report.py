@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from mirror.arrays import Bool
 from mirror.errors import UsageError
+from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety.collisions import Collision, find_collisions
 from mirror.metrics.safety.comfort import COMFORT_BOUNDS, LEAST_STAMPS, measure_comfort
 from mirror.metrics.safety.drivable_area import NUPLAN_TOLERANCE_M, DrivableAreaCompliance, drivable_area_compliance
@@ -45,24 +46,33 @@ EGO: Final = "ego"
 _NO_MAP: Final = "no road map was given"
 _NO_ROUTE: Final = "no route was given"
 
+_TOGETHER: Final = (
+    "collisions",
+    "at_fault_collisions",
+    "impact_speed",
+    "least_ttc",
+    "ttc_nuplan",
+    "ttc_nuplan_within_bound",
+    "ttc_navsim_within_bound",
+    "drivable_area",
+    "drivable_margin",
+    "off_road",
+    "wrong_lane",
+    "red_lights",
+    "comfort",
+    "progress",
+    "progress_share",
+    "pdms",
+    "epdms",
+)
+"""The figures that share what they are computed from; the functions of the catalogue compute the others."""
+
 FIGURES: Final[Mapping[str, tuple[str, Literal["higher", "lower"]]]] = {
-    "collisions": ("", "lower"),
-    "at_fault_collisions": ("", "lower"),
-    "impact_speed": ("m/s", "lower"),
-    "least_ttc": ("s", "higher"),
-    "ttc_nuplan": ("s", "higher"),
-    "ttc_nuplan_within_bound": ("", "higher"),
-    "ttc_navsim_within_bound": ("", "higher"),
-    "drivable_area": ("", "higher"),
-    "drivable_margin": ("m", "higher"),
-    "off_road": ("m", "lower"),
-    "wrong_lane": ("m", "lower"),
-    "red_lights": ("", "lower"),
-    "comfort": ("", "higher"),
-    "progress": ("m", "higher"),
-    "progress_share": ("", "higher"),
-    "pdms": ("", "higher"),
-    "epdms": ("", "higher"),
+    name: (MEASURES[name].unit, MEASURES[name].better)
+    for name in (
+        *_TOGETHER,
+        *(name for name, one in MEASURES.items() if one.kind == "rollout" and one.function is not None),
+    )
 }
 """Names of the figures, each with its unit and which direction is better. docs/safety.md has their formulas."""
 
@@ -172,6 +182,9 @@ def score_rollout(
             by_name[name] = _missing(name, lacking or _NO_MAP)
         else:
             by_name[name] = SafetyFigure(name, getattr(score, name))
+    for name in FIGURES:
+        if name not in _TOGETHER:
+            by_name[name] = MEASURES[name].load()(log, road_map, route_m)
     return SafetyReport({name: by_name[name] for name in FIGURES}, collisions, red_lights, score)
 
 

@@ -24,7 +24,7 @@ ROOMS = (
     "tests/metrics/images",
     "tests/mvs/test_plane_sweep.py",
     "tests/mvs/test_sparse.py",
-    "tests/synth_matching",
+    "tests/benchmarks/synth_matching",
 )
 """Rooms whose decisions hang on products of matrices, eigenvectors and sums of many terms."""
 _PLAIN = "without AVX-512, AVX2 and FMA"

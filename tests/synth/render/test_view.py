@@ -9,7 +9,7 @@ from mirror.synth.model import Label, Material, Model, block, ellipsoid, merge_m
 from mirror.synth.render.coverage import SKY
 from mirror.synth.render.view import rasterize_view
 from mirror.synth.truth.casting import cast_rays
-from tests.synth_render.scenes import AHEAD, LENSES, ground, lens_of, random_model, surroundings, turned
+from tests.synth.render.scenes import AHEAD, LENSES, ground, lens_of, random_model, surroundings, turned
 
 
 def directions(name: str, rotation: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.synth.model import Label, Material, Model, block, ellipsoid, merge_models, polygon
 from mirror.synth.truth.casting import NOTHING, cast_rays, ego_mask
-from tests.synth_truth.models import GREY, ball, square
+from tests.synth.truth.models import GREY, ball, square
 
 
 def rays(count: int, seed: int = 0) -> np.ndarray:

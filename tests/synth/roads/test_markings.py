@@ -6,7 +6,7 @@ import pytest
 from mirror.synth.model import FACE, Material, flat
 from mirror.synth.render.carriageway import carriageway
 from mirror.synth.roads.markings import MARK, restrict_layouts
-from tests.synth_street.scenes import plan
+from tests.synth.roads.scenes import plan
 
 
 def test_restricted_layouts_paint_the_same_markings() -> None:

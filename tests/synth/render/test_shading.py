@@ -12,7 +12,7 @@ from mirror.synth.render.surroundings import GROUND_CELL_M
 from mirror.synth.render.view import rasterize_view
 from mirror.synth.render.wet import add_reflections, fit_ground_plane
 from mirror.synth.truth.casting import cast_rays
-from tests.synth_render.scenes import AHEAD, ground, lens_of, random_model, surroundings
+from tests.synth.render.scenes import AHEAD, ground, lens_of, random_model, surroundings
 
 SUNS = {
     "high": np.array([0.3, -0.4, 0.866]),

@@ -15,7 +15,7 @@ from mirror.traffic.following.zones import find_zones
 from mirror.traffic.lanes.ways import Piece, build_way, follow_lanes
 from mirror.traffic.placement.overlaps import select_non_overlapping
 from mirror.traffic.placement.trace import Aside, Chassis, Schedule
-from tests.synth_driving import street
+from tests.traffic import street
 
 NETWORK = street.network()
 CAR = Chassis.of_box(4.5, 1.8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from tests.synth_street.scenes import KINDS, plan
+from tests.synth.roads.scenes import KINDS, plan
 
 WHEELS = ("drive", "turn", "cycle")
 

@@ -10,7 +10,7 @@ from mirror.synth.model import Label, Material, Model
 from mirror.synth.street import furniture
 from mirror.synth.street.furniture.small import Maker
 from mirror.synth.textures.catalogue import BILLBOARDS, Sign
-from tests.synth_street_houses.rays import seen_from_behind
+from tests.synth.street.rays import seen_from_behind
 
 MAKERS = tuple(
     dict.fromkeys(

@@ -9,7 +9,7 @@ import shapely
 from mirror.errors import UsageError
 from mirror.synth.roads.schemes import EDGE, SCHEMES
 from mirror.synth.street.plan import plan_scene
-from tests.synth_street.scenes import KINDS, plan, roi
+from tests.synth.roads.scenes import KINDS, plan, roi
 
 
 @pytest.mark.parametrize("kind", KINDS)

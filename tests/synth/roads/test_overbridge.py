@@ -6,7 +6,7 @@ import shapely
 
 from mirror.synth.model import FACE, Label, Model
 from mirror.synth.roads.overbridge import build_overbridge
-from tests.synth_street.scenes import plan
+from tests.synth.roads.scenes import plan
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mirror.errors import UsageError
 from mirror.traffic.lanes.ways import STEP_M, Piece, build_way, change_lane_pieces, follow_lanes, lane_piece
 from mirror.traffic.placement.trace import Aside, Chassis, Schedule, TraceMotion, build_trace
-from tests.synth_driving import street
+from tests.traffic import street
 
 CAR = Chassis.of_box(4.5, 1.8)
 

@@ -7,7 +7,7 @@ import shapely
 from mirror.errors import UsageError
 from mirror.synth.model import Label, Material
 from mirror.synth.roads.ground_index import build_ground_index
-from tests.synth_street.scenes import KINDS, plan
+from tests.synth.roads.scenes import KINDS, plan
 
 
 def level_faces(scene):

@@ -8,7 +8,7 @@ from mirror.geometry import Poses, matrix_from_quaternion
 from mirror.geometry.cameras import Camera
 from mirror.synth.truth import static_flow
 from mirror.synth.truth.casting import cast_rays
-from tests.synth_truth.models import ball, square
+from tests.synth.truth.models import ball, square
 
 PINHOLE = Camera("pinhole", 80, 60, 70.0, 70.0, 40.0, 30.0)
 FISHEYE = Camera("kannala_brandt", 80, 60, 35.0, 35.0, 41.0, 29.0, (-0.01, 0.003, 0.0, 0.0))

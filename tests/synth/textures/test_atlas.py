@@ -107,7 +107,7 @@ def test_atlas_is_shared_by_threads_and_equal_across_processes() -> None:
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda _: atlas(), range(8)))
     assert all(one is found[0] for one in found)
-    code = "from tests.synth_textures.test_atlas import atlas, digest; print(digest(atlas()))"
+    code = "from tests.synth.textures.test_atlas import atlas, digest; print(digest(atlas()))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert other.stdout.strip() == digest(found[0])
 

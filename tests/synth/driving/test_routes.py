@@ -7,7 +7,7 @@ from mirror.errors import UsageError
 from mirror.schema.documents import Roi
 from mirror.synth.driving.routes import ROUTES, available_routes, make_route
 from mirror.synth.street.plan import plan_scene
-from tests.synth_driving import street
+from tests.traffic import street
 
 NETWORK = street.network()
 

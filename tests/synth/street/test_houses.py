@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mirror.synth.model import Label, Material, Model
 from mirror.synth.street.houses import HouseStyle, build_far_houses, build_far_woods, build_house
 from mirror.synth.street.houses.windows import PATTERNS, Windows, window_grid
-from tests.synth_street_houses.rays import seen_from_behind
+from tests.synth.street.rays import seen_from_behind
 
 STYLES = get_args(HouseStyle)
 OVER_M = 1.35

@@ -12,7 +12,7 @@ import shapely
 from mirror.schema.documents import Roi
 from mirror.synth.model import Label, Material
 from mirror.synth.street.world import World, build_world
-from tests.synth_street_houses.rays import corners_of
+from tests.synth.street.rays import corners_of
 
 Kind = Literal["urban", "highway", "rural", "campus"]
 KINDS: tuple[Kind, ...] = ("urban", "highway", "rural", "campus")

@@ -16,7 +16,7 @@ from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from mirror.synth.driving.journey import Journey, simulate_journey
 from mirror.synth.driving.site import Site, TrafficDensity
 from mirror.traffic.placement.trace import Chassis, TraceMotion
-from tests.synth_driving import street
+from tests.traffic import street
 
 SITE = Site(street.network(), street.RADIUS, street.heights, np.array([[60.0, 8.0]]))
 EGO = Chassis(4.7, 1.9, 2.8, 0.95, 0.0)

@@ -55,7 +55,7 @@ RAISED_BY: Final = {
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),
     "mirror/cli/recording.py": ("recording new",),
     "mirror/cli/view.py": ("view",),
-    "mirror/dataset/content_hashes.py": ("annotate", "annotate track", "annotate masks", "depth"),
+    "mirror/dataset/derived_layer.py": ("annotate", "annotate track", "annotate masks", "calibrate refine"),
     "mirror/dataset/door/": ("ingest", "dataset publish"),
     "mirror/dataset/images/": ("ingest",),
     "mirror/dataset/lock.py": ("ingest", "index", "split"),

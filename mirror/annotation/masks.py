@@ -11,11 +11,11 @@ import numpy as np
 from mirror.annotation.box_layer import choose_box_layer
 from mirror.annotation.tracking.options import group_of
 from mirror.arrays import Bool, Float64, UInt8
-from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.derived_layer import DerivedLayer, find_missing
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image, Mask
-from mirror.dataset.layer_writer import LayerWriter, require_layer_name
+from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import Layout, manifest_sha256, read_manifest
 from mirror.dataset.traversal import FrameBoxes
 from mirror.dataset.writing import writing_layers
@@ -29,7 +29,7 @@ from mirror.schema.tables import BOXES, MASKS
 
 _SHIFT = 4
 _FARTHEST_PX = 30_000.0
-_PROBLEM = "the masks were made with other options, of other boxes or of other images"
+_DESCRIBED = "the same boxes, options, poses, calibrations and recorded images"
 
 
 @dataclass(frozen=True)
@@ -127,24 +127,26 @@ def mask_layer(
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-hulls", version or own_version
     require_layer_name(new_source, version)
-    layers = dataset.layers
-    digest = hash_document(["instances", options.margin, options.min_score, layers.poses, layers.calibrations])
+    chosen = dataset.layers
+    digest = hash_document(["instances", options.margin, options.min_score, chosen.poses, chosen.calibrations])
     layout = dataset.layout
-    written, kept = [], []
+    written = []
     images, share = 0, 0.0
     with writing_layers(layout):
         view = dataset.with_layers(boxes=layer)
         having = [name for name in view.traversals() if _boxes_manifest(layout, name, layer)]
-        made_from = {
+        inputs = {
             name: {"hulls": digest, layer: manifest_sha256(layout.layer(name, BOXES.name, source, own_version))}
             for name in having
         }
-        target = (MASKS.name, new_source, version)
-        pending = [name for name in having if not has_layer(layout, name, target, made_from[name], _PROBLEM)]
-        kept = [name for name in having if name not in pending]
+        layers = {
+            name: DerivedLayer(layout, name, MASKS.name, new_source, version, inputs[name], _DESCRIBED)
+            for name in having
+        }
+        pending, kept = find_missing(layers.values())
         progress.start("masks, frames", sum(len(view.where(traversal=name).frames()) for name in pending))
         for name in pending:
-            writer = LayerWriter(layout, name, MASKS.name, new_source, version)
+            writer = layers[name].open()
             rows = []
             for frame in view.where(traversal=name).frames():
                 for camera, mask in frame_masks(frame, options).items():
@@ -156,7 +158,7 @@ def mask_layer(
                     share += float((mask > 0).mean())
                 progress.advance(1)
             rows.sort(key=lambda row: tuple(row[key] for key in MASKS.sorted_by))
-            writer.finish(MASKS, rows, made_from[name])
+            writer.finish(MASKS, rows)
             written.append(name)
     return MaskReport(f"{new_source}@{version}", tuple(written), tuple(kept), images, share / images if images else 0.0)
 

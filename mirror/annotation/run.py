@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pyarrow as pa
 
 from mirror.annotation.detections import Detections
 from mirror.annotation.familiarity import NAME, TrainingData
 from mirror.annotation.protocol import Annotator
-from mirror.dataset.content_hashes import ContentHashes, has_layer
+from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.derived_layer import DerivedLayer, find_missing
 from mirror.dataset.frames import Frame
-from mirror.dataset.layer_writer import LayerWriter, require_layer_name
-from mirror.dataset.unfinished_work import ANNOTATION, work_folder
+from mirror.dataset.layer_writer import require_layer_name
+from mirror.dataset.unfinished_work import ANNOTATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import MirrorError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.finished_work import FinishedWork
 from mirror.schema.tables import BOXES
-
-_PROBLEM: Final = "the layer was made by another annotator, by other settings, of other images, or by a person"
 
 
 @dataclass(frozen=True)
@@ -120,18 +117,19 @@ def annotate(
     report = AnnotationReport(f"{source}@{version}", trained_on=getattr(annotator, "trained_on", None))
     layout = dataset.layout
     fingerprint = hashlib.sha256(annotator.fingerprint.encode()).hexdigest()
-    target = (BOXES.name, source, version)
+    inputs, described = {"annotator": fingerprint}, "the same annotator, settings and recorded images"
     work = work_folder(layout, ANNOTATION, report.layer, fingerprint)
     hashes = ContentHashes(dataset.store)
     with writing_layers(layout):
-        names = dataset.traversals()
-        done = {name: has_layer(layout, name, target, {"annotator": fingerprint}, _PROBLEM) for name in names}
-        report.kept += [name for name in names if done[name]]
-        pending = [name for name in names if not done[name]]
+        layers = {
+            name: DerivedLayer(layout, name, BOXES.name, source, version, inputs, described)
+            for name in dataset.traversals()
+        }
+        pending, report.kept = find_missing(layers.values())
         progress.start("frames", sum(len(dataset.where(traversal=name).frames()) for name in pending))
         for traversal_id in pending:
             view = dataset.where(traversal=traversal_id)
-            writer = LayerWriter(layout, traversal_id, *target)
+            writer = layers[traversal_id].open()
             file = work / f"{traversal_id}.jsonl"
             found = _annotate_traversal(view, annotator, file, hashes, report, progress)
             if len(found) < len(view.frames()) and not skip_failed:
@@ -143,14 +141,12 @@ def annotate(
                 data = TrainingData(trained_on=report.trained_on, frames=len(found), unfamiliar_ns=unfamiliar)
                 writer.document(NAME, data.encode())
                 report.unfamiliar += len(unfamiliar)
-            writer.finish(BOXES, table, {"annotator": fingerprint})
+            writer.finish(BOXES, table)
             report.written.append(traversal_id)
             report.boxes += table.num_rows
             file.unlink(missing_ok=True)
         if not report.failed:
-            shutil.rmtree(work, ignore_errors=True)
-            with suppress(OSError):
-                work.parent.rmdir()
+            remove_work(work)
     return report
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
-from mirror.dataset.layout import MANIFEST, Layout, read_manifest
+from mirror.dataset.layout import MANIFEST
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
 from mirror.schema.documents import Manifest, Rig
@@ -138,41 +138,6 @@ class ContentHashes:
         chosen = {f"{kind}/{name}" for kind, name in vars(view.layers).items()}
         layers = [name for name in row["layers"] if name in chosen]
         return hash_values(self.traversal(row["traversal_id"], layers), self.rig(row["rig_id"]), view.layers.stage)
-
-
-def has_layer(
-    layout: Layout, traversal_id: str, layer: tuple[str, str, str], made_from: Mapping[str, str], problem: str
-) -> bool:
-    """Return whether a traversal has a layer already.
-
-    Args:
-        layout: the dataset.
-        traversal_id: the traversal.
-        layer: kind, source and version.
-        made_from: hashes of inputs that the layer must have been made from, by name; the recorded images are compared
-            too.
-        problem: words for the error.
-
-    Raises:
-        DatasetError: it has, and it was made from other inputs.
-    """
-    folder = layout.layer(traversal_id, *layer)
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return False
-    recorded = ContentHashes(Store(layout.root)).folder(f"traversals/{traversal_id}/recorded")
-    differing = sorted(
-        name for name, value in {**made_from, "recorded": recorded}.items() if manifest.derived_from.get(name) != value
-    )
-    if differing:
-        raise DatasetError(
-            f"{problem}; no layer is replaced",
-            file=folder,
-            place=f"derived_from: {', '.join(differing)}",
-            expected="a layer of the same inputs",
-            remedy="give the new layer another version: --version NAME",
-        )
-    return True
 
 
 def _unreadable_error(store: Store, path: str, error: OSError) -> DatasetError:

@@ -7,9 +7,9 @@ import re
 import shutil
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -21,6 +21,9 @@ from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import Manifest
 from mirror.schema.files import encode_table, read_json, unwritable_error, write_bytes
 from mirror.schema.tables import Table
+
+RECORDED: Final = "recorded"
+"""The key under which layers record the hash of the recorded traversal."""
 
 
 def require_layer_name(source: str, version: str) -> None:
@@ -47,6 +50,7 @@ class LayerWriter:
         kind: kind of the layer: the name of its parent folder.
         source: program that makes the layer.
         version: version of the source.
+        inputs: hashes of the inputs of the layer, by name (see `mirror.dataset.derived_layer`).
 
     Raises:
         UsageError: the source or version is not valid in a folder's name.
@@ -58,6 +62,7 @@ class LayerWriter:
     kind: str
     source: str
     version: str
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.folder = self.layout.layer(self.traversal_id, self.kind, self.source, self.version)
@@ -103,15 +108,15 @@ class LayerWriter:
         self._documents[name] = data
 
     def finish(
-        self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str]
+        self, table: Table, data: pa.Table | Sequence[Mapping[str, Any]], derived_from: Mapping[str, str] | None = None
     ) -> None:
         """Write the layer's table, then its manifest. From then on the layer exists.
 
         Args:
             table: specification of the table.
             data: its rows in the table's order; source and version are added.
-            derived_from: hashes of the inputs of the layer; the hash of the recorded traversal is added, and that of
-                the redaction layer that replaces the recorded images, if there is one.
+            derived_from: hashes that the layer records besides its inputs. The hash of the recorded traversal is added,
+                and that of the redaction layer that replaces the recorded images, if there is one.
         """
         schema = pa.schema([field for field in table.schema if field.name not in ("source", "source_version")])
         rows = data if isinstance(data, pa.Table) else pa.Table.from_pylist(list(data), schema=schema)
@@ -121,8 +126,8 @@ class LayerWriter:
         name, encoded = f"{table.name}.parquet", encode_table(rows.select(table.schema.names), table)
         write_bytes(self._work.path / name, encoded)
         recorded = read_json(self.layout.recorded(self.traversal_id) / MANIFEST, Manifest).content
-        derived = {**derived_from, "recorded": recorded}
-        redaction = None if self.kind == "redaction" else current_redaction(self.layout, self.traversal_id)
+        derived = {**self.inputs, **(derived_from or {}), RECORDED: recorded}
+        redaction = None if self.kind == REDACTION else current_redaction(self.layout, self.traversal_id)
         if redaction is not None:
             derived[REDACTION] = redaction
         seal(self._work.path, {**self._documents, name: encoded}, derived_from=derived)

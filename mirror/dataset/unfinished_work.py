@@ -7,6 +7,7 @@ names begin with the id of the traversal. The items are keyed by the content of 
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -31,6 +32,19 @@ def work_folder(layout: Layout, verb: str, layer: str, inputs: str) -> Path:
         inputs: hash of the settings, in hexadecimal; other settings get another folder.
     """
     return layout.root / verb / f"{layer}.{inputs[:16]}"
+
+
+def remove_work(folder: Path) -> None:
+    """Remove the folder of one run whose layers are complete, and that of the verb if no other run left work in it.
+
+    What cannot be removed stays: another run that found all layers complete may remove the folder at the same time.
+
+    Args:
+        folder: what `work_folder` returned.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        folder.parent.rmdir()
 
 
 def drop_work(layout: Layout, traversal_id: str) -> None:

@@ -6,10 +6,8 @@ propagated, and a layer of redacted images and one of masks is written. So a lay
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,14 +17,13 @@ import pyarrow.compute as pc
 import mirror
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.derived_layer import find_missing
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import require_layer_name
-from mirror.dataset.layout import Layout, read_manifest, require_dataset
-from mirror.dataset.redaction import REDACTION
-from mirror.dataset.store import Store
-from mirror.dataset.unfinished_work import DEIDENTIFICATION, work_folder
+from mirror.dataset.layout import Layout, require_dataset
+from mirror.dataset.unfinished_work import DEIDENTIFICATION, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
-from mirror.errors import DatasetError, ExitCode
+from mirror.errors import ExitCode
 from mirror.guarded import Failure
 from mirror.privacy.detection import (
     DetectionLog,
@@ -41,7 +38,7 @@ from mirror.privacy.detectors.registry import describe, require_coverage
 from mirror.privacy.geometry import propagate, visible_objects
 from mirror.privacy.options import DeidentifyOptions, configuration_hash, detection_hash
 from mirror.privacy.regions import Region, covered_share, grown_box, merged
-from mirror.privacy.writing import SOURCE, Configuration, write_layers
+from mirror.privacy.writing import SOURCE, Configuration, redaction_layer, write_layers
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.documents import Rig
 from mirror.schema.files import read_table
@@ -146,7 +143,9 @@ def deidentify(
         dataset = mirror.open(str(layout.root))
         chosen = dataset.traversals() if traversals is None else dataset.where(traversal=traversals).traversals()
         counts = {name: dataset.where(traversal=name).count("images") for name in chosen}
-        todo = [name for name in chosen if counts[name] and not _is_done(layout, name, configuration, report)]
+        todo, report.unchanged = find_missing(
+            redaction_layer(layout, name, configuration) for name in chosen if counts[name]
+        )
         bar.start("images searched", sum(counts[name] for name in todo))
         folder = work_folder(layout, DEIDENTIFICATION, options.version, detection_hash(records, options))
         with detection_pool(
@@ -155,34 +154,8 @@ def deidentify(
             for name in todo:
                 _traversal(layout, dataset, name, options, configuration, pool, folder, report, bar)
         if not report.unfinished:
-            shutil.rmtree(folder, ignore_errors=True)
-            with suppress(OSError):
-                (layout.root / DEIDENTIFICATION).rmdir()
+            remove_work(folder)
     return report
-
-
-def _is_done(layout: Layout, traversal_id: str, configuration: Configuration, report: DeidentifyReport) -> bool:
-    folder = layout.layer(traversal_id, REDACTION, SOURCE, configuration.version)
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return False
-    remedy = "write another version beside it: --version NAME; the newest is the one that readers get"
-    if manifest.derived_from.get("configuration") != configuration.sha256:
-        raise DatasetError(
-            "the layer was made with other detectors or options",
-            file=folder,
-            expected="the same detectors, weights, thresholds, region of number plates and other options",
-            remedy=remedy,
-        )
-    if manifest.derived_from.get("recorded") != ContentHashes(Store(layout.root)).folder(
-        f"traversals/{traversal_id}/recorded"
-    ):
-        raise DatasetError(
-            "the layer was made from other recorded images", file=folder,
-            expected="a layer of the images that the traversal has now", remedy=remedy,
-        )  # fmt: skip
-    report.unchanged.append(traversal_id)
-    return True
 
 
 def _traversal(

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 from typing import Any, Final
 
+from mirror.dataset.derived_layer import DerivedLayer
 from mirror.dataset.images.binary_mask import encode_mask
 from mirror.dataset.images.video_decoders import VideoDecoders
-from mirror.dataset.layer_writer import LayerWriter, remove_layer
+from mirror.dataset.layer_writer import RECORDED, LayerWriter, remove_layer
 from mirror.dataset.layout import Layout, read_manifest
 from mirror.dataset.redaction import REDACTION
 from mirror.dataset.store import Store
-from mirror.errors import DatasetError
 from mirror.pools import thread_pool
 from mirror.privacy.detection import ImageKey, out_codec, read_recorded, redact_recorded
 from mirror.privacy.encoding import RedactedImage
@@ -27,6 +26,11 @@ from mirror.schema.tables import IMAGES, MASKS
 SOURCE: Final = "deidentify"
 MASK_KIND: Final = "redaction"
 _AT_ONCE: Final = 4
+_SEARCHED: Final = "searched"
+_DESCRIBED: Final = (
+    "the same detectors, weights, thresholds, region of number plates, other options and recorded images"
+)
+_REMEDY: Final = "write another version beside it: --version NAME; the newest is the one that readers get"
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,14 @@ class Configuration:
     detectors: tuple[DetectorRecord, ...]
     redaction: Redaction
     plate_region: str | None = None
+
+
+def redaction_layer(layout: Layout, traversal_id: str, configuration: Configuration) -> DerivedLayer:
+    """Return the layer of redacted images of one traversal, which may be missing."""
+    return DerivedLayer(
+        layout, traversal_id, REDACTION, SOURCE, configuration.version, {"configuration": configuration.sha256},
+        _DESCRIBED, frozenset({_SEARCHED, REDACTION}), _REMEDY,
+    )  # fmt: skip
 
 
 def write_layers(
@@ -75,9 +87,9 @@ def write_layers(
         DatasetError: an image cannot be read or written; a layer of another configuration exists.
     """
     store = Store(layout.root)
-    derived_from = {"configuration": configuration.sha256, "searched": _hash_searched(rows, regions)}
-    images = LayerWriter(layout, traversal_id, REDACTION, SOURCE, configuration.version)
-    masks = _mask_writer(layout, traversal_id, configuration, derived_from)
+    searched = _hash_searched(rows, regions)
+    images = redaction_layer(layout, traversal_id, configuration).open()
+    masks = _open_masks(layout, traversal_id, configuration, searched)
     image_rows, mask_rows, records = [], [], []
     for key, redacted in _redacted(store, rows, regions, configuration.redaction, workers):
         camera, timestamp_ns = key
@@ -113,9 +125,9 @@ def write_layers(
             mask_rows.append({"camera": camera, "timestamp_ns": timestamp_ns, "kind": MASK_KIND, **file})
     # A layer of masks without rows would say that no road user is visible: none is written then.
     if masks is not None and mask_rows:
-        masks.finish(MASKS, mask_rows, derived_from)
+        masks.finish(MASKS, mask_rows, {_SEARCHED: searched})
     images.document(LOG, encode_log(records))
-    images.finish(IMAGES, image_rows, derived_from)
+    images.finish(IMAGES, image_rows, {_SEARCHED: searched})
 
 
 def _hash_searched(rows: Mapping[ImageKey, Mapping[str, Any]], regions: Mapping[ImageKey, Sequence[Region]]) -> str:
@@ -127,23 +139,18 @@ def _hash_searched(rows: Mapping[ImageKey, Mapping[str, Any]], regions: Mapping[
     return hash_values(found)
 
 
-def _mask_writer(
-    layout: Layout, traversal_id: str, configuration: Configuration, derived_from: Mapping[str, str]
-) -> LayerWriter | None:
-    """A writer of the masks; None: an interrupted run completed them. Its masks of other images are removed."""
-    folder = layout.layer(traversal_id, MASKS.name, SOURCE, configuration.version)
-    manifest = read_manifest(folder)
+def _open_masks(layout: Layout, traversal_id: str, configuration: Configuration, searched: str) -> LayerWriter | None:
+    """Open a writer of the masks; None: an interrupted run completed them. Its masks of other images are removed."""
+    layer = DerivedLayer(
+        layout, traversal_id, MASKS.name, SOURCE, configuration.version, {"configuration": configuration.sha256},
+        _DESCRIBED, frozenset({_SEARCHED, RECORDED, REDACTION}), _REMEDY,
+    )  # fmt: skip
+    manifest = read_manifest(layer.folder) if layer.exists() else None
     if manifest is not None:
-        if manifest.derived_from.get("configuration") != configuration.sha256:
-            raise DatasetError(
-                "the layer of masks was made with other options", file=folder,
-                expected="the same detectors, region of number plates and other options",
-                remedy="write another version: --version NAME",
-            )  # fmt: skip
-        if derived_from.items() <= manifest.derived_from.items():
+        if manifest.derived_from.get(_SEARCHED) == searched:
             return None
-        remove_layer(folder)
-    return LayerWriter(layout, traversal_id, MASKS.name, SOURCE, configuration.version)
+        remove_layer(layer.folder)
+    return layer.open()
 
 
 def _redacted(
@@ -164,8 +171,3 @@ def _redacted(
     with thread_pool(max(workers, 1)) as pool:
         while chunk := list(islice(keys, _AT_ONCE * max(workers, 1))):
             yield from zip(chunk, pool.map(work, chunk))
-
-
-def layer_folder(layout: Layout, traversal_id: str, version: str) -> Path:
-    """The folder of the redacted images of a version."""
-    return layout.layer(traversal_id, REDACTION, SOURCE, version)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Mapping, Set
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.layer_writer import require_layer_name
+from mirror.dataset.unfinished_work import remove_work
 from mirror.dataset.writing import writing_layers
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
@@ -165,7 +165,6 @@ def _initialise_scenes(
         sigma[name] = ground.sigma_m
         for kind, count in scene.counts.items():
             counts[kind] += count
-    # Errors are ignored because a parallel run that found all layers complete may remove the folder too.
-    shutil.rmtree(layers.work_folder, ignore_errors=True)
+    remove_work(layers.work_folder)
     written = tuple(traversal_id for traversal_id in view.traversals() if traversal_id not in kept)
     return InitialisationReport(layers.name, written, kept, images, known / static if static else 0.0, counts, sigma)

@@ -11,9 +11,9 @@ from mirror.annotation.run import box_table
 from mirror.annotation.tracking.options import TrackingOptions
 from mirror.annotation.tracking.static import merge_stationary
 from mirror.annotation.tracking.tracker import Track, find_tracks, to_frames
-from mirror.dataset.content_hashes import has_layer
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.layer_writer import LayerWriter, require_layer_name
+from mirror.dataset.derived_layer import DerivedLayer, find_missing
+from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.layout import manifest_sha256
 from mirror.dataset.writing import writing_layers
 from mirror.geometry.poses import Poses
@@ -21,7 +21,7 @@ from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.hashing import hash_document
 from mirror.schema.tables import BOXES
 
-_PROBLEM = "the layer was made with other options or of other boxes"
+_DESCRIBED = "the same boxes, poses and options"
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,15 @@ def track_layer(
     counts: dict[str, int] = dict.fromkeys(("detections", "boxes", "tracks", "stationary"), 0)
     with writing_layers(layout):
         frames = read_box_layer(dataset, layer)
-        made_from = {
+        inputs = {
             name: {"tracking": digest, layer: manifest_sha256(layout.layer(name, BOXES.name, source, own_version))}
             for name in frames
         }
-        target = (BOXES.name, new_source, version)
-        names = {name: has_layer(layout, name, target, made_from[name], _PROBLEM) for name in frames}
-        written = [name for name, exists in names.items() if not exists]
+        layers = {
+            name: DerivedLayer(layout, name, BOXES.name, new_source, version, inputs[name], _DESCRIBED)
+            for name in frames
+        }
+        written, kept = find_missing(layers.values())
         if written:
             progress.start("tracking, traversals", len(frames))
             for scene in dataset.scenes():
@@ -97,16 +99,15 @@ def track_layer(
                 tracked = _track_scene({name: frames[name] for name in own}, poses, options, progress)
                 for name in own:
                     if name in written:
-                        writer = LayerWriter(layout, name, BOXES.name, new_source, version)
+                        writer = layers[name].open()
                         boxes = to_frames(tracked[name], frames[name], poses[name])
                         table = box_table({frame.timestamp_ns: frame.to_rows() for frame in boxes})
-                        writer.finish(BOXES, table, made_from[name])
+                        writer.finish(BOXES, table)
                         counts["detections"] += sum(map(len, frames[name]))
                         counts["boxes"] += table.num_rows
                         counts["tracks"] += len(tracked[name])
                         counts["stationary"] += sum(item.stationary for item in tracked[name])
-    kept = tuple(name for name, exists in names.items() if exists)
-    return TrackingReport(f"{new_source}@{version}", tuple(written), kept, **counts)
+    return TrackingReport(f"{new_source}@{version}", tuple(written), tuple(kept), **counts)
 
 
 def _track_scene(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -12,17 +10,18 @@ from typing import Final
 from mirror.arrays import Int64
 from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.adjustment import adjust_rigs
-from mirror.calibration.refinement.layer import SOURCE, write_refined
+from mirror.calibration.refinement.layer import SOURCE, refined_layer, write_refined
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks, match_pair
-from mirror.calibration.refinement.provenance import has_layer, hash_inputs
+from mirror.calibration.refinement.provenance import hash_inputs
 from mirror.calibration.refinement.report import METHOD, RefinementReport, TraversalRefinement
 from mirror.calibration.refinement.rigs import FeatureTracks, RefinementPrior
 from mirror.calibration.refinement.scene import SceneRigs, TraversalImages, gather_rigs, open_traversal, read_features
 from mirror.calibration.refinement.summary import CameraRefinement, summarise
 from mirror.calibration.statistics import require_scipy
 from mirror.dataset.dataset import Dataset
+from mirror.dataset.derived_layer import find_missing
 from mirror.dataset.layer_writer import require_layer_name
-from mirror.dataset.unfinished_work import REFINEMENT, work_folder
+from mirror.dataset.unfinished_work import REFINEMENT, remove_work, work_folder
 from mirror.dataset.writing import writing_layers
 from mirror.errors import MirrorError, UsageError
 from mirror.progress import NullProgress, ProgressReporter
@@ -74,14 +73,10 @@ def refine_calibrations(
         raise UsageError("no traversal has images", expected="images to refine the calibrations with")
     layout = dataset.layout
     with writing_layers(layout):
-        try:
-            for scene in sorted({row["scene_id"] for row in rows}):
-                own = [row["traversal_id"] for row in rows if row["scene_id"] == scene]
-                refinement = _SceneRefinement(dataset.where(traversal=own), scene, version, settings, report)
-                refinement.run(reporter or NullProgress())
-        finally:
-            with suppress(OSError):
-                (layout.root / REFINEMENT).rmdir()
+        for scene in sorted({row["scene_id"] for row in rows}):
+            own = [row["traversal_id"] for row in rows if row["scene_id"] == scene]
+            refinement = _SceneRefinement(dataset.where(traversal=own), scene, version, settings, report)
+            refinement.run(reporter or NullProgress())
     return report
 
 
@@ -91,9 +86,8 @@ class _SceneRefinement:
     def __init__(self, view: Dataset, scene: str, version: str, settings: _Settings, report: RefinementReport) -> None:
         self.view, self.scene, self.version, self.settings, self.report = view, scene, version, settings, report
         self.inputs = hash_inputs(view, {"method": METHOD, **asdict(settings)})
-        self.missing = [
-            name for name in view.traversals() if not has_layer(view.layout, name, SOURCE, version, self.inputs)
-        ]
+        self.layers = {name: refined_layer(view, name, version, self.inputs) for name in view.traversals()}
+        self.missing, self.existing = find_missing(self.layers.values())
 
     @property
     def work(self) -> Path:
@@ -102,9 +96,7 @@ class _SceneRefinement:
 
     def run(self, reporter: ProgressReporter) -> None:
         """Refine the traversals that have no layer yet, together with those that have one."""
-        self.report.traversals += [
-            TraversalRefinement(name, "existing") for name in self.view.traversals() if name not in self.missing
-        ]
+        self.report.traversals += [TraversalRefinement(name, "existing") for name in self.existing]
         if not self.missing:
             return
         items = [
@@ -127,7 +119,7 @@ class _SceneRefinement:
             if item.traversal_id in self.missing:
                 self._finish(item, joined, cameras)
         if not any(item.unread or item.status == "failed" for item in items):
-            shutil.rmtree(self.work, ignore_errors=True)
+            remove_work(self.work)
 
     def _adjust(
         self, items: Sequence[TraversalImages], reporter: ProgressReporter
@@ -166,7 +158,7 @@ class _SceneRefinement:
             paired = [(used, one) for used, one in zip(joined.calibrations, cameras) if one.drive_id == item.drive_id]
             own = [one for _, one in paired]
             if any(one.status == "refined" for one in own):
-                write_refined(self.view, item.traversal_id, self.version, paired, self.inputs)
+                write_refined(self.view, self.layers[item.traversal_id], paired)
             else:
                 item.status, item.problem = "not refined", "no camera could be refined"
         images, unread = len(item.images), tuple(item.unread)

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from mirror.dataset.derived_layer import DerivedLayer
 from mirror.dataset.layer_writer import LayerWriter
-from mirror.dataset.layout import Layout, read_manifest
-from mirror.dataset.redaction import REDACTION, current_redaction
+from mirror.dataset.layout import Layout
 from mirror.dataset.unfinished_work import DEPTH, work_folder
-from mirror.errors import DatasetError
 from mirror.schema.finished_work import hash_values
 
 
@@ -46,33 +45,23 @@ class InitialisationLayers:
         """The folder of one layer."""
         return self.layout.layer(traversal_id, kind, self.source, self.version)
 
+    def layer(self, traversal_id: str, kind: str) -> DerivedLayer:
+        """Return one layer, which may be missing."""
+        # The layers show images: after a redaction they are layers of other inputs.
+        return DerivedLayer(
+            self.layout, traversal_id, kind, self.source, self.version, self.input_hashes,
+            "the same training traversals, redacted images, options and estimator", frozenset(),
+            "make a layer of another name with mirror depth --version NAME, or, unless its images were redacted since,"
+            f" use this layer with mirror reconstruct --initialise {self.name}",
+        )  # fmt: skip
+
     def has(self, traversal_id: str, kind: str) -> bool:
         """Return whether a layer is complete.
 
         Raises:
             DatasetError: it is complete, and was made from other inputs.
         """
-        manifest = read_manifest(self.folder(traversal_id, kind))
-        if manifest is None:
-            return False
-        existing = {key: value for key, value in manifest.derived_from.items() if key not in ("recorded", REDACTION)}
-        if manifest.derived_from.get(REDACTION) != current_redaction(self.layout, traversal_id):
-            raise DatasetError(
-                "the layer was made from images that have been redacted since",
-                file=self.folder(traversal_id, kind),
-                expected="a layer of the redacted images",
-                remedy="make a layer of another name with mirror depth --version NAME",
-            )
-        if existing != self.input_hashes:
-            differing = min(set(existing.items()) ^ set(self.input_hashes.items()))[0]
-            raise DatasetError(
-                f"the layer was made from other inputs: {differing} differs",
-                file=self.folder(traversal_id, kind),
-                expected="the same training traversals, options and estimator",
-                remedy="make a layer of another name with mirror depth --version NAME, or use this layer with"
-                f" mirror reconstruct --initialise {self.name}",
-            )
-        return True
+        return self.layer(traversal_id, kind).exists()
 
     def is_complete(self, traversal_id: str) -> bool:
         """Return whether a traversal has all layers."""
@@ -82,4 +71,4 @@ class InitialisationLayers:
         """Open a writer of a layer; None if the layer is complete or is not one of the kinds."""
         if kind not in self.kinds or self.has(traversal_id, kind):
             return None
-        return LayerWriter(self.layout, traversal_id, kind, self.source, self.version)
+        return self.layer(traversal_id, kind).open()

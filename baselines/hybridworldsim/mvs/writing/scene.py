@@ -152,9 +152,9 @@ class SceneInitialisation:
                 )
             self._progress.advance(1)
         if depth is not None:
-            depth.finish(DEPTH, depth_rows, self._layers.input_hashes)
+            depth.finish(DEPTH, depth_rows)
         if masks is not None:
-            masks.finish(MASKS, mask_rows, self._layers.input_hashes)
+            masks.finish(MASKS, mask_rows)
         return PointCloud.concatenate(parts), PixelCounts(known, static)
 
     def triangulate(self) -> dict[str, PointCloud]:
@@ -178,7 +178,7 @@ class SceneInitialisation:
                 self.counts[str(name)] = self.counts.get(str(name), 0) + int(count)
             writer = self._layers.writer(traversal_id, "points")
             if writer is not None:
-                writer.finish(POINTS, _make_point_table(cloud, kind), self._layers.input_hashes)
+                writer.finish(POINTS, _make_point_table(cloud, kind))
         return ground
 
     @property

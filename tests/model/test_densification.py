@@ -22,7 +22,7 @@ from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
-from tests.street.streets import view
+from tests.model.streets import view
 
 K = 2
 PLENTY = Refinement(times=10, max_anchors=100)

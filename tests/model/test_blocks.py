@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hybridworldsim.model.blocks import Block, divide, select_views
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
-from tests.street.streets import view
+from tests.model.streets import view
 
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
 

@@ -7,7 +7,7 @@ import torch
 import hybridworldsim.model.visibility_cache as module
 from hybridworldsim.model.visibility_cache import VisibilityCache
 from hybridworldsim.training.viewpoint import to_viewpoint
-from tests.street.streets import view
+from tests.model.streets import view
 from tests.training.street import Painted, trainer, views
 
 HERE, THERE = to_viewpoint(view(), np.zeros(3)), to_viewpoint(view(1.0), np.zeros(3))

@@ -13,7 +13,7 @@ from hybridworldsim.model.storage import FORMAT, load_block, save_block
 from hybridworldsim.training.viewpoint import Source, to_viewpoint
 from mirror.errors import DatasetError, SchemaError
 from mirror.metrics.images.psnr import psnr
-from tests.street.streets import SOURCES, street, view
+from tests.model.streets import SOURCES, street, view
 
 BLOCK = Block((1, 2), (441_000.123456789, 4_475_000.1, 612.7))
 

@@ -16,8 +16,8 @@ from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
+from tests.model.streets import SOURCES, shifted, street, view
 from tests.rasterizer.covers import assert_covers_are
-from tests.street.streets import SOURCES, shifted, street, view
 
 A = Block((0, 0), (0.0, 0.0, 0.0), 40.0, 10.0)
 B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)

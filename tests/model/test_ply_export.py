@@ -17,7 +17,7 @@ from hybridworldsim.model.ply_export import (
     write_ply,
 )
 from mirror.errors import UsageError
-from tests.street.streets import SOURCES, shifted, street, view
+from tests.model.streets import SOURCES, shifted, street, view
 
 A = Block((0, 0), (0.0, 0.0, 0.0), 40.0, 10.0)
 B = Block((1, 0), (30.0, 0.0, 0.0), 40.0, 10.0)

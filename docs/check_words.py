@@ -37,9 +37,9 @@ ALLOWED = {
         "tests/integrity/clean.py",
         "tests/integrity/edits_of_scenes.py",
         "tests/real/test_reconstruction.py",
-        "tests/baselines_splatting/test_trainers.py",
-        "tests/static_reconstruction/test_records.py",
-        "tests/static_reconstruction/test_tables.py",
+        "tests/baselines/splatting/test_trainers.py",
+        "tests/benchmarks/studies/static_reconstruction/test_records.py",
+        "tests/benchmarks/studies/static_reconstruction/test_tables.py",
         # Folders of a board and of a run.
         "leaderboard/mirror_leaderboard/entry.py",
         "baselines/hybridworldsim/training/run/folder.py",

@@ -47,12 +47,12 @@ ROOMS: Final = {
     "mirror/ingest": ("tests/ingest",),
     "mirror/recordings": ("tests/recordings",),
     "mirror/schema": ("tests/schema",),
-    "mirror/dataset": ("tests/dataset", "tests/dataset_split", "tests/dataset_stats"),
+    "mirror/dataset": ("tests/dataset",),
     "mirror/integrity": ("tests/integrity",),
-    "mirror/protocols": ("tests/evaluation",),
-    "mirror/methods": ("tests/evaluation",),
+    "mirror/protocols": ("tests/protocols", "tests/evaluation"),
+    "mirror/methods": ("tests/methods", "tests/evaluation"),
     "mirror/evaluation": ("tests/evaluation",),
-    "baselines/hybridworldsim/kernels": ("tests/rasterizer",),
+    "baselines/hybridworldsim/kernels": ("tests/kernels", "tests/rasterizer"),
     "baselines/hybridworldsim/rasterizer": ("tests/rasterizer",),
 }
 _EQUIVALENT: Final = Path(__file__).parent / "equivalent.toml"

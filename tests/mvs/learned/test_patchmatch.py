@@ -19,8 +19,8 @@ from hybridworldsim.mvs.patchmatchnet.stage import (
     draw_first_hypotheses,
     make_local_hypotheses,
 )
-from tests.mvs_networks.images import make_wall_image, randomise
-from tests.mvs_networks.loops import stage_by_loops
+from tests.mvs.learned.images import make_wall_image, randomise
+from tests.mvs.learned.loops import stage_by_loops
 
 
 @pytest.mark.parametrize("level", LEVELS, ids=lambda level: f"stride {level.stride}")

@@ -11,7 +11,7 @@ from mirror.geometry.cameras import Camera
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.render import render
 from mirror.weights.resolve import WeightResolver
-from tests.mvs_networks.images import make_stereo_image, make_wall_image
+from tests.mvs.learned.images import make_stereo_image, make_wall_image
 
 PUBLIC_ROWS, PUBLIC_COLUMNS = (4, 20, 36, 52), (8, 32, 56, 80)
 PUBLIC_DEPTH_M = (

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mirror_baselines import vanilla_3dgs
-from tests.baselines_splatting.scenes import GROWING, images, initial, small
+from tests.baselines.splatting.scenes import GROWING, images, initial, small
 
 pytest.importorskip("gsplat", reason="gsplat is not installed: its strategy is what densifies")
 

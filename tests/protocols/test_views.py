@@ -119,10 +119,10 @@ def test_images_and_masks_are_resampled_through_the_lens(lens: Camera, width: in
     assert excluded.mean() < 0.5
 
 
-def test_plan_agrees_with_the_tables(dataset: Dataset) -> None:
+def test_plan_agrees_with_the_tables(tiny_dataset: Dataset) -> None:
     protocol = small(every=4, width=100)
-    plan = plan_views(dataset, protocol, SPLIT)
-    held_out = dataset.where(split=SPLIT, role="held_out")
+    plan = plan_views(tiny_dataset, protocol, SPLIT)
+    held_out = tiny_dataset.where(split=SPLIT, role="held_out")
     rows = held_out.table("images", ["camera", "frame_index", "timestamp_ns"]).to_pylist()
     wanted = {
         (row["camera"], row["timestamp_ns"])
@@ -133,23 +133,25 @@ def test_plan_agrees_with_the_tables(dataset: Dataset) -> None:
     }
     assert {(view.camera, view.timestamp_ns) for view in plan.views} == wanted
     assert len({view.path for view in plan.views}) == len(plan.views)
-    assert plan.hash == plan_views(dataset, protocol, SPLIT).hash
-    assert plan.hash != plan_views(dataset, small(every=5, width=100), SPLIT).hash
+    assert plan.hash == plan_views(tiny_dataset, protocol, SPLIT).hash
+    assert plan.hash != plan_views(tiny_dataset, small(every=5, width=100), SPLIT).hash
 
 
-def test_shifted_cameras_move_sideways(dataset: Dataset) -> None:
+def test_shifted_cameras_move_sideways(tiny_dataset: Dataset) -> None:
     groups = "".join(
         f'[[groups]]\nname = "{name}"\nroles = ["train"]\nego_shift_m = {shift}\n'
         for name, shift in (("here", 0.0), ("left-2m", 2.0))
     )
-    plan = plan_views(dataset, small(groups=groups, task="lane-shift"), SPLIT)
+    plan = plan_views(tiny_dataset, small(groups=groups, task="lane-shift"), SPLIT)
     here = {view.path.replace("/here/", "/left-2m/"): view for view in plan.views if view.group == "here"}
     moved = [view for view in plan.views if view.group == "left-2m"]
     assert len(here) == len(moved) > 0
     for view in moved:
         other = here[view.path]
         frame = next(
-            item for item in dataset.where(traversal=view.traversal_id).frames() if item.frame_index == view.frame_index
+            item
+            for item in tiny_dataset.where(traversal=view.traversal_id).frames()
+            if item.frame_index == view.frame_index
         )
         step = view.pose.translation[0] - other.pose.translation[0]
         left = matrix_from_quaternion(frame.world_SE3_ego.rotation)[0][:, 1]
@@ -158,8 +160,8 @@ def test_shifted_cameras_move_sideways(dataset: Dataset) -> None:
         np.testing.assert_allclose(view.pose.rotation, other.pose.rotation, atol=1e-12)
 
 
-def test_edits_move_boxes_along_their_lateral_axis(dataset: Dataset) -> None:
-    plan = plan_views(dataset, load_protocol("editing-accuracy"), SPLIT)
+def test_edits_move_boxes_along_their_lateral_axis(tiny_dataset: Dataset) -> None:
+    plan = plan_views(tiny_dataset, load_protocol("editing-accuracy"), SPLIT)
     groups = {view.group for view in plan.views}
     assert "background" in groups
     counts = {group: sum(view.group == group for view in plan.views) for group in groups}
@@ -176,11 +178,11 @@ def test_edits_move_boxes_along_their_lateral_axis(dataset: Dataset) -> None:
         np.testing.assert_allclose(target.translation[0] - box.translation[0], wanted * left, atol=1e-9)
 
 
-def test_impossible_plans_are_refused(dataset: Dataset) -> None:
+def test_impossible_plans_are_refused(tiny_dataset: Dataset) -> None:
     with pytest.raises(DatasetError, match=f"no such split; expected one of .*{SPLIT}"):
-        plan_views(dataset, small(), "none")
+        plan_views(tiny_dataset, small(), "none")
     with pytest.raises(DatasetError, match="requests no image"):
-        plan_views(dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)
+        plan_views(tiny_dataset, small(groups='[[groups]]\nname = "a"\nroles = ["val"]\n'), SPLIT)
     with pytest.raises(DatasetError, match="cannot be a folder"):
         render_path("novel", "a.b.1", "../up", 1)
 

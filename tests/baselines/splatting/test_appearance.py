@@ -14,7 +14,7 @@ from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.omnire_style.sky_cube import SkyCube
 from mirror_baselines.splatting.gaussian_init import initial_gaussians
 from mirror_baselines.splatting.settings import LearningRates
-from tests.baselines_splatting.scenes import GROWING, SOURCES, image, initial, small, stripes, viewpoint
+from tests.baselines.splatting.scenes import GROWING, SOURCES, image, initial, small, stripes, viewpoint
 
 A, B = SOURCES
 

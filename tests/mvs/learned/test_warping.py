@@ -8,7 +8,7 @@ from hybridworldsim.mvs.learned.source_features import SourceFeatures
 from hybridworldsim.mvs.learned.warping import compute_motion, project_to_source, sample
 from hybridworldsim.mvs.mvsnet.cost_volume import compute_variance_volume
 from mirror.geometry.poses import Poses
-from tests.mvs_networks.images import make_stereo_image, make_wall_image
+from tests.mvs.learned.images import make_stereo_image, make_wall_image
 
 
 def make_turned_pose(rng, degrees=5.0):

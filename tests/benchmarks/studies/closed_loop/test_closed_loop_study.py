@@ -34,7 +34,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from mirror.schema.behaviours import HardBrake
 from mirror.schema.scenario import PoseStart
-from tests.closed_loop.tiny import tiny_study
+from tests.benchmarks.studies.closed_loop.tiny import tiny_study
 
 
 @pytest.fixture(scope="module")

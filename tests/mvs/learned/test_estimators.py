@@ -10,7 +10,7 @@ from hybridworldsim.mvs.mvsnet.upsampling import upsample_depth
 from hybridworldsim.mvs.patchmatchnet.estimator import PatchmatchNetEstimator
 from hybridworldsim.mvs.patchmatchnet.network import PatchmatchNet
 from mirror.errors import UsageError
-from tests.mvs_networks.images import fold, make_stereo_image, make_wall_image, randomise
+from tests.mvs.learned.images import fold, make_stereo_image, make_wall_image, randomise
 
 
 @pytest.fixture(scope="module")

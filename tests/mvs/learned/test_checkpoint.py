@@ -11,7 +11,7 @@ from mirror.weights import resolve
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import WeightResolver, file_sha256
 from mirror.weights.table import KNOWN
-from tests.mvs_networks.images import randomise
+from tests.mvs.learned.images import randomise
 
 ESTIMATORS = {"mvsnet": MVSNetEstimator, "patchmatchnet": PatchmatchNetEstimator}
 

@@ -15,7 +15,7 @@ from hybridworldsim.training.run.folder import Run
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
-from tests.baselines_splatting.scenes import (
+from tests.baselines.splatting.scenes import (
     GROWING,
     HEIGHT,
     SOURCES,

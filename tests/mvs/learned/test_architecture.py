@@ -7,7 +7,7 @@ from hybridworldsim.mvs.mvsnet.network import MVSNet
 from hybridworldsim.mvs.mvsnet.regularisation import CostRegularisation
 from hybridworldsim.mvs.patchmatchnet.features import FeaturePyramid
 from hybridworldsim.mvs.patchmatchnet.network import PatchmatchNet
-from tests.mvs_networks.images import fold, randomise
+from tests.mvs.learned.images import fold, randomise
 
 LISTINGS = Path(__file__).with_name("architectures")
 

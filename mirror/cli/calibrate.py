@@ -135,10 +135,10 @@ def _intrinsics(argv: Sequence[str]) -> int:
 def _check(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Check, argv, "mirror calibrate check", examples=_CHECK_EXAMPLES)
 
-    import mirror
     from mirror.calibration.check import check_calibration
     from mirror.calibration.frame_choice import FrameChoice
     from mirror.calibration.rig import ScalePrior
+    from mirror.dataset import open as open_dataset
     from mirror.progress import progress_bar
     from mirror.schema.files import write_bytes
     from mirror.schema.folders import find_kind
@@ -147,7 +147,7 @@ def _check(argv: Sequence[str]) -> int:
     # A folder with the work of an interrupted check alone has no kind.
     find_kind(arguments.out)
     scales = ScalePrior(arguments.focal_sigma_percent, arguments.way_sigma_percent)
-    dataset = arguments.input.choose(mirror.open(arguments.dataset))
+    dataset = arguments.input.choose(open_dataset(arguments.dataset))
     arguments.out.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=arguments.json) as bar:
         check = check_calibration(

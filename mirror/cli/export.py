@@ -99,12 +99,12 @@ def main(argv: Sequence[str]) -> int:
 def _run(layout: str, argv: Sequence[str]) -> int:
     arguments = parse_arguments(Arguments, argv, f"mirror export {layout}", examples=_EXAMPLES[layout])
 
-    import mirror
     from mirror.cli.layers import with_named_layers
+    from mirror.dataset import open as open_dataset
     from mirror.export.run import ExportOptions, export
     from mirror.progress import progress_bar
 
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     dataset = dataset.where(traversal=arguments.traversal or None, camera=arguments.camera or None)
     named = {"poses": arguments.poses, "boxes": arguments.boxes, "points": arguments.points}
     read = ("points", "boxes") if layout in _WITH_BOXES else ("points",)

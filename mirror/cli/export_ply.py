@@ -65,7 +65,7 @@ def main(argv: Sequence[str]) -> int:
     if (arguments.appearance or "").startswith("sweep:"):
         raise UsageError("a sweep is for trajectories", place="--appearance", expected="one appearance")
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.model_document import read_reconstruction, require_matching_split
     from mirror.methods.ply_export import PlyExportOptions, find_ply_exporter
@@ -75,7 +75,7 @@ def main(argv: Sequence[str]) -> int:
 
     require_output_file(arguments.out)
     document = read_reconstruction(arguments.model)
-    whole = mirror.open(arguments.dataset)
+    whole = open_dataset(arguments.dataset)
     require_matching_split(whole, document.split, document)
     dataset = whole.where(scene=document.scene).with_layers(calibrations=document.calibrations)
     traversal = arguments.traversal or dataset.where(split=document.split, role="train").traversals()[0]

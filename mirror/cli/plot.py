@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror plot", examples=_EXAMPLES)
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.schema.folders import FolderKind, require_output_folder
     from mirror.view.figures import FIGURES, draw_figures
     from mirror.view.privacy_figure import RemovedRegions
@@ -54,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
     if not 30 <= arguments.dpi <= 1200:
         raise UsageError(f"{arguments.dpi} dpi", place="--dpi", expected="30 to 1200")
     require_output_folder(arguments.out, FolderKind.OTHER)
-    dataset = mirror.open(arguments.dataset).where(scene=arguments.scene or None)
+    dataset = open_dataset(arguments.dataset).where(scene=arguments.scene or None)
     names, removed, files = arguments.figure or FIGURES, None, []
     if "privacy" in names:
         from mirror.privacy.summary import read_examples, summarize_redactions

@@ -97,14 +97,14 @@ def main(argv: Sequence[str]) -> int:
     if not arguments.model:
         raise UsageError("no model", place="MODEL", expected="a folder that `mirror reconstruct` wrote")
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.schema.folders import FolderKind, require_output_file, require_output_folder
 
     if arguments.trajectory is not None and _is_video(arguments.out):
         require_output_file(arguments.out)
     else:
         require_output_folder(arguments.out, FolderKind.SUBMISSION)
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
 
 

@@ -45,7 +45,7 @@ def main(argv: Sequence[str]) -> int:
     if not folder.is_dir():
         raise UsageError("no such folder", file=folder, place="--out", remedy="create it first, or name another folder")
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.schema.folders import require_output_file
 
     page = arguments.out
@@ -53,12 +53,12 @@ def main(argv: Sequence[str]) -> int:
         from mirror.view.report import LEDGER_HEADING, write_report
 
         require_output_file(page, writer="mirror report", mark=LEDGER_HEADING)
-        write_report(mirror.open(arguments.dataset), page, arguments.title)
+        write_report(open_dataset(arguments.dataset), page, arguments.title)
     else:
         from mirror.progress import progress_bar
         from mirror.view.report_site import write_site
 
         with progress_bar(quiet=arguments.json) as progress:
-            page = write_site(mirror.open(arguments.dataset), page, arguments.title, progress=progress)
+            page = write_site(open_dataset(arguments.dataset), page, arguments.title, progress=progress)
     print(json.dumps({"report": str(page)}) if arguments.json else f"report: {page}")
     return ExitCode.DONE

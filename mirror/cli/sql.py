@@ -55,13 +55,13 @@ def main(argv: Sequence[str]) -> int:
 
     import sys
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.schema.folders import require_output_file
 
     if arguments.out is not None:
         require_output_file(arguments.out)
     query = sys.stdin.read() if arguments.query == "-" else arguments.query
-    result = mirror.open(arguments.dataset).sql(query)
+    result = open_dataset(arguments.dataset).sql(query)
     if arguments.out is not None:
         from mirror.schema.files import write_bytes
 

@@ -105,14 +105,14 @@ def main(argv: Sequence[str]) -> int:
 def _new(argv: Sequence[str]) -> int:
     arguments = parse_arguments(New, argv, "mirror submission new", examples=_NEW_EXAMPLES)
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.evaluation.submission.template import write_template
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.truth.source import GroundTruth
     from mirror.protocols.views import plan_views
 
-    dataset, protocol = mirror.open(arguments.dataset), load_protocol(arguments.protocol, masked=arguments.masks)
+    dataset, protocol = open_dataset(arguments.dataset), load_protocol(arguments.protocol, masked=arguments.masks)
     plan = plan_views(dataset, protocol, arguments.split)
     truth = GroundTruth(dataset, protocol, plan.layers)
     with progress_bar(quiet=arguments.json) as bar:
@@ -133,7 +133,7 @@ def _check(argv: Sequence[str]) -> int:
         Check, argv, "mirror submission check", examples=_CHECK_EXAMPLES, renamed={"--truth": "DATASET"}
     )
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.evaluation.submission.check import check_submission
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
@@ -144,7 +144,7 @@ def _check(argv: Sequence[str]) -> int:
     requested = requested_views(files, arguments.protocol, arguments.split)
     if isinstance(requested, tuple):
         protocol, split = requested
-        plan = plan_views(mirror.open(arguments.dataset), load_protocol(protocol), split)
+        plan = plan_views(open_dataset(arguments.dataset), load_protocol(protocol), split)
         with progress_bar(quiet=arguments.json) as bar:
             bar.start("files", len(plan.views))
             report = check_submission(files, plan, decode=arguments.decode, advance=bar.advance)
@@ -156,7 +156,7 @@ def _check(argv: Sequence[str]) -> int:
 def _hidden(argv: Sequence[str]) -> int:
     arguments = parse_arguments(Hidden, argv, "mirror submission hidden", examples=_HIDDEN_EXAMPLES)
 
-    import mirror
+    from mirror.dataset import open as open_dataset
     from mirror.evaluation.scorers import load_scorer
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
@@ -164,7 +164,7 @@ def _hidden(argv: Sequence[str]) -> int:
     from mirror.synth import read_recorded_seed, write_hidden_truth
 
     preset, seed = read_recorded_seed(arguments.recordings, "--recordings")
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     plan = plan_views(dataset, load_protocol(arguments.protocol), arguments.split)
     if load_scorer(plan.protocol.task).hidden_use(plan) == "unused":
         raise UsageError(

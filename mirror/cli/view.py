@@ -89,7 +89,7 @@ def main(argv: Sequence[str]) -> int:
             remedy="give another number with --measure",
         )  # fmt: skip
 
-    import mirror
+    from mirror.dataset import open as open_dataset
 
     if arguments.model is None and (Path(arguments.dataset) / "reconstruction.json").is_file():
         raise UsageError(
@@ -97,7 +97,7 @@ def main(argv: Sequence[str]) -> int:
             expected="the dataset of its images, which are shown beside it",
             remedy=f"mirror view DATASET {arguments.dataset}",
         )  # fmt: skip
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     return _view_dataset(dataset, arguments) if arguments.model is None else _view_model(dataset, arguments)
 
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import difflib
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import pyarrow as pa
 
-from mirror.dataset.query.catalog import GLOBAL, TABLES
+from mirror.dataset.query.catalog import GLOBAL, TABLES, Catalog
 from mirror.dataset.query.filters import Filters
 from mirror.errors import UsageError
 from mirror.installation import install_command
@@ -24,16 +24,32 @@ from mirror.schema.tables import ADDED
 if TYPE_CHECKING:
     import duckdb
 
-    from mirror.dataset.dataset import Dataset
-
 _EXPECTED: Final = "one SELECT statement (WITH, DESCRIBE, SUMMARIZE and EXPLAIN count as one)"
 _UNKNOWN_TABLE: Final = re.compile(r"Table with name (\S+) does not exist")
 _WORDS: Final = {"LOAD": "INSTALL or LOAD"}
 """Words of statements to which DuckDB gives one type."""
 
 
-def run_sql(dataset: Dataset, query: str) -> pa.Table:
-    """Run a query; see `Dataset.sql`."""
+class QueriedTables(Protocol):
+    """The tables of a dataset or a part of it, as `mirror.dataset.dataset.Dataset` gives them."""
+
+    @property
+    def filters(self) -> Filters:
+        """The part of the dataset."""
+        ...
+
+    @property
+    def catalog(self) -> Catalog:
+        """The index, with the files of its tables."""
+        ...
+
+    def table(self, name: str) -> pa.Table:
+        """Read a table."""
+        ...
+
+
+def run_sql(tables: QueriedTables, query: str) -> pa.Table:
+    """Run a query; see `mirror.dataset.dataset.Dataset.sql`."""
     try:
         import duckdb
     except ImportError as error:
@@ -42,7 +58,7 @@ def run_sql(dataset: Dataset, query: str) -> pa.Table:
     try:
         try:
             _require_select(connection, query)
-            files = _make_views(connection, dataset, _named_tables(query))
+            files = _make_views(connection, tables, _named_tables(query))
             _lock(connection, files)
             return connection.sql(query).to_arrow_table()
         except duckdb.Error as error:
@@ -91,7 +107,7 @@ def _named_tables(query: str) -> list[str]:
     return sorted(words & set(TABLES))
 
 
-def _make_views(connection: duckdb.DuckDBPyConnection, dataset: Dataset, names: list[str]) -> list[str]:
+def _make_views(connection: duckdb.DuckDBPyConnection, tables: QueriedTables, names: list[str]) -> list[str]:
     """Make a view of each table; returns the files that they read.
 
     A whole local dataset is read from its Parquet files, so that only the needed columns and row groups are. Of a
@@ -101,8 +117,9 @@ def _make_views(connection: duckdb.DuckDBPyConnection, dataset: Dataset, names: 
     if not spatial:
         connection.execute("SET enable_geoparquet_conversion = false")
     files: list[str] = []
+    is_whole_and_local = tables.filters == Filters() and tables.catalog.store.folder is not None
     for name in names:
-        paths = _files(dataset, name) if dataset.filters == Filters() and dataset.store.folder is not None else None
+        paths = _files(tables, name) if is_whole_and_local else None
         if paths:
             listed = ", ".join(_quoted(path) for path in paths)
             # Scenes that were indexed by an earlier version may lack columns.
@@ -110,14 +127,14 @@ def _make_views(connection: duckdb.DuckDBPyConnection, dataset: Dataset, names: 
             connection.execute(f'CREATE VIEW "{name}" AS SELECT * FROM read_parquet([{listed}]{by_name})')
             files += paths
         else:
-            connection.register(name, _plain(dataset.table(name)))
+            connection.register(name, _plain(tables.table(name)))
     return files
 
 
-def _files(dataset: Dataset, name: str) -> list[str]:
+def _files(tables: QueriedTables, name: str) -> list[str]:
     """The Parquet files of a table in the state that the view opened."""
-    relative = [f"index/{name}.parquet"] if name in GLOBAL else dict.fromkeys(dataset.catalog.row_groups(name).path)
-    return [str(dataset.store.read_stable(path, Path.resolve)) for path in relative]
+    relative = [f"index/{name}.parquet"] if name in GLOBAL else dict.fromkeys(tables.catalog.row_groups(name).path)
+    return [str(tables.catalog.store.read_stable(path, Path.resolve)) for path in relative]
 
 
 def _plain(table: pa.Table) -> pa.Table:

@@ -13,7 +13,7 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-import mirror
+from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import DEFAULT_EXTRACTOR, make_extractor
@@ -127,7 +127,7 @@ def evaluate(
     require_output_folder(out, FolderKind.RESULTS)
     if options.features is not None:
         require_output_folder(options.features, FolderKind.OTHER, place="--features")
-    dataset = mirror.open(truth)
+    dataset = open_dataset(truth)
     plan = plan_views(dataset, protocol, split)
     _require_matching_options(plan, options)
     required = _list_required(options.require, protocol)

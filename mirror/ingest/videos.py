@@ -11,7 +11,8 @@ import numpy as np
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.ingest.images import PlacedImages
-from mirror.recordings.video import CompressedStream, CopiedVideo, av_error_type, open_video
+from mirror.recordings.video import CompressedStream, CopiedVideo
+from mirror.recordings.video_file import av_error_type, open_video
 from mirror.schema.files import unwritable_error
 
 

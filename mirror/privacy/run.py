@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import pyarrow.compute as pc
 
-import mirror
+from mirror.dataset import open as open_dataset
 from mirror.dataset.content_hashes import ContentHashes
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import find_missing
@@ -140,7 +140,7 @@ def deidentify(
     report = DeidentifyReport(options.version)
     with writing_layers(layout, wait=wait):
         build_index(layout.root)
-        dataset = mirror.open(str(layout.root))
+        dataset = open_dataset(str(layout.root))
         chosen = dataset.traversals() if traversals is None else dataset.where(traversal=traversals).traversals()
         counts = {name: dataset.where(traversal=name).count("images") for name in chosen}
         todo, report.unchanged = find_missing(

@@ -16,7 +16,8 @@ from mirror.recordings.opening import find_file
 from mirror.recordings.paths import is_remote_uri, list_file_names, list_folder
 from mirror.recordings.protocol import FileStream, ImageStream, ReferencedStream
 from mirror.recordings.tabular import RecordingRows, read_rows
-from mirror.recordings.video import VideoStream, read_video_stamps, to_unix_stamps
+from mirror.recordings.video import VideoStream
+from mirror.recordings.video_file import read_video_stamps, to_unix_stamps
 
 _CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi", ".h264", ".hevc", ".h265")

@@ -16,7 +16,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
-from mirror.recordings.video import av_error_type, from_key_frame, has_time_stamps, open_video, read_video_stamps
+from mirror.recordings.video_file import av_error_type, from_key_frame, has_time_stamps, open_video, read_video_stamps
 
 if TYPE_CHECKING:
     import av

@@ -11,7 +11,7 @@ import pytest
 
 from mirror.errors import RecordingError
 from mirror.recordings.remux import copy_frames
-from mirror.recordings.video import read_video_stamps
+from mirror.recordings.video_file import read_video_stamps
 from tests.recordings.videos import FRAMES, GROUP, decode_all, write_video
 
 # Several containers and codecs; x264 and x265 with B-frames write frames in another order than that of display.

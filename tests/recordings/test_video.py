@@ -17,7 +17,8 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream
 from mirror.recordings.remux import copy_frames
-from mirror.recordings.video import VideoStream, read_video_stamps, to_unix_stamps
+from mirror.recordings.video import VideoStream
+from mirror.recordings.video_file import read_video_stamps, to_unix_stamps
 from mirror.recordings.video_frames import JPEG_QUALITY
 from tests.recordings.videos import FRAMES, GROUP, decode_all, write_video
 

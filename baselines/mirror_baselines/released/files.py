@@ -179,7 +179,7 @@ def _find_frame(view: RenderView, clips: Sequence[_Clip]) -> Source | None:
 @lru_cache(maxsize=1024)
 def _count_frames(file: Path, changed_ns: int) -> int:
     """The number of frames of a video; its packets are counted, not decoded."""
-    from mirror.recordings.video import read_video_stamps
+    from mirror.recordings.video_file import read_video_stamps
 
     return len(read_video_stamps(file)[0])
 

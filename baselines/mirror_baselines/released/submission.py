@@ -98,7 +98,7 @@ def _read_all(views: Sequence[RenderView], sources: Mapping[str, Source]) -> Ite
 def _read_video(
     file: Path, views: Sequence[RenderView], sources: Mapping[str, Source]
 ) -> Iterator[tuple[RenderView, UInt8]]:
-    from mirror.recordings.video import open_video
+    from mirror.recordings.video_file import open_video
     from mirror.recordings.video_frames import FrameConverter
 
     waiting = list(views)

@@ -47,13 +47,13 @@ def run(argv: Sequence[str]) -> int:
     """Describe frames."""
     arguments = parse_arguments(DescribeArguments, argv, "mirror annotate describe", examples=_EXAMPLES)
 
-    import mirror
     from mirror.annotation.descriptions import describe_frames, installed_describer
+    from mirror.dataset import open as open_dataset
     from mirror.progress import progress_bar
 
     require_device(arguments.device)
     installed = installed_describer(arguments.describer)
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
     describer = installed.open(dataset, parse_settings(arguments.set), arguments.device)

@@ -37,10 +37,10 @@ def run(argv: Sequence[str]) -> int:
     """Write a layer of boxes as results of the nuScenes detection task."""
     arguments = parse_arguments(ExportArguments, argv, "mirror annotate export", examples=_EXAMPLES)
 
-    import mirror
     from mirror.annotation.review import export_results
+    from mirror.dataset import open as open_dataset
 
-    report = export_results(mirror.open(arguments.dataset), arguments.out, arguments.boxes)
+    report = export_results(open_dataset(arguments.dataset), arguments.out, arguments.boxes)
     if arguments.json:
         print(json.dumps(asdict(report)))
     else:

@@ -47,13 +47,13 @@ def run(argv: Sequence[str]) -> int:
     if arguments.frames < 1:
         raise UsageError(f"{arguments.frames}", place="--frames", expected="1 or more")
 
-    import mirror
     from mirror.annotation.box_layer import choose_box_layer
     from mirror.annotation.familiarity import describe_training_data, read_training_data
     from mirror.annotation.ranking import rank_frames
+    from mirror.dataset import open as open_dataset
     from mirror.view.annotation_page import write_annotation_page
 
-    dataset = mirror.open(arguments.dataset)
+    dataset = open_dataset(arguments.dataset)
     layer = choose_box_layer(dataset, arguments.boxes)
     ranks = rank_frames(dataset, layer, arguments.against)
     training = read_training_data(dataset, layer)

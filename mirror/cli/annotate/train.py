@@ -79,13 +79,13 @@ def run(argv: Sequence[str]) -> int:
             expected=f"one that has a training, of {names}",
         )  # fmt: skip
 
-    import mirror
     from mirror.annotation.box_layer import choose_box_layer
+    from mirror.dataset import open as open_dataset
     from mirror.progress import progress_bar
 
     views = []
     for path in arguments.datasets:
-        dataset = mirror.open(path)
+        dataset = open_dataset(path)
         if arguments.split is not None:
             dataset = dataset.where(split=arguments.split, role="train")
         views.append(dataset.with_layers(boxes=choose_box_layer(dataset, arguments.boxes)))

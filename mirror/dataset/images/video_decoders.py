@@ -18,7 +18,7 @@ from mirror.arrays import UInt8
 from mirror.dataset.store import Store
 from mirror.errors import DatasetError
 from mirror.installation import install_command
-from mirror.recordings.video import from_key_frame
+from mirror.recordings.video_file import from_key_frame
 from mirror.recordings.video_frames import FrameConverter
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-import mirror
+from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.door.placing import dataset_state, require_unchanged
 from mirror.dataset.images.binary_mask import rewrite_mask
@@ -320,7 +320,7 @@ def _originals(layout: Layout, report: TreeReport) -> list[OriginalRecord]:
 
 def _opened(layout: Layout) -> Dataset:
     build_index(layout.root)
-    return mirror.open(str(layout.root))
+    return open_dataset(str(layout.root))
 
 
 def _fresh_key() -> bytes:

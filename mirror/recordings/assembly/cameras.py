@@ -19,7 +19,7 @@ from mirror.recordings.paths import list_file_names
 from mirror.recordings.raster import read_raster_size
 from mirror.recordings.static_masks import decode_static_mask
 from mirror.recordings.time import SECOND_NS
-from mirror.recordings.video import open_video, read_video_stamps, to_unix_stamps
+from mirror.recordings.video_file import open_video, read_video_stamps, to_unix_stamps
 
 IMAGES: Final = (".jpg", ".jpeg", ".png")
 VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi")

@@ -11,7 +11,7 @@ from mirror.synth.textures.catalogue import PLATES, TRAFFIC_SIGNS, Sign
 from mirror.synth.textures.images import draw_image
 from mirror.synth.textures.images.drawing import glow, new_image, rounded_rectangle, weather
 from mirror.synth.textures.images.lettering import glyph, letter, write
-from mirror.synth.textures.plates import plate_image, plate_text
+from mirror.synth.textures.images.plates import plate_image, plate_text
 
 CHARACTERS = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
 

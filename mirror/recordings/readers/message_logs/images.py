@@ -15,7 +15,8 @@ from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.readers.message_logs.container import Message, MessageLog, Place, Topic
 from mirror.recordings.readers.message_logs.decoding import Decoder, ImageMessage
-from mirror.recordings.video import CopiedVideo, av_error_type
+from mirror.recordings.video import CopiedVideo
+from mirror.recordings.video_file import av_error_type
 from mirror.recordings.video_frames import FrameConverter
 
 _MAGIC: Final = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}

@@ -11,11 +11,11 @@ from mirror.arrays import UInt8
 from mirror.synth.textures import catalogue
 from mirror.synth.textures.faces import face_image
 from mirror.synth.textures.images.adverts import billboard, livery, poster
+from mirror.synth.textures.images.plates import plate_image
 from mirror.synth.textures.images.shops import shop_sign
 from mirror.synth.textures.images.signs import direction_sign, traffic_sign
 from mirror.synth.textures.images.walls import door, graffiti
 from mirror.synth.textures.images.windows import shop_window
-from mirror.synth.textures.plates import plate_image
 
 
 class _Kind(NamedTuple):

@@ -15,7 +15,7 @@ _JPEG_QUALITY: Final = 80
 
 def style_sheet() -> str:
     """The CSS of all pages."""
-    return files("mirror").joinpath("html.css").read_text()
+    return files("mirror.pages").joinpath("style.css").read_text()
 
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -21,7 +21,7 @@ PACKAGES = [
     "hybridworldsim",
     "hybridworldsim.simulator",
 ]
-HEAVY = ("numpy", "pandas", "pyarrow", "torch", "numba", "cv2", "scipy", "rich", "tyro")
+HEAVY = ("numpy", "pandas", "pyarrow", "torch", "numba", "cv2", "scipy", "rich", "tyro", "jinja2")
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.pages.templates import TEMPLATES, package_of
+
 ROOT = Path(__file__).resolve().parents[1]
 MAIN = "import sys; from mirror.cli.main import main; sys.exit(main(sys.argv[1:]))"
 HIDE_PACKAGES = """
@@ -86,6 +88,20 @@ print(json.dumps([mirror.__file__, importlib.util.find_spec("mirror").origin, [l
     assert Path(module).is_relative_to(site)
     assert Path(origin).is_relative_to(site)
     assert "static-reconstruction" in protocols
+
+
+def test_templates_of_pages_are_in_the_wheel(site: Path, tmp_path: Path) -> None:
+    names = [(package_of(path), path.name) for path in TEMPLATES]
+    code = f"""
+from mirror.pages.rendering import load_environment, style_sheet
+assert len(style_sheet()) > 1000
+for package, name in {names!r}:
+    print(load_environment(package).get_template(name).filename)
+"""
+    done = run(site, tmp_path, "-c", code)
+    assert done.returncode == 0, done.stderr
+    assert len(names) > 1 and len(done.stdout.splitlines()) == len(names)
+    assert all(Path(line).is_relative_to(site) for line in done.stdout.splitlines())
 
 
 @pytest.mark.skipif("MIRROR_WHEEL_DEMO" not in os.environ, reason="kernels compile for minutes: `make wheel` runs it")

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import base64
 import math
-from html import escape
 from pathlib import Path
 from typing import Final
 
-from mirror.html import html_table, style_sheet
 from mirror.metrics.safety.report import FIGURES, SafetyReport
+from mirror.pages.images import inline_video
+from mirror.pages.rendering import render_page
 from mirror.schema.files import write_bytes
 from mirror.schema.scenario import Scenario
 
 PAGE_FILE: Final = "report.html"
-_HEAD: Final = ("figure", "n:value", "unit", "better", "caused by", "n:at")
 
 
 def write_page(
@@ -42,26 +40,20 @@ def write_page(
     Raises:
         DatasetError: the page cannot be written.
     """  # fmt: skip
-    title = f"{scenario.name}, driven by {policy}"
-    shown = "" if video is None else _inline_video(video)
     rows = []
     for name, figure in safety.figures.items():
         unit, better = FIGURES[name]
         value = "" if math.isnan(figure.value) else f"{figure.value:.4g}"
         at = "" if figure.stamp_ns is None else f"{1e-9 * (figure.stamp_ns - start_ns):.2f} s"
-        reason = figure.reason or figure.cause or ""
-        rows.append([escape(name), value, escape(unit), better, escape(reason), at])
-    page = (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<style>{style_sheet()}video{{max-width:100%}}</style></head><body><header><h1>{escape(title)}</h1>"
-        f"<p>{escape(scenario.description)} World: {escape(world)}.</p></header>"
-        f"<p>{'<br>'.join(escape(line) for line in lines)}</p>{shown}<h2>Safety</h2>{html_table(_HEAD, rows)}"
-        "</body></html>\n"
+        rows.append([name, value, unit, better, figure.reason or figure.cause or "", at])
+    page = render_page(
+        "hybridworldsim.simulator.rollout",
+        "drive.html",
+        title=f"{scenario.name}, driven by {policy}",
+        description=scenario.description,
+        world=world,
+        lines=lines,
+        video=None if video is None else inline_video(video),
+        rows=rows,
     )
     write_bytes(path, page.encode())
-
-
-def _inline_video(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    return f'<video controls autoplay muted loop src="data:video/mp4;base64,{data}"></video>'

@@ -41,21 +41,21 @@ class _Ssim(torch.autograd.Function):
         scale = luminance_scale * contrast_scale
         ssim = luminance * contrast / scale
         if ctx.needs_input_grad[0]:
-            to_product = 2.0 * luminance / scale
-            to_square = -ssim / contrast_scale
-            to_mean = 2.0 * (
+            grad_product = 2.0 * luminance / scale
+            grad_square = -ssim / contrast_scale
+            grad_mean = 2.0 * (
                 mean_y * (contrast - luminance) / scale + mean_x * ssim * (1.0 / contrast_scale - 1.0 / luminance_scale)
             )
-            ctx.save_for_backward(x, y, to_mean, to_square, to_product)
+            ctx.save_for_backward(x, y, grad_mean, grad_square, grad_product)
         return ssim.mean(2)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        x, y, to_mean, to_square, to_product = ctx.saved_tensors
+        x, y, grad_mean, grad_square, grad_product = ctx.saved_tensors
         # The window is symmetric: a blur is its own adjoint.
         share = gradients[0][..., None] / 3.0
-        gradient = _blur(share * to_square).mul_(x).mul_(2.0).addcmul_(_blur(share * to_product), y)
-        return gradient.add_(_blur(share * to_mean)), None
+        gradient = _blur(share * grad_square).mul_(x).mul_(2.0).addcmul_(_blur(share * grad_product), y)
+        return gradient.add_(_blur(share * grad_mean)), None
 
 
 def _blur(image: Tensor) -> Tensor:

@@ -97,19 +97,19 @@ def write_gaussians(
     for anchor in range(begin, end):
         begun = place
         for offset in range(k):
-            own = GEOMETRY * offset
-            if not geometry[anchor, own] > 0.0:
+            column = GEOMETRY * offset
+            if not geometry[anchor, column] > 0.0:
                 continue
             if place == begun:
                 for axis in range(6):
                     sizes[anchor, axis] = math.exp(log_scales[anchor, axis])
-            opacities[place] = geometry[anchor, own]
+            opacities[place] = geometry[anchor, column]
             for axis in range(3):
                 means[place, axis] = anchors[anchor, axis] + offsets[anchor, offset, axis] * sizes[anchor, axis]
-                shares[place, axis] = geometry[anchor, own + 1 + axis]
+                shares[place, axis] = geometry[anchor, column + 1 + axis]
                 tints[place, axis] = colours[anchor, 3 * offset + axis]
             for part in range(4):
-                quats[place, part] = geometry[anchor, own + 4 + part]
+                quats[place, part] = geometry[anchor, column + 4 + part]
             slots[place] = anchor * k + offset
             place += 1
 
@@ -126,27 +126,27 @@ def write_scales(begin: Any, end: Any, k: Any, slots: Any, sizes: Any, shares: A
 @kernel()
 def write_gradients(
     offsets: Any, sizes: Any, shares: Any, opacities: Any, tints: Any, slots: Any, begin: Any, end: Any,
-    to_means: Any, to_quats: Any, to_scales: Any, to_opacities: Any, to_tints: Any,
-    to_geometry: Any, to_colours: Any, to_offsets: Any, to_log_scales: Any,
+    grad_means: Any, grad_quats: Any, grad_scales: Any, grad_opacities: Any, grad_tints: Any,
+    grad_geometry: Any, grad_colours: Any, grad_offsets: Any, grad_log_scales: Any,
 ) -> None:  # fmt: skip
     """Write the gradients of Gaussians in a range into zeroed arrays; the Gaussians of an anchor lie in one range."""
     k, one = offsets.shape[1], np.float32(1.0)
     for place in range(begin, end):
         anchor, offset = slots[place] // k, slots[place] % k
-        own = GEOMETRY * offset
+        column = GEOMETRY * offset
         opacity = opacities[place]
-        to_geometry[anchor, own] = to_opacities[place] * (one - opacity * opacity)
+        grad_geometry[anchor, column] = grad_opacities[place] * (one - opacity * opacity)
         for axis in range(3):
             share, tint = shares[place, axis], tints[place, axis]
-            pull = to_means[place, axis] * sizes[anchor, axis]
-            swell = to_scales[place, axis] * sizes[anchor, 3 + axis] * share
-            to_offsets[anchor, offset, axis] = pull
-            to_log_scales[anchor, axis] += pull * offsets[anchor, offset, axis]
-            to_log_scales[anchor, 3 + axis] += swell
-            to_geometry[anchor, own + 1 + axis] = swell * (one - share)
-            to_colours[anchor, 3 * offset + axis] = to_tints[place, axis] * tint * (one - tint)
+            grad_offset = grad_means[place, axis] * sizes[anchor, axis]
+            grad_log_scale = grad_scales[place, axis] * sizes[anchor, 3 + axis] * share
+            grad_offsets[anchor, offset, axis] = grad_offset
+            grad_log_scales[anchor, axis] += grad_offset * offsets[anchor, offset, axis]
+            grad_log_scales[anchor, 3 + axis] += grad_log_scale
+            grad_geometry[anchor, column + 1 + axis] = grad_log_scale * (one - share)
+            grad_colours[anchor, 3 * offset + axis] = grad_tints[place, axis] * tint * (one - tint)
         for part in range(4):
-            to_geometry[anchor, own + 4 + part] = to_quats[place, part]
+            grad_geometry[anchor, column + 4 + part] = grad_quats[place, part]
 
 
 class _AnchorsToGaussians(torch.autograd.Function):
@@ -196,8 +196,8 @@ class _AnchorsToGaussians(torch.autograd.Function):
             write_gradients(*ctx.read, *span, *output_gradients, *input_gradients)  # type: ignore[call-arg]
 
         in_parallel(write, len(ctx.firsts) - 1)
-        to_geometry, to_colours, to_offsets, to_log_scales = map(torch.from_numpy, input_gradients)
-        return to_geometry, to_colours, None, to_offsets, to_log_scales
+        grad_geometry, grad_colours, grad_offsets, grad_log_scales = map(torch.from_numpy, input_gradients)
+        return grad_geometry, grad_colours, None, grad_offsets, grad_log_scales
 
 
 def _table(count: int, width: int) -> Float32:

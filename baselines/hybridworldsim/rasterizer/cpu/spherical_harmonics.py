@@ -125,13 +125,13 @@ def spherical_harmonics_part(
         x, y, z, _ = _unit(directions, rows, start, end)
         _basis(degree, x, y, z, basis)
         for lane in range(min(8, end - start)):
-            own = coefficients[ids[start + lane]]
-            red, green, blue = basis[lane] * own[0, 0], basis[lane] * own[0, 1], basis[lane] * own[0, 2]
+            coeffs = coefficients[ids[start + lane]]
+            red, green, blue = basis[lane] * coeffs[0, 0], basis[lane] * coeffs[0, 1], basis[lane] * coeffs[0, 2]
             for k in range(1, count):
                 weight = basis[8 * k + lane]
-                red += weight * own[k, 0]
-                green += weight * own[k, 1]
-                blue += weight * own[k, 2]
+                red += weight * coeffs[k, 0]
+                green += weight * coeffs[k, 1]
+                blue += weight * coeffs[k, 2]
             summed[start + lane, 0], summed[start + lane, 1], summed[start + lane, 2] = red, green, blue
 
 
@@ -141,14 +141,14 @@ def spherical_harmonics_part_backward(
     directions: Any,
     coefficients: Any,
     ids: Any,
-    to_summed: Any,
+    grad_summed: Any,
     begin: Any,
     end: Any,
     rows: Any,
     basis: Any,
-    to_basis: Any,
-    to_directions: Any,
-    to_coefficients: Any,
+    grad_basis: Any,
+    grad_directions: Any,
+    grad_coefficients: Any,
 ) -> None:
     """Compute the gradients of a range of directions.
 
@@ -157,14 +157,14 @@ def spherical_harmonics_part_backward(
         directions: (3 M,) flat.
         coefficients: (N, K, 3).
         ids: (M,) rows of the coefficients, ascending.
-        to_summed: (M, 3) gradient to the sums.
+        grad_summed: (M, 3) gradient to the sums.
         begin: first direction.
         end: one past the last.
         rows: (8,) int64 scratch.
         basis: (200,) scratch in the coefficients' dtype.
-        to_basis: (200,) scratch in the coefficients' dtype.
-        to_directions: (M + 8, 3) output, gradients.
-        to_coefficients: (N, K, 3) output, gradients, and zeros for unused rows up to the last used row; the caller
+        grad_basis: (200,) scratch in the coefficients' dtype.
+        grad_directions: (M + 8, 3) output, gradients.
+        grad_coefficients: (N, K, 3) output, gradients, and zeros for unused rows up to the last used row; the caller
             fills the rows after it.
     """
     count = (degree + 1) * (degree + 1)
@@ -175,49 +175,49 @@ def spherical_harmonics_part_backward(
         for lane in range(min(8, end - start)):
             row = ids[start + lane]
             for unused in range(done, row):
-                to_unused = to_coefficients[unused]
+                grad_unused = grad_coefficients[unused]
                 for k in range(coefficients.shape[1]):
-                    to_unused[k, 0], to_unused[k, 1], to_unused[k, 2] = 0.0, 0.0, 0.0
+                    grad_unused[k, 0], grad_unused[k, 1], grad_unused[k, 2] = 0.0, 0.0, 0.0
             done = row + 1
-            own, to_own = coefficients[row], to_coefficients[row]
-            red, green, blue = to_summed[start + lane, 0], to_summed[start + lane, 1], to_summed[start + lane, 2]
+            coeffs, grad_row = coefficients[row], grad_coefficients[row]
+            red, green, blue = grad_summed[start + lane, 0], grad_summed[start + lane, 1], grad_summed[start + lane, 2]
             for k in range(count):
                 weight = basis[8 * k + lane]
-                to_own[k, 0], to_own[k, 1], to_own[k, 2] = weight * red, weight * green, weight * blue
-                to_basis[8 * k + lane] = own[k, 0] * red + own[k, 1] * green + own[k, 2] * blue
+                grad_row[k, 0], grad_row[k, 1], grad_row[k, 2] = weight * red, weight * green, weight * blue
+                grad_basis[8 * k + lane] = coeffs[k, 0] * red + coeffs[k, 1] * green + coeffs[k, 2] * blue
             for k in range(count, coefficients.shape[1]):
-                to_own[k, 0], to_own[k, 1], to_own[k, 2] = 0.0, 0.0, 0.0
+                grad_row[k, 0], grad_row[k, 1], grad_row[k, 2] = 0.0, 0.0, 0.0
 
-        to_x, to_y, to_z = lanes.broadcast(0.0), lanes.broadcast(0.0), lanes.broadcast(0.0)
+        grad_x, grad_y, grad_z = lanes.broadcast(0.0), lanes.broadcast(0.0), lanes.broadcast(0.0)
         real, imaginary = lanes.broadcast(1.0), lanes.broadcast(0.0)
         less_real, less_imaginary = lanes.broadcast(0.0), lanes.broadcast(0.0)
         for m in range(degree + 1):
-            to_real, to_imaginary = lanes.broadcast(0.0), lanes.broadcast(0.0)
+            grad_real, grad_imaginary = lanes.broadcast(0.0), lanes.broadcast(0.0)
             for l in range(m, degree + 1):  # noqa: E741
                 value, slope = lanes.broadcast(_TABLE[l, m, l - m]), lanes.broadcast(0.0)
                 for power in range(l - m - 1, -1, -1):
                     slope = slope * z + value
                     value = value * z + _TABLE[l, m, power]
-                to_even = lanes.load(to_basis, 8 * (l * l + l + m))
-                to_real = to_real + value * to_even
-                to_z = to_z + slope * to_even * real
+                grad_even = lanes.load(grad_basis, 8 * (l * l + l + m))
+                grad_real = grad_real + value * grad_even
+                grad_z = grad_z + slope * grad_even * real
                 if m > 0:
-                    to_odd = lanes.load(to_basis, 8 * (l * l + l - m))
-                    to_imaginary = to_imaginary + value * to_odd
-                    to_z = to_z + slope * to_odd * imaginary
+                    grad_odd = lanes.load(grad_basis, 8 * (l * l + l - m))
+                    grad_imaginary = grad_imaginary + value * grad_odd
+                    grad_z = grad_z + slope * grad_odd * imaginary
             # d (x + i y)^m = m (x + i y)^(m - 1) (dx + i dy)
-            to_x = to_x + m * (to_real * less_real + to_imaginary * less_imaginary)
-            to_y = to_y + m * (to_imaginary * less_real - to_real * less_imaginary)
+            grad_x = grad_x + m * (grad_real * less_real + grad_imaginary * less_imaginary)
+            grad_y = grad_y + m * (grad_imaginary * less_real - grad_real * less_imaginary)
             less_real, less_imaginary = real, imaginary
             real, imaginary = x * real - y * imaginary, x * imaginary + y * real
         # the length of a direction has no effect: remove the radial part of the gradient
-        outward = to_x * x + to_y * y + to_z * z
+        outward = grad_x * x + grad_y * y + grad_z * z
         lanes.store_triples(
-            to_directions,
+            grad_directions,
             start,
-            inverse * (to_x - outward * x),
-            inverse * (to_y - outward * y),
-            inverse * (to_z - outward * z),
+            inverse * (grad_x - outward * x),
+            inverse * (grad_y - outward * y),
+            inverse * (grad_z - outward * z),
         )
 
 
@@ -244,23 +244,23 @@ class _SphericalHarmonics(torch.autograd.Function):
         directions, coefficients = ctx.saved_tensors
         dtype, number = coefficients.dtype, len(directions)
         arrays = flat(directions, dtype), flat(coefficients, dtype).reshape(coefficients.shape), ctx.rows
-        to_summed = flat(gradients[0], dtype).reshape(-1, 3)
+        grad_summed = flat(gradients[0], dtype).reshape(-1, 3)
         array_dtype = arrays[0].dtype
-        to_directions = empty_aligned((number + 8) * 3, array_dtype).reshape(-1, 3)
-        to_coefficients = empty_aligned(coefficients.numel(), array_dtype).reshape(arrays[1].shape)
+        grad_directions = empty_aligned((number + 8) * 3, array_dtype).reshape(-1, 3)
+        grad_coefficients = empty_aligned(coefficients.numel(), array_dtype).reshape(arrays[1].shape)
 
         def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, number)
             scratch = np.empty(8, np.int64), np.empty(200, array_dtype), np.empty(200, array_dtype)
             spherical_harmonics_part_backward(
-                ctx.degree, *arrays, to_summed, *span, *scratch, to_directions, to_coefficients
+                ctx.degree, *arrays, grad_summed, *span, *scratch, grad_directions, grad_coefficients
             )
 
         in_parallel(run_part, -(-number // PART))
-        to_coefficients[int(ctx.rows[-1]) + 1 if number else 0 :] = 0.0
+        grad_coefficients[int(ctx.rows[-1]) + 1 if number else 0 :] = 0.0
         return (
-            torch.from_numpy(to_directions[:number]).to(directions.dtype),
-            torch.from_numpy(to_coefficients),
+            torch.from_numpy(grad_directions[:number]).to(directions.dtype),
+            torch.from_numpy(grad_coefficients),
             None,
             None,
         )

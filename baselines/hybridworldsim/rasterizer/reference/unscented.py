@@ -82,9 +82,9 @@ def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> 
     distorted_angle = angle * (1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
     is_behind = z <= 0.0
     # on the axis, angle / radius tends to 1 / z
-    scale = torch.where(on_axis, 1.0 / torch.where(is_behind, 1.0, z), distorted_angle / r)
-    impossible = is_behind | (scale <= 0.0)
-    pixels = K.diagonal()[:2] * scale[..., None] * points[..., :2] + K[:2, 2]
+    magnification = torch.where(on_axis, 1.0 / torch.where(is_behind, 1.0, z), distorted_angle / r)
+    impossible = is_behind | (magnification <= 0.0)
+    pixels = K.diagonal()[:2] * magnification[..., None] * points[..., :2] + K[:2, 2]
     return torch.where(impossible[..., None], 0.0, pixels), ~impossible & ((full_angle < max_angle) | on_axis)
 
 

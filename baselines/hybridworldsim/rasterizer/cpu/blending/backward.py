@@ -79,14 +79,14 @@ def blend_tiles_backward(
     alpha_max: float,
     transmittance: Float32,
     background_sum: Float32,
-    gradient: Float32,
+    grad_colours: Float32,
     last: Int32,
     scratch: Float32,
     block_bits: Int32,
     extra_sums: Float32,
     lines: Float32,
     line_size: int,
-    absolute: bool,
+    absgrad: bool,
 ) -> None:
     """Compute the gradients of the Gaussians of some tiles.
 
@@ -106,14 +106,14 @@ def blend_tiles_backward(
         transmittance: (T * 256,) on entry behind the last of these Gaussians, on return in front of the first.
         background_sum: (T * 256,) on entry the sum over the Gaussians behind these of weight * feature * gradient,
             minus the final transmittance * gradient of alpha; on return these Gaussians are included.
-        gradient: (T * channels * 256,) gradient of the image, in blocks.
+        grad_colours: (T * channels * 256,) gradient to the image, in blocks.
         last: (T * 256,) index in its tile of the last Gaussian of a pixel.
         scratch: (BATCH * PLACEMENT_SIZE,) scratch.
         block_bits: (BATCH,) scratch.
         extra_sums: ((line_size - SUMS) * LANES,) scratch, zero on entry.
         lines: (pairs * line_size,) output.
         line_size: length of a line.
-        absolute: whether to compute the sums of absolute values.
+        absgrad: whether to compute the sums of absolute values.
     """
     block_x, block_y = load(BLOCK_X, 0), load(BLOCK_Y, 0)
     cap, zero, one = np.float32(alpha_max), broadcast(np.float32(0.0)), broadcast(np.float32(1.0))
@@ -158,7 +158,7 @@ def blend_tiles_backward(
                 f0, f1 = load_one(rows, row + FEATURES), load_one(rows, row + FEATURES + 1)
                 f2, f3 = load_one(rows, row + FEATURES + 2), load_one(rows, row + FEATURES + 3)
                 s0, su, sv, suu, suv, svv = zero, zero, zero, zero, zero, zero
-                abs_u, abs_v, by0, by1, by2, by3 = zero, zero, zero, zero, zero, zero
+                abs_u, abs_v, grad_f0, grad_f1, grad_f2, grad_f3 = zero, zero, zero, zero, zero, zero
                 for channel in range(4, channels):
                     store(extra_sums, channel * LANES, zero)
                 blocks_left = np.uint64(block_bits[k])
@@ -177,31 +177,31 @@ def blend_tiles_backward(
                     in_front = load(transmittance, at) * share
                     store(transmittance, at, in_front)
                     weight = alpha * in_front
-                    g0, g1 = load(gradient, to), load(gradient, to + PIXELS)
-                    g2, g3 = load(gradient, to + 2 * PIXELS), load(gradient, to + 3 * PIXELS)
-                    worth = fma(g0, f0, fma(g1, f1, fma(g2, f2, g3 * f3)))
-                    by0, by1, by2, by3 = (
-                        fma(weight, g0, by0),
-                        fma(weight, g1, by1),
-                        fma(weight, g2, by2),
-                        fma(weight, g3, by3),
+                    g0, g1 = load(grad_colours, to), load(grad_colours, to + PIXELS)
+                    g2, g3 = load(grad_colours, to + 2 * PIXELS), load(grad_colours, to + 3 * PIXELS)
+                    grad_weight = fma(g0, f0, fma(g1, f1, fma(g2, f2, g3 * f3)))
+                    grad_f0, grad_f1, grad_f2, grad_f3 = (
+                        fma(weight, g0, grad_f0),
+                        fma(weight, g1, grad_f1),
+                        fma(weight, g2, grad_f2),
+                        fma(weight, g3, grad_f3),
                     )
                     for channel in range(4, channels):
-                        here = load(gradient, to + channel * PIXELS)
-                        worth = fma(here, load_one(rows, row + FEATURES + channel), worth)
-                        store(extra_sums, channel * LANES, fma(weight, here, load(extra_sums, channel * LANES)))
+                        grad_colour = load(grad_colours, to + channel * PIXELS)
+                        grad_weight = fma(grad_colour, load_one(rows, row + FEATURES + channel), grad_weight)
+                        store(extra_sums, channel * LANES, fma(weight, grad_colour, load(extra_sums, channel * LANES)))
                     rest = load(background_sum, at)
-                    store(background_sum, at, fma(weight, worth, rest))
-                    by_alpha = fnma(share, rest, in_front * worth)
-                    s = select(value <= cap, alpha * by_alpha, zero)
+                    store(background_sum, at, fma(weight, grad_weight, rest))
+                    grad_alpha = fnma(share, rest, in_front * grad_weight)
+                    s = select(value <= cap, alpha * grad_alpha, zero)
                     s0 = s0 + s
                     s_u, s_v = s * u, s * v
                     su, sv = su + s_u, sv + s_v
                     suu, suv, svv = fma(s_u, u, suu), fma(s_u, v, suv), fma(s_v, v, svv)
-                    if absolute:
+                    if absgrad:
                         abs_u = abs_u + abs_(s_u)
                         abs_v = abs_v + abs_(fma(s_u, f12, s_v * f22))
-                sums = (s0, su, sv, suu, suv, svv, abs_u, abs_v, by0, by1, by2, by3)
+                sums = (s0, su, sv, suu, suv, svv, abs_u, abs_v, grad_f0, grad_f1, grad_f2, grad_f3)
                 if channels <= 4:
                     store_nontemporal(lines, to_line, sum_each(sums))
                     continue
@@ -223,11 +223,11 @@ def reduce_lines(
     rows: Float32,
     stride: int,
     opacities: Float32,
-    means: Float32,
-    conics: Float64,
-    by_opacity: Float32,
-    by_feature: Float32,
-    absolute: Float32,
+    grad_means2d: Float32,
+    grad_conics: Float64,
+    grad_opacities: Float32,
+    grad_features: Float32,
+    absgrad: Float32,
     sums: Float32,
 ) -> None:
     """Add the lines of each Gaussian, and convert the sums to gradients.
@@ -241,14 +241,14 @@ def reduce_lines(
         rows: packed rows of the Gaussians.
         stride: length of a row.
         opacities: (M,).
-        means: (M, 2) output, gradient to the means.
-        conics: (M, 3) output, gradient to the conics.
-        by_opacity: (M,) output, gradient to the opacities.
-        by_feature: (M, D) output, gradient to the features.
-        absolute: (M, 2) output, sums of the absolute gradients of each pixel to the means.
+        grad_means2d: (M, 2) output, gradient to the means.
+        grad_conics: (M, 3) output, gradient to the conics.
+        grad_opacities: (M,) output, gradient to the opacities.
+        grad_features: (M, D) output, gradient to the features.
+        absgrad: (M, 2) output, sums of the absolute gradients of each pixel to the means.
         sums: (line_size,) scratch.
     """
-    channels, none = by_feature.shape[1], broadcast(np.float32(0.0))
+    channels, none = grad_features.shape[1], broadcast(np.float32(0.0))
     for i in range(begin, end):
         for column in range(0, line_size, LANES):
             # compensated (Kahan) summation: the rounding error of each sum is subtracted from the next addend
@@ -263,12 +263,12 @@ def reduce_lines(
         f11, f12, f22 = load_factors(rows, row)
         shear = f12 / f22
         suu, suv, svv = np.float64(sums[3]), np.float64(sums[4]), np.float64(sums[5])
-        means[i, 0] = _LN4 * f11 * sums[1]
-        means[i, 1] = _LN4 * (f12 * sums[1] + f22 * sums[2])
-        conics[i, 0] = -0.5 * (suu - 2.0 * shear * suv + shear * shear * svv) / (f11 * f11)
-        conics[i, 1] = -(suv - shear * svv) / (f11 * f22)
-        conics[i, 2] = -0.5 * svv / (f22 * f22)
-        by_opacity[i] = sums[0] / opacities[i] if opacities[i] > 0.0 else 0.0
-        absolute[i, 0], absolute[i, 1] = _LN4 * f11 * sums[6], _LN4 * sums[7]
+        grad_means2d[i, 0] = _LN4 * f11 * sums[1]
+        grad_means2d[i, 1] = _LN4 * (f12 * sums[1] + f22 * sums[2])
+        grad_conics[i, 0] = -0.5 * (suu - 2.0 * shear * suv + shear * shear * svv) / (f11 * f11)
+        grad_conics[i, 1] = -(suv - shear * svv) / (f11 * f22)
+        grad_conics[i, 2] = -0.5 * svv / (f22 * f22)
+        grad_opacities[i] = sums[0] / opacities[i] if opacities[i] > 0.0 else 0.0
+        absgrad[i, 0], absgrad[i, 1] = _LN4 * f11 * sums[6], _LN4 * sums[7]
         for channel in range(channels):
-            by_feature[i, channel] = sums[SUMS + channel]
+            grad_features[i, channel] = sums[SUMS + channel]

@@ -135,11 +135,11 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(context: Any, by_image: Tensor | None, by_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
+    def backward(context: Any, grad_image: Tensor | None, grad_alpha: Tensor | None, _: None) -> tuple[Any, ...]:
         means2d, opacities, splats, slices, canvas, shape, alpha_max, absgrad = context.saved
         gradients = _Gradients.zeros(len(opacities), shape[2])
-        to_colours, transmittance, background_sum = canvas.gradients_to_blocks(
-            _to_array(by_image, shape), _to_array(by_alpha, shape[:2])
+        grad_colours, transmittance, background_sum = canvas.gradients_to_blocks(
+            _to_array(grad_image, shape), _to_array(grad_alpha, shape[:2])
         )
         first_lines = _first_lines(slices, len(opacities))
         line_size = LANES * -(-(SUMS + splats.channels) // LANES)
@@ -150,7 +150,7 @@ class _Blend(torch.autograd.Function):
                 splats,
                 part,
                 alpha_max,
-                to_colours,
+                grad_colours,
                 transmittance,
                 background_sum,
                 first_lines,
@@ -245,7 +245,7 @@ def _backward_slice(
     splats: Splats,
     part: _Slice,
     alpha_max: float,
-    to_colours: Float32,
+    grad_colours: Float32,
     transmittance: Float32,
     background_sum: Float32,
     first_lines: Int64,
@@ -260,7 +260,7 @@ def _backward_slice(
         blend_tiles_backward(
             numbers[row], tiles.tile_starts, tiles.ids, tiles.pair_ranks, first_lines, part.counts_before,
             part.processed_end, splats.rows, splats.stride, splats.channels, canvas.tiles_x, alpha_max, transmittance,
-            background_sum, to_colours, canvas.last, empty_aligned(BATCH * PLACEMENT_SIZE),
+            background_sum, grad_colours, canvas.last, empty_aligned(BATCH * PLACEMENT_SIZE),
             empty_aligned(BATCH, np.int32), full_aligned((line_size - SUMS) * LANES, 0.0), lines, line_size, absgrad,
         )  # fmt: skip
 

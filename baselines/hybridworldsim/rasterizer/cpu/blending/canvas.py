@@ -56,35 +56,35 @@ class Canvas(NamedTuple):
         in_parallel(write, self.tiles_y)
         return image, alpha
 
-    def gradients_to_blocks(self, by_image: Float32, by_alpha: Float32) -> tuple[Float32, Float32, Float32]:
+    def gradients_to_blocks(self, grad_image: Float32, grad_alpha: Float32) -> tuple[Float32, Float32, Float32]:
         """Convert gradients from image to block layout.
 
         Args:
-            by_image: (H, W, D) gradient to the image.
-            by_alpha: (H, W) gradient to alpha.
+            grad_image: (H, W, D) gradient to the image.
+            grad_alpha: (H, W) gradient to alpha.
 
         Returns:
             The gradient to the colours (T * channels * 256,); the remaining transmittance (T * 256,); and minus the
             transmittance times the gradient to alpha (T * 256,).
         """
-        to_colours = full_aligned(len(self.colours), 0.0)
+        grad_colours = full_aligned(len(self.colours), 0.0)
         transmittance, background_sum = empty_aligned(len(self.transmittance)), empty_aligned(len(self.transmittance))
 
         def write(row: int) -> None:
             _gradients_to_blocks(
                 row,
-                by_image,
-                by_alpha,
+                grad_image,
+                grad_alpha,
                 self.transmittance,
                 self.channels,
                 self.tiles_x,
-                to_colours,
+                grad_colours,
                 transmittance,
                 background_sum,
             )
 
         in_parallel(write, self.tiles_y)
-        return to_colours, transmittance, background_sum
+        return grad_colours, transmittance, background_sum
 
 
 def make_canvas(width: int, height: int, channels: int) -> Canvas:
@@ -165,17 +165,17 @@ def _blocks_to_image(
 @kernel()
 def _gradients_to_blocks(
     tile_y: int,
-    by_image: Float32,
-    by_alpha: Float32,
+    grad_image: Float32,
+    grad_alpha: Float32,
     remaining: Float32,
     channels: int,
     tiles_x: int,
-    to_colours: Float32,
+    grad_colours: Float32,
     transmittance: Float32,
     background_sum: Float32,
 ) -> None:
     """Copy the gradients of a row of tiles to blocks."""
-    height, width, image_channels = by_image.shape
+    height, width, image_channels = grad_image.shape
     for tile_x in range(tiles_x):
         tile = tile_y * tiles_x + tile_x
         for block in range(BLOCKS):
@@ -186,7 +186,7 @@ def _gradients_to_blocks(
                 transmittance[at], background_sum[at] = abs(remaining[at]), np.float32(0.0)
                 y, x = np.uint64(y0 + lane // 4), np.uint64(x0 + lane % 4)
                 if y < np.uint64(height) and x < np.uint64(width):
-                    background_sum[at] = -transmittance[at] * by_alpha[y, x]
+                    background_sum[at] = -transmittance[at] * grad_alpha[y, x]
                     for channel in range(image_channels):
                         place = np.uint64(color_start + channel * PIXELS + lane)
-                        to_colours[place] = by_image[y, x, np.uint64(channel)]
+                        grad_colours[place] = grad_image[y, x, np.uint64(channel)]

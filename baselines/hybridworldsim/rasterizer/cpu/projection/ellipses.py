@@ -153,19 +153,19 @@ def find_candidates(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any
         if lanes.to_bits(inside) == 0:
             continue
         s0, s1, s2 = lanes.load_triples(scales, rows, found)
-        size = lanes.max_or_b(lanes.max_or_b(lanes.abs_(s0), lanes.abs_(s1)), lanes.abs_(s2))
+        greatest_scale = lanes.max_or_b(lanes.max_or_b(lanes.abs_(s0), lanes.abs_(s1)), lanes.abs_(s2))
         opacity = lanes.gather(opacities, rows, found, 1, 0)
         if not camera.square:
             opacity_count += lanes.count_set(inside & (opacity < ALPHA_MIN))
             inside = inside & (opacity >= ALPHA_MIN)
         # sqrt(2 ln(255 o)) is less than o sqrt(2 ln 255) where o is more than 1
         reach = lanes.max_or_b(opacity, 1.0)
-        size, margin = reach * size, reach * camera.margin
+        greatest_scale, margin = reach * greatest_scale, reach * camera.margin
         off_x = lanes.abs_(camera.fx * x + (camera.cx - half_x) * z) - (half_x + margin) * z
         off_y = lanes.abs_(camera.fy * y + (camera.cy - half_y) * z) - (half_y + margin) * z
-        beside = (off_x > camera.reach_x * size) | (off_y > camera.reach_y * size)
+        beside = (off_x > camera.reach_x * greatest_scale) | (off_y > camera.reach_y * greatest_scale)
         frustum_count += lanes.count_set(inside & beside)
-        inside = inside & (off_x <= camera.reach_x * size) & (off_y <= camera.reach_y * size)
+        inside = inside & (off_x <= camera.reach_x * greatest_scale) & (off_y <= camera.reach_y * greatest_scale)
         kept = lanes.to_bits(inside)
         for lane in range(8):
             rows[found] = row + lane
@@ -235,15 +235,17 @@ def write_records(
         return written
 
     # the form as (f11 dx + f12 dy)^2 + (f22 dy)^2: the square is completed in x
-    scale = 1.0 / lanes.sqrt(yy * determinant)
-    inverse = scale * scale * yy
+    inverse_root = 1.0 / lanes.sqrt(yy * determinant)
+    inverse = inverse_root * inverse_root * yy
     lanes.store_pairs(means2d, written, mean[0], mean[1])
     lanes.store_pairs(
         means2d_low, written, mean[0] - lanes.round_to_float32(mean[0]), mean[1] - lanes.round_to_float32(mean[1])
     )
     lanes.store(depths, written, depth)
     lanes.store_triples(conics, written, yy * inverse, 0.0 - xy * inverse, xx * inverse)
-    lanes.store_triples(factors, written, yy * scale, 0.0 - xy * scale, lanes.sqrt(determinant) * scale)
+    lanes.store_triples(
+        factors, written, yy * inverse_root, 0.0 - xy * inverse_root, lanes.sqrt(determinant) * inverse_root
+    )
     lanes.store(compensations, written, compensation)
     lanes.store_pairs(radii, written, lanes.min_or_b(radius_x, RADIUS_MAX), lanes.min_or_b(radius_y, RADIUS_MAX))
     for lane in range(8):

@@ -88,17 +88,17 @@ def _project_fisheye(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
     distorted = angle * (1.0 + q * (lens.k1 + q * (lens.k2 + q * (lens.k3 + q * lens.k4))))
     derivative = 1.0 + q * (3.0 * lens.k1 + q * (5.0 * lens.k2 + q * (7.0 * lens.k3 + q * 9.0 * lens.k4)))
     derivative = lanes.select(full <= lens.last, derivative, 0.0) / (squared + z * z)
-    scale = lanes.select(off_axis, distorted / r, 1.0 / z)
-    # derivatives of the scale: by the radius, divided by the radius, and by depth; both are 0 on the axis
-    outward = lanes.select(off_axis, (derivative * z - scale) / (r * r), 0.0)
+    magnification = lanes.select(off_axis, distorted / r, 1.0 / z)
+    # derivatives of the magnification: by the radius, divided by the radius, and by depth; both are 0 on the axis
+    outward = lanes.select(off_axis, (derivative * z - magnification) / (r * r), 0.0)
     deeper = lanes.select(off_axis, 0.0 - derivative, 0.0)
     fx, fy = camera.fx, camera.fy
     return (
-        fx * scale * x + camera.cx,
-        fy * scale * y + camera.cy,
-        (fx * (scale + x * x * outward), fx * x * y * outward, fx * x * deeper),
-        (fy * x * y * outward, fy * (scale + y * y * outward), fy * y * deeper),
-        scale > 0.0,
+        fx * magnification * x + camera.cx,
+        fy * magnification * y + camera.cy,
+        (fx * (magnification + x * x * outward), fx * x * y * outward, fx * x * deeper),
+        (fy * x * y * outward, fy * (magnification + y * y * outward), fy * y * deeper),
+        magnification > 0.0,
         lanes.select(off_axis, full, -1.0) < lens.last,
     )
 
@@ -120,10 +120,10 @@ def _project_pinhole(camera: Any, lens: Any, x: Any, y: Any, z: Any) -> Any:
     distorted_u = radial * u + 2.0 * lens.p1 * u * v + lens.p2 * (q + 2.0 * u * u) + q * (lens.s1 + q * lens.s2)
     distorted_v = radial * v + lens.p1 * (q + 2.0 * v * v) + 2.0 * lens.p2 * u * v + q * (lens.s3 + q * lens.s4)
     mixed = u * v * slope + 2.0 * (lens.p1 * u + lens.p2 * v)
-    by_x, by_y = camera.fx / z, camera.fy / z
-    uu = by_x * (radial + u * u * slope + 2.0 * lens.p1 * v + 6.0 * lens.p2 * u + u * prism_u)
-    uv, vu = by_x * (mixed + v * prism_u), by_y * (mixed + u * prism_v)
-    vv = by_y * (radial + v * v * slope + 6.0 * lens.p1 * v + 2.0 * lens.p2 * u + v * prism_v)
+    fx_over_z, fy_over_z = camera.fx / z, camera.fy / z
+    uu = fx_over_z * (radial + u * u * slope + 2.0 * lens.p1 * v + 6.0 * lens.p2 * u + u * prism_u)
+    uv, vu = fx_over_z * (mixed + v * prism_u), fy_over_z * (mixed + u * prism_v)
+    vv = fy_over_z * (radial + v * v * slope + 6.0 * lens.p1 * v + 2.0 * lens.p2 * u + v * prism_v)
     return (
         camera.fx * distorted_u + camera.cx,
         camera.fy * distorted_v + camera.cy,

@@ -68,8 +68,8 @@ def project_part(camera: Any, gaussians: Any, begin: Any, end: Any, rows: Any, o
         u, v = x * inverse_depth, y * inverse_depth
         over_x, over_y, _, _ = jacobian(camera, u, v, inverse_depth)
         a, b = row_times_matrix(over_x, first, second, third), row_times_matrix(over_y, first, second, third)
-        size = lanes.load_triples(scales, rows, start)
-        shape = covariance(multiply(a, size), multiply(b, size))
+        scale = lanes.load_triples(scales, rows, start)
+        shape = covariance(multiply(a, scale), multiply(b, scale))
         mean = camera.fx * u + camera.cx, camera.fy * v + camera.cy
         opacity = lanes.gather(opacities, rows, start, 1, 0)
         lanes_in_use = lanes.first_lanes(found - start)

@@ -158,19 +158,19 @@ class _Project(torch.autograd.Function):
             flat(torch.zeros(3) if gradient is None else gradient, kind) for gradient, kind in zip(gradients, _UPSTREAM)
         )
         strides = tuple(0 if gradient is None else width for gradient, width in zip(gradients, (2, 1, 3, 1)))
-        to_inputs_flat = tuple(
+        grad_inputs_flat = tuple(
             empty_aligned(number * width, inputs_flat[0].dtype).reshape(number, width) for width in (3, 4, 3)
         )
         indices = ids.numpy()
         parts = -(-written // PART)
-        to_viewmat = np.zeros((parts, 12))
+        grad_viewmat = np.zeros((parts, 12))
 
         def run_part(part: int) -> None:
             span = part * PART, min((part + 1) * PART, written)
             rows, buffer = np.empty(16, np.int64), np.empty(80, inputs_flat[0].dtype)
             arguments, outputs = (
                 (inputs_flat, indices, upstream, strides, *span),
-                (buffer, to_inputs_flat, to_viewmat[part]),
+                (buffer, grad_inputs_flat, grad_viewmat[part]),
             )
             if ctx.kernel_lens is None:
                 project_part_backward(ctx.camera, *arguments, rows, *outputs)
@@ -178,11 +178,11 @@ class _Project(torch.autograd.Function):
                 unscented_part_backward(ctx.camera, ctx.kernel_lens, *arguments, rows, np.empty(SCRATCH), *outputs)
 
         in_parallel(run_part, parts)
-        for array in to_inputs_flat:
+        for array in grad_inputs_flat:
             array[int(indices[-1]) + 1 if written else 0 :] = 0.0
         total = np.zeros((4, 4))
-        summed = to_viewmat.sum(axis=0)
+        summed = grad_viewmat.sum(axis=0)
         total[:3, :3], total[:3, 3] = summed[:9].reshape(3, 3), summed[9:]
         inputs = (means, quats, scales)
-        to_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(to_inputs_flat, inputs)]
-        return *to_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None, None
+        grad_inputs = [torch.from_numpy(array).to(tensor.dtype) for array, tensor in zip(grad_inputs_flat, inputs)]
+        return *grad_inputs, torch.from_numpy(total).to(viewmat.dtype), None, None, None

@@ -26,8 +26,8 @@ from hybridworldsim.rasterizer.cpu.projection.gradients import (
     combine,
     covariance_gradient,
     load_upstream,
+    multiply_by,
     quaternion_gradient,
-    scale,
     select_rows,
     store_gradients,
     store_viewmat_sums,
@@ -55,17 +55,17 @@ def _axes(camera: Any, first: Any, second: Any, third: Any) -> Any:
 
 
 @kernel(inline="always")
-def _put_steps(axes: Any, size: Any, scratch: Any) -> None:
+def _put_steps(axes: Any, scale: Any, scratch: Any) -> None:
     """Store the steps from the mean to the points, axis by axis."""
-    lanes.store(scratch, 0, UT_SPREAD * size[0] * axes[0][0])
-    lanes.store(scratch, 8, UT_SPREAD * size[0] * axes[1][0])
-    lanes.store(scratch, 16, UT_SPREAD * size[0] * axes[2][0])
-    lanes.store(scratch, 24, UT_SPREAD * size[1] * axes[0][1])
-    lanes.store(scratch, 32, UT_SPREAD * size[1] * axes[1][1])
-    lanes.store(scratch, 40, UT_SPREAD * size[1] * axes[2][1])
-    lanes.store(scratch, 48, UT_SPREAD * size[2] * axes[0][2])
-    lanes.store(scratch, 56, UT_SPREAD * size[2] * axes[1][2])
-    lanes.store(scratch, 64, UT_SPREAD * size[2] * axes[2][2])
+    lanes.store(scratch, 0, UT_SPREAD * scale[0] * axes[0][0])
+    lanes.store(scratch, 8, UT_SPREAD * scale[0] * axes[1][0])
+    lanes.store(scratch, 16, UT_SPREAD * scale[0] * axes[2][0])
+    lanes.store(scratch, 24, UT_SPREAD * scale[1] * axes[0][1])
+    lanes.store(scratch, 32, UT_SPREAD * scale[1] * axes[1][1])
+    lanes.store(scratch, 40, UT_SPREAD * scale[1] * axes[2][1])
+    lanes.store(scratch, 48, UT_SPREAD * scale[2] * axes[0][2])
+    lanes.store(scratch, 56, UT_SPREAD * scale[2] * axes[1][2])
+    lanes.store(scratch, 64, UT_SPREAD * scale[2] * axes[2][2])
 
 
 @kernel(inline="always")
@@ -175,7 +175,7 @@ def unscented_part_backward(
     scratch: Any,
     buffer: Any,
     output: Any,
-    to_viewmat: Any,
+    grad_viewmat: Any,
 ) -> None:
     """Compute the gradients of a range of visible Gaussians; write zeros for invisible Gaussians between them.
 
@@ -192,7 +192,7 @@ def unscented_part_backward(
         scratch: (SCRATCH,) float64 scratch.
         buffer: (80,) scratch in the dtype of the output.
         output: (N, 3), (N, 4), (N, 3), the gradients; the caller fills the rows after the last visible Gaussian.
-        to_viewmat: (12,) output, the sums of this part for the rotation, row by row, and the translation.
+        grad_viewmat: (12,) output, the sums of this part for the rotation, row by row, and the translation.
     """
     means, quats, scales = gaussians
     view_x, view_y = (camera.r00, camera.r01, camera.r02), (camera.r10, camera.r11, camera.r12)
@@ -202,71 +202,74 @@ def unscented_part_backward(
     next_row = 0 if begin == 0 else ids[begin - 1] + 1
     for start in range(begin, end, 8):
         select_rows(ids, start, end, rows)
-        world, quaternion = lanes.load_triples(means, rows, 8), lanes.load_quadruples(quats, rows, 8)
-        size = lanes.load_triples(scales, rows, 8)
+        world, quat = lanes.load_triples(means, rows, 8), lanes.load_quadruples(quats, rows, 8)
+        scale = lanes.load_triples(scales, rows, 8)
         mean = to_camera(camera, world)
-        first, second, third, k, _ = rotation(quaternion)
+        first, second, third, k, _ = rotation(quat)
         axes = _axes(camera, first, second, third)
-        _put_steps(axes, size, scratch)
+        _put_steps(axes, scale, scratch)
         for number in range(7):
             x, y, _, _, _ = project_point(camera, lens, _point(number, mean, scratch))
             lanes.store(scratch, _PIXELS + 16 * number, x)
             lanes.store(scratch, _PIXELS + 16 * number + 8, y)
         shift, shape = _moments(scratch)
 
-        to_mean, to_depth, to_conic, to_compensation = load_upstream(
+        grad_mean2d, grad_depth, grad_conic, grad_compensation = load_upstream(
             upstream, strides, rows, lanes.first_lanes(end - start)
         )
-        to_xx, to_xy, to_yy = covariance_gradient(camera, shape, to_conic, to_compensation)
-        shift_x = _WEIGHT * (to_mean[0] + 2.0 * _OUTER * (to_xx * shift[0] + to_xy * shift[1]))
-        shift_y = _WEIGHT * (to_mean[1] + 2.0 * _OUTER * (to_xy * shift[0] + to_yy * shift[1]))
-        rest_x, rest_y = to_mean
-        to_mean_camera = (zero, zero, to_depth)
+        grad_xx, grad_xy, grad_yy = covariance_gradient(camera, shape, grad_conic, grad_compensation)
+        shift_x = _WEIGHT * (grad_mean2d[0] + 2.0 * _OUTER * (grad_xx * shift[0] + grad_xy * shift[1]))
+        shift_y = _WEIGHT * (grad_mean2d[1] + 2.0 * _OUTER * (grad_xy * shift[0] + grad_yy * shift[1]))
+        rest_x, rest_y = grad_mean2d
+        grad_mean_camera = (zero, zero, grad_depth)
         for back in range(7):
             number = 6 - back  # the mean is last: its gradient is the rest
-            to_pixel_x, to_pixel_y = rest_x, rest_y
+            grad_pixel_x, grad_pixel_y = rest_x, rest_y
             if number > 0:
                 at = _PIXELS + 16 * number
                 x, y = lanes.load(scratch, at), lanes.load(scratch, at + 8)
-                to_pixel_x = 2.0 * _WEIGHT * (to_xx * x + to_xy * y) + shift_x
-                to_pixel_y = 2.0 * _WEIGHT * (to_xy * x + to_yy * y) + shift_y
-                rest_x, rest_y = rest_x - to_pixel_x, rest_y - to_pixel_y
+                grad_pixel_x = 2.0 * _WEIGHT * (grad_xx * x + grad_xy * y) + shift_x
+                grad_pixel_y = 2.0 * _WEIGHT * (grad_xy * x + grad_yy * y) + shift_y
+                rest_x, rest_y = rest_x - grad_pixel_x, rest_y - grad_pixel_y
             _, _, slope_x, slope_y, _ = project_point(camera, lens, _point(number, mean, scratch))
-            to_point = combine(to_pixel_x, slope_x, to_pixel_y, slope_y)
-            lanes.store(scratch, _POINTS + 24 * number, to_point[0])
-            lanes.store(scratch, _POINTS + 24 * number + 8, to_point[1])
-            lanes.store(scratch, _POINTS + 24 * number + 16, to_point[2])
-            to_mean_camera = add(to_mean_camera, to_point)
+            grad_point = combine(grad_pixel_x, slope_x, grad_pixel_y, slope_y)
+            lanes.store(scratch, _POINTS + 24 * number, grad_point[0])
+            lanes.store(scratch, _POINTS + 24 * number + 8, grad_point[1])
+            lanes.store(scratch, _POINTS + 24 * number + 16, grad_point[2])
+            grad_mean_camera = add(grad_mean_camera, grad_point)
 
         along_x, along_y, along_z = _step_gradient(0, scratch), _step_gradient(8, scratch), _step_gradient(16, scratch)
-        to_size = (
+        grad_scale = (
             along_x[0] * axes[0][0] + along_y[0] * axes[1][0] + along_z[0] * axes[2][0],
             along_x[1] * axes[0][1] + along_y[1] * axes[1][1] + along_z[1] * axes[2][1],
             along_x[2] * axes[0][2] + along_y[2] * axes[1][2] + along_z[2] * axes[2][2],
         )
-        to_x = (along_x[0] * size[0], along_x[1] * size[1], along_x[2] * size[2])
-        to_y = (along_y[0] * size[0], along_y[1] * size[1], along_y[2] * size[2])
-        to_z = (along_z[0] * size[0], along_z[1] * size[1], along_z[2] * size[2])
-        to_quaternion = quaternion_gradient(
-            quaternion,
+        grad_x = (along_x[0] * scale[0], along_x[1] * scale[1], along_x[2] * scale[2])
+        grad_y = (along_y[0] * scale[0], along_y[1] * scale[1], along_y[2] * scale[2])
+        grad_z = (along_z[0] * scale[0], along_z[1] * scale[1], along_z[2] * scale[2])
+        grad_quat = quaternion_gradient(
+            quat,
             k,
-            add(combine(camera.r00, to_x, camera.r10, to_y), scale(camera.r20, to_z)),
-            add(combine(camera.r01, to_x, camera.r11, to_y), scale(camera.r21, to_z)),
-            add(combine(camera.r02, to_x, camera.r12, to_y), scale(camera.r22, to_z)),
+            add(combine(camera.r00, grad_x, camera.r10, grad_y), multiply_by(camera.r20, grad_z)),
+            add(combine(camera.r01, grad_x, camera.r11, grad_y), multiply_by(camera.r21, grad_z)),
+            add(combine(camera.r02, grad_x, camera.r12, grad_y), multiply_by(camera.r22, grad_z)),
         )
         sum_x = add(
-            sum_x, add((dot(to_x, first), dot(to_x, second), dot(to_x, third)), scale(to_mean_camera[0], world))
+            sum_x,
+            add((dot(grad_x, first), dot(grad_x, second), dot(grad_x, third)), multiply_by(grad_mean_camera[0], world)),
         )
         sum_y = add(
-            sum_y, add((dot(to_y, first), dot(to_y, second), dot(to_y, third)), scale(to_mean_camera[1], world))
+            sum_y,
+            add((dot(grad_y, first), dot(grad_y, second), dot(grad_y, third)), multiply_by(grad_mean_camera[1], world)),
         )
         sum_z = add(
-            sum_z, add((dot(to_z, first), dot(to_z, second), dot(to_z, third)), scale(to_mean_camera[2], world))
+            sum_z,
+            add((dot(grad_z, first), dot(grad_z, second), dot(grad_z, third)), multiply_by(grad_mean_camera[2], world)),
         )
-        sum_t = add(sum_t, to_mean_camera)
-        to_world = row_times_matrix(to_mean_camera, view_x, view_y, view_z)
-        next_row = store_gradients(rows, end - start, next_row, buffer, to_world, to_quaternion, to_size, output)
-    store_viewmat_sums(sum_x, sum_y, sum_z, sum_t, to_viewmat)
+        sum_t = add(sum_t, grad_mean_camera)
+        grad_mean = row_times_matrix(grad_mean_camera, view_x, view_y, view_z)
+        next_row = store_gradients(rows, end - start, next_row, buffer, grad_mean, grad_quat, grad_scale, output)
+    store_viewmat_sums(sum_x, sum_y, sum_z, sum_t, grad_viewmat)
 
 
 @kernel(inline="always")

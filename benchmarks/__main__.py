@@ -20,7 +20,7 @@ FORMER_NAMES: Final = {"reconstruction": "static_reconstruction", "colour_attack
 
 
 def modules() -> dict[str, str]:
-    """The module of each benchmark, by the benchmark's name; a package has its `main` in its module `benchmark`.
+    """Return the module of each benchmark, by the benchmark's name; a package has its `main` in its module `benchmark`.
 
     Every study is a package; the modules beside them are what studies share.
     """

@@ -44,7 +44,7 @@ def largest(values: AnyArray) -> float:
 
 
 def to_matrices(rotation: Float64, translation: Float64) -> Long:
-    """Homogeneous matrices of poses in 80-bit floats."""
+    """Return the homogeneous matrices of poses in 80-bit floats."""
     w, x, y, z = rotation.astype(np.longdouble).T
     square = w * w + x * x + y * y + z * z
     matrix = np.zeros((len(rotation), 4, 4), dtype=np.longdouble)
@@ -196,7 +196,7 @@ def interpolation_rows(size: int) -> Iterator[Row]:
 
 
 def project_long(camera: Camera, points: AnyArray) -> Long:
-    """The documented formulas of every camera model in 80-bit floats."""
+    """Return the documented formulas of every camera model in 80-bit floats."""
     x, y, z = points.astype(np.longdouble).T
     if camera.lens.forward_only:
         x, y = x / z, y / z
@@ -248,7 +248,10 @@ def camera_rows(size: int) -> Iterator[Row]:
 def opencv_peers(
     camera: Camera, points: Float64, seen: Float64, exact: Long
 ) -> tuple[tuple[Peer, ...], tuple[Peer, ...]]:
-    """OpenCV's time and error for the same points: projection, and its inverse with few and with many iterations."""
+    """Measure OpenCV's time and error for the same points.
+
+    Projection, and its inverse with few and with many iterations.
+    """
     import cv2
 
     if camera.model == "f_theta":

@@ -95,7 +95,7 @@ def _child(python: str, code: str, root: Path) -> dict[str, Any]:
 
 
 def token(*words: object) -> str:
-    """A token of 32 hexadecimal digits."""
+    """Return a token of 32 hexadecimal digits."""
     return md5(" ".join(map(str, words)).encode()).hexdigest()
 
 

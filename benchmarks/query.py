@@ -62,7 +62,7 @@ print(json.dumps({"imported": imported, "open_ms": opened * 1e3, "idle": idle, "
 
 
 def scene_centre(scene: int) -> tuple[float, float]:
-    """Longitude and latitude of a generated scene."""
+    """Return the longitude and latitude of a generated scene."""
     return -79.4 + 0.02 * scene, 43.6 + 0.01 * (scene % 3)
 
 
@@ -87,7 +87,7 @@ def generate(root: Path, rows: int) -> Path:
 
 
 def make_image(seed: int) -> UInt8:
-    """An image with smooth parts, edges and noise, which compresses like a photograph."""
+    """Return an image with smooth parts, edges and noise, which compresses like a photograph."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -101,7 +101,7 @@ def make_image(seed: int) -> UInt8:
 
 
 def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[set[tuple[object, ...]], float]:
-    """Keys of all rows within a circle, by pandas over all rows and PROJ; and the time this took."""
+    """Return the keys of all rows within a circle, by pandas over all rows and PROJ; and the time this took."""
     import pandas as pd
     import pyproj
 
@@ -118,7 +118,7 @@ def brute_force(dataset: Dataset, within: tuple[float, float, float]) -> tuple[s
 
 
 def query_rows(root: Path) -> Iterator[Row]:
-    """Rows of queries on one generated dataset."""
+    """Yield the rows of queries on one generated dataset."""
     task = json.dumps([str(root), [scene_centre(scene) for scene in range(SCENES)], KEYS])
     done = subprocess.run([sys.executable, "-c", _CHILD, task], capture_output=True, text=True, check=True)
     child = json.loads(done.stdout)
@@ -149,7 +149,7 @@ def query_rows(root: Path) -> Iterator[Row]:
 
 
 def decode_row(folder: Path) -> Row:
-    """Time from the files of a random seven-camera set to one contiguous array."""
+    """Return the time from the files of a random seven-camera set to one contiguous array."""
     import cv2
 
     pixels = {camera: make_image(number) for number, camera in enumerate(SEVEN)}

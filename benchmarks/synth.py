@@ -123,7 +123,7 @@ def render_view(view: BenchmarkView) -> UInt8:
 
 
 def render_radiance(view: BenchmarkView, offsets: Float32, footprint_px: float) -> Float32:
-    """Radiance (H, W, 3) of a view with other rays per pixel."""
+    """Return the radiance (H, W, 3) of a view with other rays per pixel."""
     surroundings = view.instant.surroundings
     radiance = rasterize_view(surroundings, view.lens, view.rotation, view.origin, offsets=offsets).radiance(
         footprint_px
@@ -139,7 +139,7 @@ def develop_view(view: BenchmarkView, light: Float32) -> UInt8:
 
 
 def reference(view: BenchmarkView) -> UInt8:
-    """The image with 64 rays per pixel."""
+    """Return the image with 64 rays per pixel."""
     total = np.zeros((*view.lens.rays.shape[:2], 3))
     for row in range(FINE):
         for column in range(FINE):
@@ -149,12 +149,12 @@ def reference(view: BenchmarkView) -> UInt8:
 
 
 def rms_steps(image: UInt8, truth: UInt8) -> float:
-    """Root mean square difference, in 8-bit steps."""
+    """Return the root mean square difference, in 8-bit steps."""
     return float(np.sqrt(np.mean((image.astype(np.float64) - truth) ** 2)))
 
 
 def ray_grid(side: int) -> Float32:
-    """Rays (side^2, 2) of a pixel on a regular grid."""
+    """Return the rays (side^2, 2) of a pixel on a regular grid."""
     at = (np.arange(side) + 0.5) / side - 0.5
     return np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2).astype(np.float32)
 

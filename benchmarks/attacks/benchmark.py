@@ -47,7 +47,7 @@ Means = dict[str, float]
 
 @dataclass(frozen=True)
 class TrueView:
-    """The truth of a view, and what a participant has of it beside the render."""
+    """The truth of a view, and the images that a participant has beside the render."""
 
     view: RenderView
     truth: UInt8
@@ -115,12 +115,12 @@ def attack_row(views: Sequence[TrueView], renders: Sequence[UInt8], out: Path | 
 
 
 def largest_gains(found: Mapping[str, Mapping[str, Means]]) -> dict[str, float]:
-    """The largest gain in the key by row, as a part of the gap between the best and the worst trained row."""
+    """Return the largest gain in the key by row, as a part of the gap between the best and the worst trained row."""
     return {row: max(_find_gain(found, row, attack, KEY) for attack in by_attack) for row, by_attack in found.items()}
 
 
 def find_gap(found: Mapping[str, Mapping[str, Means]], metric: str) -> float:
-    """The difference of the best and the worst trained row in a metric; NaN with fewer than two rows."""
+    """Return the difference of the best and the worst trained row in a metric; NaN with fewer than two rows."""
     values = [by_attack[HONEST][metric] for row, by_attack in found.items() if row != FLOOR]
     gap = max(values) - min(values) if len(values) > 1 else 0.0
     return gap if gap > 0.0 else float("nan")

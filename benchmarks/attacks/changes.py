@@ -45,7 +45,7 @@ def blur(image: Float64, sigma_px: float) -> Float64:
 
 
 def luma(image: UInt8) -> Float64:
-    """Luma (H, W) of ITU-R BT.601 of an image (H, W, 3)."""
+    """Return the luma (H, W) of ITU-R BT.601 of an image (H, W, 3)."""
     return np.asarray(image @ np.array([0.299, 0.587, 0.114]))
 
 

@@ -17,7 +17,7 @@ _LEAST_GAIN: Final = 1e-5
 
 
 def apply_filter(image: UInt8, shares: Float64) -> UInt8:
-    """Filter an image (H, W, 3) by the sum of its blurs with shares (6,); the image itself has what is left of 1."""
+    """Filter an image (H, W, 3) by the sum of its blurs with shares (6,), and itself with the rest to 1."""
     return _sum_blurs(_blurs(image), shares)
 
 

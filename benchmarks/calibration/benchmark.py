@@ -64,7 +64,7 @@ def estimate_draws(
 
 
 def rms_angle(errors: Float64) -> Float64:
-    """Root mean square angles (C,) of each camera over the draws, from errors (D, C, 3)."""
+    """Return the root mean square angles (C,) of each camera over the draws, from errors (D, C, 3)."""
     return np.asarray(np.sqrt((errors**2).sum(axis=2).mean(axis=0)), np.float64)
 
 

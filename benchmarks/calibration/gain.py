@@ -124,7 +124,7 @@ def reconstruct(folder: Path, name: str, steps: int) -> Mapping[tuple[str, str],
 
 
 def layer_errors_deg(dataset: Dataset) -> tuple[Float64, Float64]:
-    """Angles of the errors of all mountings: relative to the first camera of each rig, and to the vehicle."""
+    """Return angles of the errors of all mountings: relative to the first camera of each rig, and to the vehicle."""
     relative, whole = [], []
     for traversal in dataset.traversals():
         used, true = _calibrations(dataset, traversal), _true_mountings(dataset, traversal)

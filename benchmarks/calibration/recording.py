@@ -43,7 +43,7 @@ class DriveTracks:
 
 
 def choose_instants(drive: SynthDrive, choice: FrameChoice) -> Int64:
-    """Times (F,) of the frames that the check would choose."""
+    """Return the times (F,) of the frames that the check would choose."""
     seconds = np.arange(0.0, drive.truth.duration_s, _STEP_S)
     index = choose_stretch(drive.truth.poses(seconds), choice)
     at = np.interp(index, np.arange(len(seconds)), seconds)
@@ -51,7 +51,7 @@ def choose_instants(drive: SynthDrive, choice: FrameChoice) -> Int64:
 
 
 def render_rig(drive: SynthDrive, instants_ns: Int64) -> dict[tuple[int, str], tuple[UInt8, Bool]]:
-    """JPEG files of all images by frame and camera, and what is static in them: the encoded image and (H, W)."""
+    """Render the images of a rig by frame and camera: their JPEG bytes, and masks (H, W) of static pixels."""
     import cv2
 
     drive.prepare()
@@ -68,7 +68,7 @@ def render_rig(drive: SynthDrive, instants_ns: Int64) -> dict[tuple[int, str], t
 
 
 def make_drive(route: str, light: str, vehicle: str, visit: int = 0) -> SynthDrive:
-    """A drive through the urban scene, 960 px wide; another visit has other traffic."""
+    """Return a drive through the urban scene, 960 px wide; another visit has other traffic."""
     return urban_drive(route, light, vehicle=vehicle, visit=visit)  # type: ignore[arg-type]
 
 
@@ -93,7 +93,7 @@ def track_drive(drive: SynthDrive, instants_ns: Int64) -> DriveTracks:
 def recorded_rig(
     tracks: DriveTracks, draw: int, angle_deg: tuple[float, float], *, exact: bool
 ) -> tuple[TrackedRig, Float64]:
-    """A rig as recorded: measured poses, lenses and mounting positions, and rotation errors that are injected.
+    """Return a rig as recorded: measured poses, lenses and mounting positions, and rotation errors that are injected.
 
     Args:
         tracks: the drive with its tracks.
@@ -126,7 +126,7 @@ def recorded_rig(
 
 
 def straightest_instants(drive: SynthDrive, choice: FrameChoice) -> Int64:
-    """Times (F,) of frames on the straightest stretch of a drive."""
+    """Return the times (F,) of frames on the straightest stretch of a drive."""
     seconds = np.arange(0.0, drive.truth.duration_s, _STEP_S)
     driven = drive.truth.driven_m(seconds)
     turns = matrix_from_quaternion(drive.truth.poses(seconds).rotation)

@@ -95,7 +95,7 @@ def match_drives(light: str, vehicle: str, choice: FrameChoice, traversals: int)
 
 
 def recorded_rigs(drives: Sequence[DriveTracks], draw: int) -> MovingRigs:
-    """The rigs as recorded, with injected rotation errors."""
+    """Return the rigs as recorded, with injected rotation errors."""
     rigs = [
         recorded_rig(drive, draw + _SEED_OF_VISIT * visit, INJECTED_DEG, exact=False)[0]
         for visit, drive in enumerate(drives)
@@ -116,18 +116,18 @@ def recorded_rigs(drives: Sequence[DriveTracks], draw: int) -> MovingRigs:
 
 
 def with_exact_lenses(rigs: MovingRigs, drives: Sequence[DriveTracks]) -> MovingRigs:
-    """The rigs with the true lenses."""
+    """Return the rigs with the true lenses."""
     return replace(rigs, cameras=[camera for item in drives for camera in item.drive.vehicle.cameras.values()])
 
 
 def true_rotations(drives: Sequence[DriveTracks]) -> Float64:
-    """(K, 3, 3) true rotations of the mountings."""
+    """Return the true rotations (K, 3, 3) of the mountings."""
     mountings = stack_poses([one for item in drives for one in item.drive.vehicle.ego_SE3_camera.values()])
     return matrix_from_quaternion(mountings.rotation)
 
 
 def angles_deg(turns: Float64, true: Float64, traversals: int = 1) -> tuple[Float64, Float64]:
-    """Angles relative to the first camera of each traversal, the reference, and (K,) to the vehicle."""
+    """Return the angles relative to the first camera of each traversal, the reference, and (K,) to the vehicle."""
     of_rigs = [matrices.reshape(traversals, -1, 3, 3) for matrices in (turns, true)]
     relative = [(np.swapaxes(rigs[:, :1], 2, 3) @ rigs[:, 1:]).reshape(-1, 3, 3) for rigs in of_rigs]
     return tuple(
@@ -137,7 +137,7 @@ def angles_deg(turns: Float64, true: Float64, traversals: int = 1) -> tuple[Floa
 
 
 def is_covered(adjusted: Adjustment, true: Float64) -> Bool:
-    """(K, 3) whether the 95 % intervals of the rotations to the vehicle hold the truth."""
+    """Mark which rotations (K, 3) to the vehicle have the truth in their 95 % intervals."""
     turns = matrix_from_quaternion(adjusted.ego_SE3_camera.rotation)
     off = rotations(np.swapaxes(true, 1, 2) @ turns).log()[:, :3]
     sigma = np.stack(

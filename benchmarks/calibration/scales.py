@@ -66,7 +66,7 @@ class Trial:
 
 
 def bent_way(bend_deg: float, rng: np.random.Generator) -> Poses:
-    """Poses (F,) of a straight way with a bend in its middle, steps of 2 to 3.5 m or at most 12 degrees."""
+    """Return the poses (F,) of a straight way with a bend in its middle, steps of 2 to 3.5 m or at most 12 degrees."""
     share = np.clip((np.arange(_FRAMES) - 3.0) / (_FRAMES - 7.0), 0.0, 1.0)
     yaw = bend_deg * share
     step_m = rng.uniform(2.0, 3.5) * np.sqrt(np.clip(1.0 - (bend_deg / 9.0 / 20.0) ** 2, 0.2, 1.0))
@@ -80,7 +80,7 @@ def bent_way(bend_deg: float, rng: np.random.Generator) -> Poses:
 def track_points(
     poses: Poses, cameras: dict[str, Camera], places: dict[str, Poses], rng: np.random.Generator
 ) -> list[PairTracks]:
-    """Tracks of points 6 to 45 m beside the way between neighbouring images."""
+    """Return the tracks of points 6 to 45 m beside the way between neighbouring images."""
     at = poses.translation[rng.integers(0, _FRAMES, 4000)]
     around, away = rng.uniform(0.0, 2.0 * np.pi, len(at)), rng.uniform(6.0, 45.0, len(at))
     height = rng.uniform(-0.5, 8.0, len(at))
@@ -96,7 +96,7 @@ def track_points(
 
 
 def draw_rig(trial: Trial) -> tuple[TrackedRig, Float64]:
-    """A rig with recorded errors, and its injected rotation errors (C, 3) about the vehicle's axes, degrees."""
+    """Return a rig with recorded errors, and its injected rotation errors (C, 3) about the vehicle's axes, degrees."""
     # The same draws for all priors: what differs is the prior alone.
     rng = np.random.default_rng([trial.draw, int(trial.bend_deg), int(100 * trial.focal_percent), len(trial.rig)])
     cameras = NARROW if trial.rig == "one camera" else CAMERAS
@@ -122,12 +122,12 @@ def draw_rig(trial: Trial) -> tuple[TrackedRig, Float64]:
 
 
 def scale_focal(camera: Camera, scale: float) -> Camera:
-    """The lens with all distances from the principal point scaled, for points near the axis to first order."""
+    """Return the lens with all distances from the principal point scaled, for points near the axis to first order."""
     return replace(camera, fx_px=camera.fx_px * scale, fy_px=camera.fy_px * scale)
 
 
 def run_trial(trial: Trial) -> dict[str, Any]:
-    """Errors and standard deviations (C, 3), degrees, and the processor time of the estimate."""
+    """Return the errors and standard deviations (C, 3), degrees, and the processor time of the estimate."""
     rig, injected = draw_rig(trial)
     start = time.process_time()
     estimates = estimate_rotations(rig, *PRIORS[trial.prior])

@@ -69,7 +69,7 @@ def one_core() -> Iterator[None]:
 
 
 def trigger_rows(poses: int, rois: int) -> Iterator[Row]:
-    """Rows of the trigger against brute force, with its errors."""
+    """Yield the rows of the trigger against brute force, with its errors."""
     made = traffic(poses, rois)
     trigger = Trigger(made.rois, TriggerOptions(), CleaningOptions())
 
@@ -102,14 +102,14 @@ def trigger_rows(poses: int, rois: int) -> Iterator[Row]:
 
 
 def coordinates(track: Track) -> tuple[Float64, Float64]:
-    """Longitude and latitude of a track."""
+    """Return the longitude and latitude of a track."""
     if track.longitude_deg is None or track.latitude_deg is None:
         raise ValueError("the track is in a local frame")
     return track.longitude_deg, track.latitude_deg
 
 
 def pass_keys(passes: Iterable[Pass]) -> set[tuple[str, int, str | None]]:
-    """Keys of passes: scene, entry in milliseconds, and the rule that decided."""
+    """Return the keys of passes: scene, entry in milliseconds, and the rule that decided."""
     return {(one.scene_id, one.entry_ns // 10**6, one.rule) for one in passes}
 
 
@@ -127,7 +127,7 @@ def brute_force(made: Traffic) -> Bool:
 
 
 def brute_force_off_mm(made: Traffic, inside: Bool) -> float:
-    """Median distance of the first poses inside from their circle; the median, because some fixes are wild."""
+    """Return median distance of the first poses inside from their circle; the median, because some fixes are wild."""
     lon, lat = coordinates(made.track)
     off = []
     for roi, mask in zip(made.rois, inside):
@@ -140,7 +140,7 @@ def brute_force_off_mm(made: Traffic, inside: Bool) -> float:
 
 
 def crossing_errors(track: CleanTrack, passes: Iterable[Pass], rois: Iterable[Roi]) -> tuple[float, float]:
-    """Largest distance of entries and exits from their circles, in mm, and largest error of their times, in ms."""
+    """Return the largest errors of entries and exits: from their circles, in mm, and of their times, in ms."""
     globe, kept = Globe(), track.kept()
     stamps = track.timestamp_ns[kept]
     by_id = {roi.scene_id: roi for roi in rois}
@@ -170,7 +170,7 @@ def crossing_errors(track: CleanTrack, passes: Iterable[Pass], rois: Iterable[Ro
 
 
 def conversion_rows(poses: int) -> Iterator[Row]:
-    """Time of the conversion of UTM and ECEF recordings before the trigger."""
+    """Yield the time of the conversion of UTM and ECEF recordings before the trigger."""
     import pyproj
 
     lon, lat = coordinates(traffic(poses, 1).track)
@@ -254,7 +254,7 @@ def copy_rows(megabytes: int, folder: Path | None) -> Iterator[Row]:
 def pair_ms(
     theirs: Callable[[], None], made: Path, ours: Callable[[], None], out: Path, ours_first: bool
 ) -> tuple[float, float]:
-    """Times of two functions that alternate in running first."""
+    """Return the times of two functions that alternate in running first."""
     if ours_first:
         mine = quiet_ms(ours, out)
         return quiet_ms(theirs, made), mine
@@ -262,7 +262,7 @@ def pair_ms(
 
 
 def quiet_ms(call: Callable[[], None], made: Path) -> float:
-    """Time of a call on an idle disk; its output is removed."""
+    """Return the time of a call on an idle disk; its output is removed."""
     os.sync()
     start = time.perf_counter()
     call()
@@ -275,7 +275,7 @@ def quiet_ms(call: Callable[[], None], made: Path) -> float:
 
 
 def memory_rows(drives: int) -> Iterator[Row]:
-    """Peak memory of an ingest of many drives against that of a tenth of them."""
+    """Yield the peak memory of an ingest of many drives against that of a tenth of them."""
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         recordings = write_drives(root / "fleet", drives, MEMORY_POSES)
@@ -293,7 +293,7 @@ def memory_rows(drives: int) -> Iterator[Row]:
 
 
 def startup_rows() -> Iterator[Row]:
-    """Rows of new processes; the peer is the interpreter alone."""
+    """Yield the rows of new processes; the peer is the interpreter alone."""
     bare = median_ms(partial(process, "-c", ""), 7)
     yield Row("import mirror", "a process", median_ms(partial(process, "-c", "import mirror"), 7), None, bar=300.0)
     run = "import sys; from mirror.cli.main import main; sys.exit(main())"

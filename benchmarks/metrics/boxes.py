@@ -28,7 +28,7 @@ FEWER = 500
 
 
 def rows() -> Iterator[Row]:
-    """Rows of this group."""
+    """Yield the rows of this group."""
     for width, height, count in ((12, 9, 20_000), (30, 20, 20_000), (80, 60, 5_000), (300, 200, 500)):
         yield raster(width, height, count)
     first, second = boxes(PAIRS, 0), boxes(PAIRS, 1)
@@ -86,7 +86,7 @@ def boxes(count: int, seed: int) -> tuple[Poses, Float64]:
 
 
 def exact(first: Poses, lwh: Float64, second: Poses, lwh2: Float64) -> Float64:
-    """Overlaps of the first pairs in 60-digit arithmetic."""
+    """Return the overlaps of the first pairs in 60-digit arithmetic."""
     single = [slice(row, row + 1) for row in range(CHECKED)]
     return np.array([exact_iou(first[row], lwh[row], second[row], lwh2[row]) for row in single])
 
@@ -117,14 +117,14 @@ def upright(one: Boxes, other: Boxes, truth: Float64) -> Row:
 
 
 def outline(pose: Poses, lwh: Float64) -> Float64:
-    """Corners (N, 4, 2) in the ground plane."""
+    """Return the corners (N, 4, 2) in the ground plane."""
     from mirror.geometry import corners
 
     return np.ascontiguousarray(corners(pose, lwh)[:, [0, 1, 5, 4], :2])
 
 
 def tilted(one: Boxes, other: Boxes, truth: Float64) -> Row:
-    """The same boxes with permuted axes, so that their z axes are no longer parallel."""
+    """Permute the axes of boxes, so that their z axes are no longer parallel."""
     (first, lwh), (second, lwh2) = ((pose[: PAIRS // 10], size[: PAIRS // 10]) for pose, size in (one, other))
     turned = Poses(quaternion_multiply(second.rotation, [0.5, 0.5, 0.5, 0.5]), second.translation)
     swapped = np.ascontiguousarray(lwh2[:, [1, 2, 0]])

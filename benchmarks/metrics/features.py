@@ -33,7 +33,7 @@ FRECHET_ERRORS: Final = {100: 1e-11, 2048: 1e-11, 10_000: 5e-11}
 
 
 def rows() -> Iterator[Row]:
-    """Rows of this group."""
+    """Yield the rows of this group."""
     for count in FRECHET_RATIOS:
         yield frechet(count)
     yield covariance()
@@ -50,7 +50,7 @@ def rows() -> Iterator[Row]:
 
 
 def features(count: int) -> tuple[Float64, Float64, float]:
-    """Non-negative features with a power-law spectrum; their optimal transport by a known map; the exact distance."""
+    """Draw non-negative features with a power-law spectrum, transport them by a known map, and return the distance."""
     draw = np.random.default_rng(0)
     turn = np.linalg.qr(draw.standard_normal((DIMENSION, DIMENSION)))[0]
     scales = np.arange(1, DIMENSION + 1) ** -0.6
@@ -102,7 +102,7 @@ def _moments(first: Float64, second: Float64) -> tuple[Float64, Float64, Float64
 
 
 def covariance() -> Row:
-    """Batches of features of unit variance at an offset of a million."""
+    """Return the batches of features of unit variance at an offset of a million."""
     values = np.random.default_rng(0).standard_normal((4000, 256)) + 1e6
     batches = np.array_split(values, 40)
     wide = values.astype(np.longdouble)
@@ -187,7 +187,7 @@ def inception(torch: Any) -> Iterator[Row]:
 
 
 def perceptual(torch: Any, net: Any) -> Row:
-    """A pair of images; the peer is lpips with the same random weights."""
+    """Measure a pair of images; the peer is lpips with the same random weights."""
     from mirror.metrics.features.lpips import lpips_trunk
     from mirror.metrics.features.perceptual import PerceptualDistance
 

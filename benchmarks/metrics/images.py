@@ -37,7 +37,7 @@ SSIM64_RATIO, SSIM32_RATIO, MASKED_RATIO = 45.0 / 215.0, 20.0 / 83.0, 3.0 / 62.0
 
 
 def rows() -> Iterator[Row]:
-    """Rows of this group."""
+    """Yield the rows of this group."""
     cv2.setNumThreads(1)
     torch = library("torch")
     if torch is not None:
@@ -139,7 +139,7 @@ def ssim_rows(render: UInt8, truth: UInt8) -> Iterator[Row]:
 
 
 def masked(render: UInt8, truth: UInt8) -> Row:
-    """An object of 120 x 70 px; the peer is DriveStudio's method, the complete map and then the mask."""
+    """Return an object of 120 x 70 px; the peer is DriveStudio's method, the complete map and then the mask."""
     mask = ellipse(540, 960, slice(200, 270), slice(300, 420))
     exact = float(exact_ssim(render, truth, PRESETS["gaussian11"], 255)[mask].mean())
     skimage, peers = library("skimage.metrics"), []
@@ -167,7 +167,7 @@ def intervals() -> Row:
 
 
 def thread_ms(call: Callable[[], object], repeats: int = 3) -> float:
-    """Smallest time of the main thread over some calls, after one that does not count."""
+    """Return the smallest time of the main thread over some calls, after one that does not count."""
     call()
     times = []
     for _ in range(repeats):
@@ -213,7 +213,7 @@ def _torch_metrics() -> tuple[Any, Any, Any]:
 
 @cache
 def library(name: str) -> Any:
-    """A peer's module; None, with a note, where it is not installed."""
+    """Return a peer's module; None, with a note, where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

@@ -100,7 +100,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def all_mutants() -> list[Mutant]:
-    """The mutants of all rooms; of equal names, that of the first file."""
+    """Return the mutants of all rooms; of equal names, that of the first file."""
     files = sorted({path.relative_to(ROOT).as_posix() for room in ROOMS for path in _sources(ROOT / room)})
     found: dict[str, Mutant] = {}
     for file in files:
@@ -110,14 +110,14 @@ def all_mutants() -> list[Mutant]:
 
 
 def draw(every: Sequence[Mutant], count: int, seed: int) -> list[Mutant]:
-    """The mutants with the smallest hashes, without those that are not Python."""
+    """Return the mutants with the smallest hashes, without those that are not Python."""
     ranked = sorted(every, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.name}".encode()).digest())
     valid = (mutant for mutant in ranked if compiles(mutant.applied((ROOT / mutant.file).read_text())))
     return list(islice(valid, count))
 
 
 def find(names: Iterable[str], every: Iterable[Mutant]) -> list[Mutant]:
-    """The mutants with these names that the source still has, in the order of the names."""
+    """Return the mutants with these names that the source still has, in the order of the names."""
     by_name = {mutant.name: mutant for mutant in every}
     return [by_name[name] for name in names if name in by_name]
 

@@ -50,17 +50,17 @@ class Mutant:
 
     @property
     def name(self) -> str:
-        """Key of its outcome; it stays the same when the line moves to another place or file."""
+        """Key of its outcome, which does not change when the line moves to another place or file."""
         return mutant_name(self.after, self.line, self.becomes, self.repeat)
 
     def applied(self, text: str) -> str:
-        """The source file's text with the change."""
+        """Return the source file's text with the change."""
         lines = text.splitlines()
         return "\n".join([*lines[: self.row - 1], self.new_line, *lines[self.row :], ""])
 
 
 def mutant_name(after: str, line: str, becomes: str, repeat: int) -> str:
-    """The name of the mutant with these attributes."""
+    """Return the name of the mutant with these attributes."""
     return f"{after} | {line} -> {becomes}" + (f" #{repeat}" if repeat else "")
 
 
@@ -74,7 +74,7 @@ def compiles(text: str) -> bool:
 
 
 def mutants(file: str, text: str) -> Iterator[Mutant]:
-    """All mutants of a source file; some may not compile (``for x not in y``).
+    """Yield all mutants of a source file; some may not compile (``for x not in y``).
 
     Strings, annotations (except calls in them), decorators, ``raise`` statements, logging and ``__all__`` are not
     changed.

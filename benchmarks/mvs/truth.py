@@ -41,7 +41,7 @@ def sample_true_image(truth: Truth, camera: str, timestamp_ns: int, recorded: Ca
 
 
 def resample_nearest(values: AnyArray, recorded: Camera, lens: Camera, nothing: float) -> AnyArray:
-    """Values (H, W) of a recorded raster at the pixel centres of another lens; ``nothing`` outside."""
+    """Return the values (H, W) of a recorded raster at the pixel centres of another lens; ``nothing`` outside."""
     seen = recorded.project(lens.rays().direction)
     place = np.floor(np.where(seen.valid[..., None], seen.uv_px, 0.0)).astype(np.int64)
     return np.where(seen.valid, values[place[..., 1], place[..., 0]], nothing)

@@ -45,7 +45,9 @@ class Case:
 
 
 def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case]:
-    """Images along a drive through the synthetic street, forwards and to the left; sources 1 and 2 m before and behind.
+    """Yield images along a drive through the synthetic street, forwards and to the left.
+
+    Their sources are 1 and 2 m before and behind.
 
     Args:
         width_px: width of a pinhole image with a field of view of 80 degrees.
@@ -76,7 +78,7 @@ def street_cases(width_px: int, height_px: int, count: int = 3) -> Iterator[Case
 
 
 def dgp_cases(folder: Path, width_px: int) -> Iterator[Case]:
-    """The middle images of six real cameras, with the previous and next images as sources and LiDAR as truth.
+    """Yield the middle images of six real cameras, with the previous and next images as sources and LiDAR as truth.
 
     Args:
         folder: folder of the recording.

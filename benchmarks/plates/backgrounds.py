@@ -25,7 +25,7 @@ _IN_VIEW: Final = 0.85
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """An image without plates.
+    """An image without plates, in front of which plates are drawn.
 
     Attributes:
         image: (H, W, 3) RGB.
@@ -68,7 +68,7 @@ def render_streets(count: int, seed: int) -> Iterator[Background]:
 
 
 def photographs() -> list[Background]:
-    """Photographs that are parts of scikit-image; none shows a plate."""
+    """Return the photographs that are parts of scikit-image; none shows a plate."""
     import skimage.data
 
     folder = Path(str(skimage.data.__file__)).parent

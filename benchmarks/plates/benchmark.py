@@ -40,7 +40,7 @@ _FROM_64_PX: Final = EDGES_PX[2:]
 
 
 def streets() -> list[Background]:
-    """The backgrounds of the test; they are rendered once."""
+    """Return the backgrounds of the test; they are rendered once."""
     file = OUT / "plates_streets.npz"
     if not file.is_file():
         OUT.mkdir(exist_ok=True)
@@ -49,7 +49,7 @@ def streets() -> list[Background]:
 
 
 def plate_rows(detectors: Sequence[Detector], count: int) -> Iterator[Row]:
-    """Yield what each detector misses, what it covers beside plates, and its time; then all of them together."""
+    """Yield the missed plates and the needlessly covered area of each detector, its time, and those of all together."""
     tallies = {one.name: PlateTally() for one in detectors}
     joined = PlateTally()
     times_ms: dict[str, list[float]] = {one.name: [] for one in detectors}
@@ -73,7 +73,7 @@ def plate_rows(detectors: Sequence[Detector], count: int) -> Iterator[Row]:
 
 
 def region_recall(name: str, images: int, regions: Sequence[str]) -> SyntheticRecall:
-    """Measure what a detector covers of plates from 64 px with the shapes of each region.
+    """Measure the share of plates from 64 px that a detector covers, by the shapes of each region.
 
     Args:
         name: the detector.

@@ -124,7 +124,7 @@ HELD_OUT: Final = (
 
 
 def vary(design: Design, rng: np.random.Generator) -> Design:
-    """A design of the training: sizes, colours and rows within wide ranges around a family."""
+    """Return a design of the training: sizes, colours and rows within wide ranges around a family."""
     width, height = design.size_mm
     varied = replace(
         design,
@@ -150,7 +150,7 @@ def vary(design: Design, rng: np.random.Generator) -> Design:
 
 
 def write_rows(design: Design, rng: np.random.Generator, *, strict: bool = False) -> tuple[str, ...]:
-    """Texts of the rows of a design; unless strict, signs of some rows are left out or added."""
+    """Return the texts of the rows of a design; unless strict, signs of some rows are left out or added."""
     texts = []
     for row in design.rows:
         text = "".join(_sign(one, rng) for one in row)

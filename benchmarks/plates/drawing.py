@@ -16,7 +16,7 @@ _SPECIAL: Final = {"chinese", "kana", "arabic"}
 
 
 def latin_fonts(glyphs: Glyphs) -> list[str]:
-    """Names of the typefaces with Latin characters."""
+    """Return the names of the typefaces with Latin characters."""
     return sorted(set(glyphs) - _SPECIAL)
 
 

@@ -33,7 +33,7 @@ Draw = Callable[[str], UInt8]
 
 
 def training_fonts(folder: Path) -> dict[str, Draw]:
-    """The typefaces that plates of the training have.
+    """Return the typefaces that plates of the training have.
 
     Args:
         folder: unpacked packages font-roboto 0.0.1, font-fjallaone 0.1.7, font-source-sans-pro 0.0.1 (PyPI),
@@ -54,7 +54,7 @@ def training_fonts(folder: Path) -> dict[str, Draw]:
 
 
 def held_out_fonts() -> dict[str, Draw]:
-    """The typefaces of plates that no training has seen; all come with matplotlib, Pillow and OpenCV."""
+    """Return the typefaces of plates that no training has seen; all come with matplotlib, Pillow and OpenCV."""
     import matplotlib
 
     own = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
@@ -64,7 +64,7 @@ def held_out_fonts() -> dict[str, Draw]:
 
 
 def draw_glyphs(fonts: Mapping[str, Draw], *, more: bool = True) -> Glyphs:
-    """The masks of all characters of some typefaces.
+    """Return the masks of all characters of some typefaces.
 
     Args:
         fonts: the typefaces.
@@ -99,7 +99,7 @@ def load_glyphs(path: Path) -> Glyphs:
 
 @cache
 def held_out_glyphs() -> Glyphs:
-    """The masks of typefaces that no training has seen; Chinese and Japanese characters are bolder than there."""
+    """Return masks of typefaces that no training has seen; Chinese and Japanese characters are bolder than there."""
     glyphs = draw_glyphs(held_out_fonts(), more=False)
     bold = _opencv("uni", 850)
     return {**glyphs, "chinese": _masks(bold, CHINESE, each=True), "kana": _masks(bold, KANA, each=True)}

@@ -35,7 +35,7 @@ class Stance:
 
 
 def place_corners(stance: Stance, aspect: float, focal_px: float, reach: float) -> Float64:
-    """Corners (4, 2) of a plate in the image, from the upper left one clockwise.
+    """Return the corners (4, 2) of a plate in the image, from the upper left one clockwise.
 
     Args:
         stance: how the plate stands.
@@ -114,7 +114,7 @@ def _scaled(image: UInt8, gain: Float32) -> UInt8:
 
 
 def bounds(corners: Float64, width_px: int, height_px: int) -> tuple[Float64, float]:
-    """The box (4,) of corners within an image, and the share of the whole box that lies in it."""
+    """Return the box (4,) of corners within an image, and the share of the whole box that lies in it."""
     whole = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
     inside = np.clip(whole, 0.0, [width_px, height_px, width_px, height_px])
     area = float(np.prod(whole[2:] - whole[:2]))

@@ -25,7 +25,7 @@ _GRID: Final = (60, 24)
 
 
 def covered_shares(corners: Float64, mask: Bool) -> Float64:
-    """The share (N,) of plates with corners (N, 4, 2) that a mask (H, W) covers, of what the image shows."""
+    """Return the share (N,) that a mask (H, W) covers of the visible part of plates with corners (N, 4, 2)."""
     along, up = (np.arange(count) + 0.5 for count in _GRID)
     flat = np.stack(np.meshgrid(along / _GRID[0], up / _GRID[1]), axis=-1).reshape(-1, 1, 2).astype(np.float32)
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
@@ -69,13 +69,13 @@ class PlateTally:
         self.outside.append(float((mask & (inside == 0)).sum() / (inside == 0).sum()))
 
     def missed(self, low_px: float, high_px: float = np.inf) -> tuple[int, int]:
-        """Number of plates of a span of widths that are not covered by 90 %, and of all of them."""
+        """Return the number of plates of a span of widths that are not covered by 90 %, and of all of them."""
         widths, shares = np.array(self.widths_px), np.array(self.shares)
         these = (widths >= low_px) & (widths < high_px)
         return int((shares[these] < COVERED).sum()), int(these.sum())
 
     def rows(self, name: str) -> Iterator[Row]:
-        """Yield the share of missed plates by width with its upper bound, and what is covered beside them."""
+        """Yield the share of missed plates by width with its upper bound, and the area covered beside them."""
         spans = [(low, high, None) for low, high in pairwise(EDGES_PX)]
         for low, high, bar in [*spans, *((low, np.inf, bar) for low, bar in MISSED_BARS.items())]:
             missed, count = self.missed(low, high)

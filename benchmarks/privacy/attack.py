@@ -29,12 +29,12 @@ Operator = Callable[[UInt8, tuple[float, float, float, float]], UInt8]
 
 
 def redacting(kind: Kind, how: Redaction) -> Operator:
-    """The operator of the toolkit for a kind of region."""
+    """Return the operator of the toolkit for a kind of region."""
     return lambda image, box: redact(image, [region_at(box, kind)], how)[0]
 
 
 def mosaic(columns: int, rows: int) -> Operator:
-    """A mosaic of the box: the control."""
+    """Return a mosaic of the box: the control."""
 
     def work(image: UInt8, box: tuple[float, float, float, float]) -> UInt8:
         left, top, right, bottom = (round(edge) for edge in box)
@@ -50,7 +50,7 @@ def mosaic(columns: int, rows: int) -> Operator:
 
 
 def read_plates(operator: Operator, width_px: int, plates: int, seed: int = 0) -> float:
-    """The share of characters that the attack reads.
+    """Return the share of characters that the attack reads.
 
     Args:
         operator: redacts an image (H, W, 3) in a box.

@@ -81,7 +81,7 @@ def search_lights(
 def search_images(
     file: Path, world: World, condition: Condition, series: str, count: int, detectors: Sequence[Detector]
 ) -> list[Outcome]:
-    """Search the images of a series that a file lacks, append what is found, and return all of the series.
+    """Search the images of a series that a file lacks, append the results, and return all of the series.
 
     Args:
         file: the outcomes of a light.
@@ -121,7 +121,7 @@ def attack_rows(plates: int) -> Iterator[Row]:
 
 
 def control_rows(plates: int) -> Iterator[Row]:
-    """Yield what the same attack reads from operators that do not protect plates."""
+    """Yield the characters that the attack reads from operators that do not protect plates."""
     size = f"{plates} plates of {_ATTACK_PX} px, 4 images each"
     control = 100.0 * read_plates(mosaic(16, 5), _ATTACK_PX, plates)
     yield Row("mosaic of 16 x 5 cells: characters not read (%)", size, 100.0 - control, bar=100.0 * _CONTROL)

@@ -20,7 +20,7 @@ _SEED: Final = 7
 
 
 def box_error_rows(street: Sequence[Outcome], near: Sequence[Outcome], how: Redaction) -> Iterator[Row]:
-    """Yield what the fallback misses and covers, by the error of the boxes, and by whether the error is stated."""
+    """Yield the missed and the covered area of the fallback, by the boxes' error and whether it is stated."""
     for error_m in _ERRORS_M:
         for stated_m in sorted({0.0, error_m}):
             rng = np.random.default_rng(_SEED)

@@ -44,7 +44,7 @@ class Vehicle(Document):
 
 
 class Outcome(Document):
-    """One image.
+    """The detections in one image, and its true objects.
 
     Attributes:
         series: `street` or `near`.
@@ -86,12 +86,12 @@ class Outcome(Document):
         return Poses(rows[:, :4], rows[:, 4:]), sizes, [one.category for one in self.vehicles]
 
     def things(self, kind: Kind) -> tuple[Thing, ...]:
-        """The true regions of a kind."""
+        """Return the true regions of a kind."""
         return self.faces if kind == "face" else self.plates
 
 
 def search_image(image: CrowdImage, detectors: Sequence[Detector], series: str, seed: int, number: int) -> Outcome:
-    """Run the detectors on an image, and note the truth beside what they find."""
+    """Run the detectors on an image, and note the truth beside their regions."""
     rgb = np.ascontiguousarray(image.bgr[..., ::-1])
     users = [user for user in image.road_users if user.body.category not in _PEOPLE]
     poses = world_SE3_boxes(users, [user.motion.at(0.0) for user in users])
@@ -111,7 +111,7 @@ def search_image(image: CrowdImage, detectors: Sequence[Detector], series: str, 
 
 
 def settings_digest(detectors: Sequence[Detector]) -> str:
-    """A digest of detectors: names, versions, weights, thresholds, and the source text of the built-in ones."""
+    """Return a digest of detectors: names, versions, weights, thresholds, and the source text of the built-in ones."""
     import mirror.privacy.detectors as package
 
     digest = hashlib.sha256()
@@ -123,7 +123,7 @@ def settings_digest(detectors: Sequence[Detector]) -> str:
 
 
 def read_outcomes(path: Path, settings: str) -> list[Outcome]:
-    """The complete lines of a file that were made with these settings; a line that was cut off is left out."""
+    """Return the complete lines of a file that were made with these settings; a line that was cut off is left out."""
     outcomes = read_lines(path, lambda line: Outcome.model_validate(decode_json(line)))
     return [one for one in outcomes if one.settings == settings]
 

@@ -28,7 +28,7 @@ _OUTSIDE_BAR: Final = 5.0
 
 @dataclass
 class Tally:
-    """What was counted in the images of one light.
+    """Counts of plates and faces in the images of one light.
 
     Attributes:
         strips: options of the fallback.
@@ -76,7 +76,7 @@ class Tally:
             self.outside[fallback].append(float((covered & ~inside).sum() / (~inside).sum()))
 
     def rows(self, light: str) -> Iterator[Row]:
-        """Yield the share of missed regions by kind and size, with its upper bound, and what is covered beside them."""
+        """Yield the share of missed regions by kind and size, its upper bound, and the area covered beside."""
         edges_px: dict[Kind, Sequence[float]] = {"face": FACE_EDGES_PX, "plate": PLATE_EDGES_PX}
         for kind, edges in edges_px.items():
             for fallback in (False, True) if kind == "plate" else (False,):
@@ -89,7 +89,7 @@ class Tally:
             yield from self._covered(light, fallback, _OUTSIDE_BAR)
 
     def fallback_rows(self, case: str) -> Iterator[Row]:
-        """Yield the share of plates from 32 px that are missed with the fallback, and what is covered then."""
+        """Yield the share of plates from 32 px that are missed with the fallback, and the covered area."""
         yield from self._missed(case, "plate", True, (32.0, np.inf), None)
         yield from self._covered(case, True, None)
 
@@ -121,7 +121,7 @@ def _size_px(kind: Kind, thing: Thing) -> float:
 
 
 def upper_bound(missed: int, count: int) -> float:
-    """The one-sided Clopper-Pearson bound of a share, 95 %."""
+    """Return the one-sided Clopper-Pearson bound of a share, 95 %."""
     from scipy.stats import beta
 
     return 1.0 if missed >= count else float(beta.ppf(0.95, missed + 1, count - missed))

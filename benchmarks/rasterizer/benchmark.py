@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
 
 
 def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Times of an image without gradients."""
+    """Yield the times of an image without gradients."""
     for name, count, width, height in timed_views(quick):
         view = View(_scene(name, count), width, height)
         bar = FORWARD_BARS.get((name, count)) if width == 960 else None
@@ -73,7 +73,7 @@ def forward_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def backward_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Times of gradients of colours, depth and alpha to all inputs; the bar is a multiple of the forward time."""
+    """Yield times of gradients of colours, depth and alpha to all inputs; the bar is a multiple of the forward time."""
     for name, count, width, height in timed_views(quick):
         if count > 1_000_000:
             continue
@@ -85,7 +85,7 @@ def backward_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def option_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Times with other numbers of threads and channels, with spherical harmonics and with antialiasing."""
+    """Yield the times with other numbers of threads and channels, with spherical harmonics and with antialiasing."""
     count = 100_000 if quick else 300_000
     for name in ("random", "street"):
         plain = View(_scene(name, count), 960, 540)
@@ -106,7 +106,10 @@ def option_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def error_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Errors of colours and alpha against the reference: of all pixels, and of pixels that rounding cannot decide."""
+    """Yield the errors of colours and alpha against the reference.
+
+    They are of all pixels, and of pixels that rounding cannot decide.
+    """
     for view in _error_views(quick):
         errors, ms = compute_image_errors(view, truth(view, gradients=_gradient_views(view))), forward_ms(view, repeats)
         name, size = view.name, view.size
@@ -120,7 +123,7 @@ def error_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def gradient_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Errors of gradients, of a loss without marked pixels: of whole tensors and of single Gaussians."""
+    """Yield the errors of gradients, of a loss without marked pixels: of whole tensors and of single Gaussians."""
     for view in filter(_gradient_views, _error_views(quick)):
         bar = _ERROR_BARS.get(view.scene.name, ERROR_BAR)
         found = compute_gradient_errors(view, truth(view, gradients=True))
@@ -132,13 +135,13 @@ def gradient_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def projection_group(quick: bool, repeats: int) -> Iterator[Row]:
-    """Times of projection alone, with gsplat's torch projection as peer."""
+    """Yield the times of projection alone, with gsplat's torch projection as peer."""
     for name in ("random", "street"):
         yield from projection_rows(View(_scene(name, 100_000 if quick else 300_000), 960, 540), repeats)
 
 
 def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Times of one thread on the captured cloud, with OpenSplat as peer."""
+    """Yield the times of one thread on the captured cloud, with OpenSplat as peer."""
     find_program = opensplat.find_program()
     garden = _garden()
     if garden is None:
@@ -173,7 +176,7 @@ def garden_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
-    """Time of the first images of a process, and memory beyond inputs and code."""
+    """Yield the time of the first images of a process, and memory beyond inputs and code."""
     del repeats
     first = measure_starts()
     yield Row("first image and gradients, compiling (s)", "100 64x48", first.compiled, bar=COMPILE_S)
@@ -192,7 +195,7 @@ def process_rows(quick: bool, repeats: int) -> Iterator[Row]:
 
 
 def timed_views(quick: bool) -> Iterator[tuple[str, int, int, int]]:
-    """Views for timing: scene, number of Gaussians, size of the image."""
+    """Yield the views for timing: scene, number of Gaussians, size of the image."""
     for name in SCENES:
         if quick:
             counts = [100_000] if name == "needles" else [100_000, 300_000]

@@ -103,7 +103,7 @@ def render_truth(view: View, gradients: bool) -> Truth:
 
 
 def compute_image_errors(view: View, true: Truth) -> ImageErrors:
-    """Errors of the image of the CPU backend."""
+    """Return the errors of the image of the CPU backend."""
     with torch.no_grad():
         image, alphas, _ = view.render(view.tensors())
     colors = (image[0, ..., :-1].double() - true.image).abs().amax(-1)
@@ -122,7 +122,7 @@ def compute_image_errors(view: View, true: Truth) -> ImageErrors:
 
 
 def compute_gradient_errors(view: View, true: Truth) -> dict[str, GradientErrors]:
-    """Errors of the CPU backend's gradients, by input."""
+    """Return the errors of the CPU backend's gradients, by input."""
     tensors = view.tensors(gradients=True)
     image, alphas, _ = view.render(tensors)
     found = _gradients(view, tensors, image, alphas, true.marks)

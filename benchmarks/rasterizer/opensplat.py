@@ -45,17 +45,17 @@ class OpenSplatResult:
 
     @property
     def forward_ms(self) -> float:
-        """Projection and blending."""
+        """Time of projection and blending."""
         return self.project_ms + self.blend_ms
 
     @property
     def backward_ms(self) -> float:
-        """Both gradients."""
+        """Time of the gradients of both."""
         return self.project_back_ms + self.blend_back_ms
 
 
 def find_program() -> Path | None:
-    """The path of the program, or None if it is not configured."""
+    """Return the path of the program, or None if it is not configured."""
     named = os.environ.get(VARIABLE)
     return Path(named) if named else None
 

@@ -84,7 +84,7 @@ def measure_starts() -> StartTimes:
 
 
 def measure_peak_bytes(scene: Splats, width: int, height: int, *, backward: bool) -> int:
-    """Increase of the process memory by an image, with or without its gradients, over inputs and code."""
+    """Return the increase of the process memory by an image, with or without its gradients, over inputs and code."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         arrays = {name: getattr(scene, name) for name in ("means", "quats", "scales", "opacities", "colors", "viewmat")}

@@ -19,7 +19,7 @@ _NEAR, _FAR, _EPS2D = 0.01, 1e10, 0.3
 
 
 def projection_rows(view: View, repeats: int) -> Iterator[Row]:
-    """Times of projection and of its gradients; errors, in pixels, of the means of Gaussians that both keep."""
+    """Yield times of projection and of its gradients; errors, in pixels, of the means of Gaussians that both keep."""
     true = _ours(view, "reference", torch.float64)()
     ours = _ours(view, "cpu", torch.float32)
     forward, backward, means = _timed(ours, repeats)

@@ -21,7 +21,7 @@ _FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # ca
 
 @dataclass(frozen=True)
 class Splats:
-    """Gaussians and a camera.
+    """Gaussians of a benchmark scene, and the camera that sees them.
 
     Attributes:
         name: name of the scene.
@@ -48,12 +48,12 @@ class Splats:
         return len(self.means)
 
     def camera_matrix(self, width: int, height: int) -> Float64:
-        """Intrinsics (3, 3) for an image of this size; the principal point is its middle."""
+        """Return the intrinsics (3, 3) for an image of this size; the principal point is its middle."""
         fx, fy = self.focal
         return np.array([[fx * width, 0.0, width / 2], [0.0, fy * height, height / 2], [0.0, 0.0, 1.0]])
 
     def spherical_harmonics(self) -> Float32:
-        """(N, 16, 3) coefficients of degree 3 with the mean colour `colors`."""
+        """Return the coefficients (N, 16, 3) of degree 3 with the mean colour `colors`."""
         random = np.random.Generator(np.random.PCG64(3))
         coefficients = 0.2 * (random.random((len(self), 16, 3), np.float32) - np.float32(0.5))
         coefficients[:, 0] = (self.colors - np.float32(0.5)) / np.float32(SH_DC)
@@ -67,22 +67,22 @@ class Splats:
 
 
 def random(count: int) -> Splats:
-    """Roundish Gaussians, uniform in the view frustum from 2 to 12 m."""
+    """Make roundish Gaussians, uniform in the view frustum from 2 to 12 m."""
     return _volume("random", count, np.array([1.0, 1.0, 1.0]), seed=1)
 
 
 def needles(count: int) -> Splats:
-    """The same volume; each Gaussian is a hundred times as long as thick."""
+    """Make Gaussians as `random` does, each a hundred times as long as thick."""
     return _volume("needles", count, np.array([10.0, 0.1, 0.1]), seed=2)
 
 
 def hairs(count: int) -> Splats:
-    """The same volume; each Gaussian is ten thousand times as long as thick: thinner than a pixel."""
+    """Make Gaussians as `random` does, each ten thousand times as long as thick: thinner than a pixel."""
     return _volume("hairs", count, np.array([10.0, 0.001, 0.001]), seed=6)
 
 
 def garden(folder: Path) -> Splats:
-    """The captured cloud that gsplat is tested with; sizes from the three nearest neighbours.
+    """Load the captured cloud that gsplat is tested with; sizes are from the three nearest neighbours.
 
     Args:
         folder: folder with ``test_garden.npz``.
@@ -103,7 +103,10 @@ def garden(folder: Path) -> Splats:
 
 
 def street(count: int) -> Splats:
-    """A street block of 100 m from its start, 1.6 m above the ground: ground, facades, trees, wires, cars and a sky."""
+    """Make a street block of 100 m: ground, facades, trees, wires, cars and a sky.
+
+    The cameras are 1.6 m above the ground.
+    """
     draw = np.random.Generator(np.random.PCG64(5)).random
     shares = {_ground: 0.27, _facades: 0.30, _foliage: 0.25, _lines: 0.04, _cars: 0.11, _sky: 0.03}
     counts = [int(count * share) for share in shares.values()]

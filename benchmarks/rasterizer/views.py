@@ -59,7 +59,7 @@ class View:
         return image, torch.rand(1, self.height, self.width, 1, generator=random)
 
     def tensors(self, dtype: torch.dtype = torch.float32, *, gradients: bool = False) -> dict[str, Tensor]:
-        """The inputs by name, with the same values in any data type."""
+        """Return the inputs by name, with the same values in any data type."""
         scene = self.scene
         colors = (
             scene.spherical_harmonics()
@@ -73,7 +73,7 @@ class View:
         }
 
     def render(self, tensors: dict[str, Tensor], backend: str = "cpu") -> tuple[Tensor, Tensor, dict[str, Any]]:
-        """Colours and depth, (1, height, width, channels + 1), alphas and meta."""
+        """Return the colours and depth, (1, height, width, channels + 1), alphas and meta."""
         camera = torch.from_numpy(self.scene.camera_matrix(self.width, self.height))[None]
         arguments: dict[str, Any] = {
             **tensors,
@@ -89,7 +89,7 @@ class View:
 
 
 def forward_ms(view: View, repeats: int) -> float:
-    """Median warm time of an image without gradients."""
+    """Return the median warm time of an image without gradients."""
     tensors = view.tensors()
     times = []
     with torch.no_grad():
@@ -101,7 +101,7 @@ def forward_ms(view: View, repeats: int) -> float:
 
 
 def both_ms(view: View, repeats: int) -> tuple[float, float]:
-    """Median warm times of an image with gradients enabled, and of its gradients to all inputs."""
+    """Return the median warm times of an image with gradients enabled, and of its gradients to all inputs."""
     tensors, weights = view.tensors(gradients=True), view.weights
     times = []
     for _ in range(repeats + 1):
@@ -117,7 +117,7 @@ def both_ms(view: View, repeats: int) -> tuple[float, float]:
 
 
 def count_name(count: int) -> str:
-    """A short name of a count: 100 k, 3 M."""
+    """Return a short name of a count: 100 k, 3 M."""
     return f"{count / 1e6:g} M" if count >= 1_000_000 else f"{count / 1e3:g} k"
 
 

@@ -20,7 +20,7 @@ _STEP_M = 2.0
 
 
 def rows(preset: str, seed: int) -> Iterator[Row]:
-    """Rows for the first scene of a preset, from exact driven lines and from noisy ones."""
+    """Yield the rows for the first scene of a preset, from exact driven lines and from noisy ones."""
     _, drives = make_drives(preset, seed, scenes=1)
     exact = street_map(drives[0].world.plan)
     lines = []

@@ -18,7 +18,7 @@ _COLUMNS: Final = ("x_m", "y_m", "yaw_rad", "vx_mps", "vy_mps")
 
 
 def traffic_log(road_map: RoadMap, agents: int, seed: int, *, seconds: float = 20.0, rate_hz: float = 10.0) -> StateLog:
-    """A log of an ego and agents that follow lanes at constant speeds, a little aside of their middles."""
+    """Return a log of an ego and agents that follow lanes at constant speeds, a little aside of their middles."""
     rng = np.random.default_rng(seed)
     times = np.arange(round(seconds * rate_hz) + 1) / rate_hz
     lanes = sorted(road_map.lanes_of(), key=lambda lane: lane.length_m, reverse=True)
@@ -54,7 +54,7 @@ def _log(times: Float64, columns: Float64) -> StateLog:
 
 
 def near_misses(agents: int, seed: int, *, touching: bool) -> StateLog:
-    """A log of an ego that weaves along x, and agents that cross and meet it on arcs.
+    """Return a log of an ego that weaves along x, and agents that cross and meet it on arcs.
 
     Args:
         agents: number of agents.
@@ -87,7 +87,7 @@ def _drive(times: Float64, yaw: Float64, speed_mps: float, place: Float64, row: 
 
 
 def resample(log: StateLog, factor: int) -> StateLog:
-    """The same motion with ``factor`` times as many stamps."""
+    """Resample a log to ``factor`` times as many stamps of the same motion."""
     rows = np.arange((len(log.stamps_ns) - 1) * factor + 1) / factor
     low = np.minimum(rows.astype(np.int64), len(log.stamps_ns) - 2)
     share = (rows - low)[:, None]

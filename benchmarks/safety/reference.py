@@ -16,7 +16,7 @@ from mirror.schema.road_map import RoadMap
 
 
 def boxes(log: StateLog, actor: int, ahead_s: float = 0.0, *, along_heading: bool = False) -> npt.NDArray[np.object_]:
-    """(T,) polygons of an actor, some time later at its velocity, or along its heading at its speed."""
+    """Return the polygons (T,) of an actor, some time later at its velocity, or along its heading at its speed."""
     cos, sin = np.cos(log.yaw_rad[:, actor]), np.sin(log.yaw_rad[:, actor])
     velocity = np.stack([log.vx_mps[:, actor], log.vy_mps[:, actor]], axis=1)
     if along_heading:
@@ -35,7 +35,7 @@ def boxes(log: StateLog, actor: int, ahead_s: float = 0.0, *, along_heading: boo
 
 
 def first_contacts(log: StateLog) -> dict[str, float]:
-    """Time in seconds of the first stamp at which each agent touches the ego."""
+    """Return the time in seconds of the first stamp at which each agent touches the ego."""
     own = boxes(log, 0)
     found = {}
     for actor in range(1, len(log.ids)):
@@ -46,7 +46,7 @@ def first_contacts(log: StateLog) -> dict[str, float]:
 
 
 def time_to_collision(log: StateLog, horizon_s: float, step_s: float, *, along_heading: bool = False) -> Float64:
-    """(T,) first multiple of a step at which the ego touches an agent, both at constant velocity; inf: none."""
+    """Find the first multiple (T,) of a step at which the ego touches an agent at constant velocity; inf: none."""
     found = np.full(len(log.stamps_ns), math.inf)
     steps = np.arange(0.0, horizon_s + 1e-9, step_s)
     reach = 0.5 * np.hypot(log.length_m, log.width_m)
@@ -91,7 +91,7 @@ def _row(log: StateLog, row: int) -> dict[str, Any]:
 
 
 def drivable_margin(log: StateLog, road_map: RoadMap) -> Float64:
-    """(T,) signed distance of the ego's worst corner from the edge of the drivable area."""
+    """Return the signed distance (T,) of the ego's worst corner from the edge of the drivable area."""
     area = shapely.union_all([shapely.Polygon(part.rings[0], part.rings[1:]) for part in road_map.drivable])
     corners = shapely.points(shapely.get_coordinates(boxes(log, 0)).reshape(-1, 5, 2)[:, :4])
     signs = np.where(shapely.contains(area, corners), 1.0, -1.0)
@@ -99,7 +99,7 @@ def drivable_margin(log: StateLog, road_map: RoadMap) -> Float64:
 
 
 def lane_offsets(log: StateLog, road_map: RoadMap) -> Float64:
-    """(T, L) distance of the ego's centre from the middle of each driving lane that it is in; NaN: in none."""
+    """Return distance (T, L) of the ego's centre from the middle of each driving lane that it is in; NaN: in none."""
     centers = shapely.points(np.stack([log.x_m[:, 0], log.y_m[:, 0]], axis=1))
     columns = []
     for lane in road_map.lanes_of():

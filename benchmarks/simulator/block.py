@@ -15,7 +15,7 @@ PRESET, SEED = "block", 0
 
 
 def trained_block(folder: Path | None) -> tuple[Path, Path]:
-    """Dataset and model of the block in a folder; they are made there if they are missing."""
+    """Return the dataset and model of the block in a folder; they are made there if they are missing."""
     from mirror.cli.demo import run
 
     out = folder or OUT / "simulator" / "block"
@@ -32,7 +32,7 @@ def trained_block(folder: Path | None) -> tuple[Path, Path]:
 
 
 def open_block(dataset: Path) -> Street:
-    """The street of the block, with its exact world, ground and map."""
+    """Return the street of the block, with its exact world, ground and map."""
     from mirror.synth.fleet.drives import make_drives
 
     street = open_street(str(dataset))

@@ -37,7 +37,7 @@ _View = TypeVar("_View")
 
 
 def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
-    """An untrained block of 100 m with random codes: facades on both sides, trees, road, sky."""
+    """Return an untrained block of 100 m with random codes: facades on both sides, trees, road, sky."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-60.0, 60.0, anchors)
     wall = np.column_stack((x, rng.choice([-12.0, 12.0], anchors), rng.uniform(0.0, 12.0, anchors)))
@@ -62,7 +62,7 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
 
 
 def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
-    """Views from 1.5 m above the ground near the middle of a block, in all directions."""
+    """Return the views from 1.5 m above the ground near the middle of a block, in all directions."""
     ground = street.ground.means.detach()
     middle = ground[(ground[:, :2] - ground[:, :2].mean(0)).norm(dim=1).argmin()]
     K = torch.tensor([[0.6 * WIDTH, 0.0, WIDTH / 2], [0.0, 0.6 * WIDTH, HEIGHT / 2], [0.0, 0.0, 1.0]])
@@ -79,7 +79,7 @@ def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
 
 
 def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
-    """Times and errors of a street's images.
+    """Return the times and errors of a street's images.
 
     Args:
         street: a trained street.
@@ -114,7 +114,7 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
 
 
 def half_precision_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
-    """Size saved and error caused by half precision."""
+    """Return the size saved and error caused by half precision."""
     block = Block((0, 0), (0.0, 0.0, 0.0))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "block.safetensors"
@@ -136,7 +136,7 @@ def half_precision_rows(street: Street, views: Sequence[Viewpoint], name: str) -
 def time_views(
     call: Callable[[_View], _Result], views: Sequence[_View], clock: Callable[[], float] = time.perf_counter
 ) -> tuple[list[_Result], float]:
-    """Results, and the mean over views of the smallest of three times in milliseconds."""
+    """Return the results, and the mean over views of the smallest of three times in milliseconds."""
     results = [call(view) for view in views]
     least = []
     for view in views:

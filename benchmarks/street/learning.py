@@ -22,7 +22,7 @@ _RATE = 2e-2
 
 
 def learning_rows() -> Iterator[Row]:
-    """Times of value and gradient, and the largest error of the gradient, relative to its largest entry."""
+    """Yield the times of value and gradient, and the largest error of the gradient, relative to its largest entry."""
     yield _curvature()
     yield _ssim_row()
     yield _adam()

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 
 def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
-    """(H, W, 3) unit normals of a depth map, in the camera's frame, towards the camera.
+    """Return the unit normals (H, W, 3) of a depth map, in the camera's frame, towards the camera.
 
     Args:
         depth_m: (H, W) camera z, positive.
@@ -27,7 +27,10 @@ def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
 
 
 def curvature(normals: Tensor) -> Tensor:
-    """(H - 2, W - 2) curvature of normals (H, W, 3): squared Sobel gradients, summed over channels and directions."""
+    """Compute the curvature (H - 2, W - 2) of normals (H, W, 3).
+
+    It is the sum of squared Sobel gradients over channels and directions.
+    """
     # Sobel's kernels are a smoothing one way and a difference the other; sums of slices are far faster than torch's
     # convolutions of three channels, backwards above all.
     down = normals[:-2] + 2.0 * normals[1:-1] + normals[2:]
@@ -36,7 +39,9 @@ def curvature(normals: Tensor) -> Tensor:
 
 
 def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:
-    """Mean absolute difference of curvatures, where all nine pixels have a depth and a curvature can be computed.
+    """Compute the mean absolute difference of curvatures.
+
+    It is that of pixels where all nine depths exist and a curvature can be computed.
 
     Args:
         rendered_m: (H, W) expected depth.
@@ -60,7 +65,7 @@ def _neighbours(known: Tensor) -> Tensor:
 
 
 def structural_similarity(x: Tensor, y: Tensor) -> Tensor:
-    """(H, W) structural similarity of images (H, W, 3), averaged over the channels, black beyond the border.
+    """Return the structural similarity (H, W) of images (H, W, 3), averaged over the channels, black beyond the border.
 
     Source: Wang et al. 2004, windows of 11 x 11, sigma 1.5.
     """

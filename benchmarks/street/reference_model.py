@@ -17,7 +17,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 def run_mlp(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
-    """(N, outputs) of codes (N, code) with their other inputs, under an appearance."""
+    """Return (N, outputs) of codes (N, code) with their other inputs, under an appearance."""
     matrix: Tensor = network.own
     if network.bend is not None:
         bend = (network.bend @ latent).view(-1, network.code)
@@ -28,7 +28,7 @@ def run_mlp(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor
 
 
 def plain_anchors(node: Anchors, rows: Tensor, eye: Tensor, latent: Tensor, content: Tensor) -> tuple[Tensor, ...]:
-    """Means, quats, scales, opacities and colours of the Gaussians of anchors (M,)."""
+    """Return the means, quats, scales, opacities and colours of the Gaussians of anchors (M,)."""
     means, sizes = node.means[rows], node.log_scales[rows].exp()
     beside = torch.cat((functional.normalize(means - eye, dim=1), means / node.radius_m), dim=1)
     numbers = run_mlp(node.geometry, node.codes[rows], beside, content).view(-1, 8)
@@ -46,7 +46,7 @@ def plain_anchors(node: Anchors, rows: Tensor, eye: Tensor, latent: Tensor, cont
 
 
 def plain_gaussians(node: CodeGaussians, rows: Tensor, eye: Tensor, latent: Tensor) -> tuple[Tensor, ...]:
-    """Means, quats, scales, opacities and colours of Code-Gaussians (M,)."""
+    """Return the means, quats, scales, opacities and colours of Code-Gaussians (M,)."""
     means = node.means[rows]
     directions = functional.normalize(means.detach() - eye, dim=1)
     return (

@@ -27,7 +27,7 @@ def seam_rows(
     select_latents: Callable[[RenderView], LatentSelector],
     name: str,
 ) -> list[Row]:
-    """Image changes for steps of cameras across the boundary of two blocks, and inside them.
+    """Return image changes for steps of cameras across the boundary of two blocks, and inside them.
 
     Args:
         blocks: two neighbours.

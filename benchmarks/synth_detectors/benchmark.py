@@ -35,7 +35,7 @@ _REPOSITORY: Final = Path(__file__).resolve().parents[2]
 
 
 def face_weights() -> Path:
-    """Path of YuNet's weights."""
+    """Return the path of YuNet's weights."""
     data = Path(os.environ.get("MIRROR_REAL_DATA", _REPOSITORY.parent / "shared" / "data"))
     return data / "weights" / "yunet" / "yunet_n_dynamic.onnx"
 

@@ -135,7 +135,7 @@ def render_crowds(
 
 
 def make_condition(light: str, weather: str) -> Condition:
-    """A condition with this light and weather."""
+    """Return a condition with this light and weather."""
     return Condition(instant_of("2025-09-16", light, *_PLACE), light, weather)  # type: ignore[arg-type]
 
 

@@ -28,7 +28,7 @@ class Detector(Protocol):
     """A detector of one kind of object."""
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Boxes (N, 4) ``u_min v_min u_max v_max`` in an image (H, W, 3)."""
+        """Return the boxes (N, 4) ``u_min v_min u_max v_max`` in an image (H, W, 3)."""
         ...
 
 
@@ -44,7 +44,7 @@ class YuNet:
         self._net = cv2.FaceDetectorYN.create(str(weights), "", (320, 320), least_score, 0.3, 500)
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Boxes (N, 4) of faces."""
+        """Return the boxes (N, 4) of faces."""
         self._net.setInputSize((bgr.shape[1], bgr.shape[0]))
         detected = self._net.detect(bgr)[1]
         if detected is None:
@@ -77,7 +77,7 @@ class AgentPlates:
         self._least = least_score
 
     def boxes(self, bgr: UInt8) -> Float64:
-        """Boxes (N, 4) of plates."""
+        """Return the boxes (N, 4) of plates."""
         high, wide = bgr.shape[:2]
         self._net.setInput(cv2.dnn.blobFromImage(bgr, 1.0, (wide, high), _MEAN_BGR))
         offsets, scores, _ = (part[0].astype(np.float64) for part in self._net.forward(_OUTPUTS))
@@ -93,7 +93,7 @@ class AgentPlates:
 
 
 def make_anchors(high: int, wide: int) -> tuple[Float64, Float64]:
-    """Centres and sizes (A, 2) of the detector's anchors, pixels."""
+    """Return the centres and sizes (A, 2) of the detector's anchors, pixels."""
     centres, sizes = [], []
     for stride, sides in zip(_STRIDES, _ANCHORS_PX):
         v, u = np.indices((-(-high // stride), -(-wide // stride)))
@@ -143,7 +143,7 @@ def evaluate_detections(
 
 
 def box_overlaps(boxes: Float64, others: Float64) -> Float64:
-    """Intersection over union (N, M)."""
+    """Return the intersection over union (N, M)."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     common = np.maximum(high - low, 0.0).prod(axis=2)

@@ -80,7 +80,7 @@ class RigRecording:
     matches: Mapping[tuple[Key, Key], Int64]
 
     def errors_px(self, one: Key, other: Key) -> Float64:
-        """Errors of the matches of two images, pixels."""
+        """Return the errors of the matches of two images, pixels."""
         pairs = self.matches[one, other]
         return match_errors_px(pairs, self.features[one], self.images[one], self.features[other], self.images[other])
 
@@ -159,7 +159,7 @@ def visit_rows(width_px: int) -> Iterator[Row]:
 
 
 def recorded_rig(recording: RigRecording, errors: Errors, draw: int) -> Rig:
-    """The rig as recorded: measured poses at recorded timestamps, and an online calibration."""
+    """Return the rig as recorded: measured poses at recorded timestamps, and an online calibration."""
     drive, vehicle = recording.drive, recording.drive.vehicle
     rng = np.random.default_rng([drive.seed, draw])
     stamps = pose_stamps(drive)
@@ -173,7 +173,7 @@ def recorded_rig(recording: RigRecording, errors: Errors, draw: int) -> Rig:
 
 
 def true_rig(recording: RigRecording) -> Rig:
-    """The true rig."""
+    """Return the true rig."""
     vehicle = recording.drive.vehicle
     mountings = _stack_poses(list(vehicle.ego_SE3_camera.values()))
     return Rig(vehicle.cameras, mountings, recording.drive.world_SE3_ego(recording.instants_ns))
@@ -194,7 +194,7 @@ def adjust(recording: RigRecording, recorded: Rig, errors: Errors) -> Rig:
 
 
 def pose_errors(rig: Rig, true: Rig) -> tuple[Float64, Float64]:
-    """Errors (F, C) of all camera poses after one rigid alignment: degrees, and centimetres.
+    """Return the errors (F, C) of all camera poses after one rigid alignment: degrees, and centimetres.
 
     The alignment is a least-squares fit in which the rotation bar has the same weight as the position bar.
     """

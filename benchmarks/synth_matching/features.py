@@ -24,7 +24,7 @@ _GREY: Final = np.array([0.114, 0.587, 0.299])
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features of one image.
+    """SIFT features of one image.
 
     Attributes:
         uv_px: (N, 2) positions.
@@ -86,7 +86,7 @@ def extract_features(image: PosedImage, most: int = 4000) -> Features:
 
 
 def match_features(one: Features, other: Features) -> Int64:
-    """Pairs (M, 2) of mutual nearest neighbours that pass the ratio test, by COLMAP's rule and thresholds."""
+    """Return pairs (M, 2) of mutual nearest neighbours that pass the ratio test, by COLMAP's rule and thresholds."""
     if len(one.uv_px) < 2 or len(other.uv_px) < 2:
         return np.zeros((0, 2), np.int64)
     alike = one.descriptors @ other.descriptors.T
@@ -101,7 +101,7 @@ def match_features(one: Features, other: Features) -> Int64:
 def verify_matches(
     pairs: Int64, one: Features, first: Camera, other: Features, second: Camera, within_px: float = 2.0
 ) -> Int64:
-    """The pairs that fit one relative pose of calibrated cameras, as estimated by pycolmap."""
+    """Return the pairs that fit one relative pose of calibrated cameras, as estimated by pycolmap."""
     pycolmap = colmap()
     options = pycolmap.TwoViewGeometryOptions(detect_watermark=False)
     options.ransac.max_error, options.ransac.random_seed = within_px, 1
@@ -112,7 +112,9 @@ def verify_matches(
 
 
 def match_errors_px(pairs: Int64, one: Features, first: PosedImage, other: Features, second: PosedImage) -> Float64:
-    """Errors (M,) of matches: distance from the first feature's true position in the second image to the matched one.
+    """Return the errors (M,) of matches.
+
+    An error is the distance of the matched feature from the first feature's true position.
 
     The error is infinite where the second image does not show the point.
     """

@@ -51,17 +51,17 @@ class PosedImage:
         return self.world_SE3_camera.translation[0]
 
     def pixels(self, uv_px: Float64) -> tuple[Int64, Int64]:
-        """Rows and columns (N,) of the pixels that contain points (N, 2) of the image."""
+        """Return the rows and columns (N,) of the pixels that contain points (N, 2) of the image."""
         column = np.clip(np.floor(uv_px[:, 0]), 0, self.camera.width_px - 1).astype(np.int64)
         row = np.clip(np.floor(uv_px[:, 1]), 0, self.camera.height_px - 1).astype(np.int64)
         return row, column
 
     def rays(self, uv_px: Float64) -> Float64:
-        """Unit directions (N, 3) of points of the image, world frame."""
+        """Return the unit directions (N, 3) of points of the image, world frame."""
         return self.camera.unproject(uv_px).direction @ matrix_from_quaternion(self.world_SE3_camera.rotation)[0].T
 
     def points(self, uv_px: Float64) -> Float64:
-        """World points (N, 3) of points (N, 2) of the image, on the surface at the centre of the pixel."""
+        """Return the world points (N, 3) of points (N, 2) of the image, on the surface at the centre of the pixel."""
         row, column = self.pixels(uv_px)
         centre = self.rays(np.stack([column, row], axis=1).astype(np.float64) + 0.5)
         ray, normal = self.rays(uv_px), self.normal[row, column].astype(np.float64)
@@ -71,7 +71,7 @@ class PosedImage:
         return self.origin + distance[:, None] * ray
 
     def image_of(self, points: Float64) -> Float64:
-        """Projections (N, 2) of world points (N, 3); NaN where undefined."""
+        """Return the projections (N, 2) of world points (N, 3); NaN where undefined."""
         return self.camera.project(self.world_SE3_camera.inverse().transform(points)[0]).uv_px
 
 

@@ -21,7 +21,7 @@ Key = tuple[int, str]
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A moving rig.
+    """A moving rig of the synthetic street.
 
     Attributes:
         cameras: lenses, by name.
@@ -34,7 +34,7 @@ class Rig:
     world_SE3_ego: Poses
 
     def world_SE3_cameras(self) -> Poses:  # noqa: N802
-        """The poses (F * C,) of all images, frame by frame."""
+        """Return the poses (F * C,) of all images, frame by frame."""
         frames, count = len(self.world_SE3_ego), len(self.cameras)
         frame, camera = np.repeat(np.arange(frames), count), np.tile(np.arange(count), frames)
         return self.world_SE3_ego[frame] @ self.ego_SE3_camera[camera]

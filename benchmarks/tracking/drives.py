@@ -45,7 +45,7 @@ class TrueDrive:
     category: tuple[str, ...]
 
     def truth(self) -> list[TrackedBoxes]:
-        """The true boxes of each frame."""
+        """Return the true boxes of each frame."""
         frames = []
         for frame in range(len(self.timestamp_ns)):
             rows = np.flatnonzero(self.near[:, frame])
@@ -57,7 +57,7 @@ class TrueDrive:
 
 @dataclass(frozen=True)
 class Noise:
-    """What a detector does to the truth.
+    """The errors that a detector adds to the truth.
 
     Attributes:
         sigma_m: standard deviation of each horizontal coordinate at range 0.
@@ -75,7 +75,7 @@ class Noise:
 
 
 def true_drives(hz: float, *, seed: int, drives: int, duration_s: float) -> list[TrueDrive]:
-    """Drives of the preset ``demo``, which is in an urban scene and on a campus."""
+    """Return the drives of the preset ``demo``, which is in an urban scene and on a campus."""
     _, all_drives = make_drives("demo", seed)
     result = []
     for drive in [one for one in all_drives if one.recipe.images][:drives]:
@@ -106,7 +106,7 @@ def true_drives(hz: float, *, seed: int, drives: int, duration_s: float) -> list
 
 
 def detect(drive: TrueDrive, noise: Noise, seed: int) -> list[Detections]:
-    """Detections of each frame."""
+    """Return the detections of each frame."""
     rng = np.random.default_rng(seed)
     users, count = drive.near.shape
     step_s = float(np.median(np.diff(drive.timestamp_ns))) * 1e-9
@@ -203,7 +203,7 @@ def greedy(detections: list[Detections], world_SE3_ego: Poses, *, gate_m: float,
 
 
 def tracked(tracks: list[Detections], world_SE3_ego: Poses) -> list[TrackedBoxes]:
-    """Boxes of `mirror.annotation.track` for `score_tracks`."""
+    """Return the boxes of `mirror.annotation.track` for `score_tracks`."""
     frames = []
     for number, found in enumerate(tracks):
         if not len(found):

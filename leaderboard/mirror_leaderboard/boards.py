@@ -43,7 +43,7 @@ _Key = tuple[str, str, str | None, tuple[str, ...] | None, _Options]
 
 @dataclass(frozen=True)
 class Board:
-    """Comparable entries: the same protocol and the same data.
+    """Comparable entries: those of one protocol and one set of data.
 
     Attributes:
         protocol: name of the protocol.

@@ -126,7 +126,7 @@ def sign_entries(board: Path, key_file: Path, day: date | None = None) -> list[M
 
 @dataclass(frozen=True)
 class Rotation:
-    """What a rotation of keys did.
+    """The result of a rotation of keys.
 
     Attributes:
         former: the key that ended.
@@ -142,7 +142,7 @@ class Rotation:
 
 
 def rotate_key(board: Path, key_file: Path, day: date | None = None) -> Rotation:
-    """Put a new key in the place of the board's, and sign again what a listed key had signed.
+    """Replace the board's key, and sign all entries again that a listed key had signed.
 
     The former key stays in the list with the day on which it ended. Entries without a signature that counts are left.
     An interrupted call continues where it stopped.
@@ -183,7 +183,7 @@ def rotate_key(board: Path, key_file: Path, day: date | None = None) -> Rotation
 
 
 def today() -> date:
-    """The day in UTC."""
+    """Return the day in UTC."""
     return datetime.now(UTC).date()
 
 
@@ -210,7 +210,7 @@ def _find_signature_problem(entry: Measured, keys: OrganiserKeys, public: Mappin
 
 
 def hash_reported(entry: Reported) -> str:
-    """SHA-256 of the canonical content of a reported entry."""
+    """Return the SHA-256 of the canonical content of a reported entry."""
     return hash_document(entry.model_dump(mode="json"), HashStyle.CANONICAL)
 
 

@@ -89,7 +89,7 @@ def compute_overall_figure(
 
 
 def overall_averaging(protocol: Protocol) -> tuple[str, ...]:
-    """Levels of the mean over groups, innermost first: those of the protocol, then the group."""
+    """Return the levels of the mean over groups, innermost first: those of the protocol, then the group."""
     return (*protocol.averaging, "group")
 
 
@@ -131,7 +131,7 @@ def _mean_weights(parts: tuple[tuple[str, ...], ...]) -> Float64:
 
 
 def linearise_mean(values: Float64, weights: Float64) -> Float64:
-    """Linearise a weighted mean: values (N,) that have it as their plain mean, with the same deviations.
+    """Linearise a weighted mean: return values (N,) with that plain mean and equal deviations.
 
     Under resampling, the weighted mean deviates to first order like the plain mean of ``N w (x - mean)``.
 

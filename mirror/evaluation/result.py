@@ -73,7 +73,7 @@ class DatasetIdentity(Document):
 
 
 class Result(Document):
-    """``result.json``.
+    """``result.json``: the figures of one submission.
 
     Attributes:
         format: always ``mirror-result``.

@@ -43,7 +43,7 @@ class AuditReport:
     same_bytes: Sequence[SameBytes]
 
     def exit_code(self) -> ExitCode:
-        """The exit code of `mirror dataset audit`."""
+        """Return the exit code of `mirror dataset audit`."""
         return ExitCode.FINDINGS if self.leaks else ExitCode.DONE
 
 
@@ -55,7 +55,7 @@ def audit(
     protocols: Sequence[Protocol] = (),
     progress: ProgressReporter | None = None,
 ) -> AuditReport:
-    """Hold what is published against the dataset that it came from. Nothing is changed.
+    """Search a published dataset for content of its source that must not be out. Nothing is changed.
 
     Of a bundle, every file must be one that publishing the dataset would copy, and every image must have the bytes that
     it has in the dataset. Any other folder is searched for images that must not leave.

@@ -77,7 +77,7 @@ _PAPER: Final = (
 
 @dataclass(frozen=True)
 class Publication:
-    """What only the publisher of a dataset knows; Croissant asks for it.
+    """The facts for Croissant that only the publisher of a dataset knows.
 
     Attributes:
         url: page of the dataset.
@@ -92,7 +92,7 @@ class Publication:
     citation: str | None = None
 
     def missing(self) -> list[str]:
-        """Names of the options of `mirror dataset publish` that Croissant asks for and that were not given."""
+        """Return names of the options of `mirror dataset publish` that Croissant asks for and that were not given."""
         given = {"--url": self.url, "--creator": self.creator, "--date": self.date}
         return [option for option, value in given.items() if value is None]
 

@@ -14,7 +14,7 @@ UNFINISHED: Final = ".exporting"
 
 
 class ExportRequest(Document):
-    """What an export is made from; equal requests give equal exports.
+    """The request of an export; equal requests give equal exports.
 
     Attributes:
         layout: the format.

@@ -13,7 +13,7 @@ GAP_STEPS: Final = 1.5
 
 
 def rates(episodes: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """The median rate of rows in hertz, and the whole number that LeRobot states.
+    """Return the median rate of rows in hertz, and the whole number that LeRobot states.
 
     Args:
         episodes: times of the rows of each episode, nanoseconds.
@@ -24,7 +24,7 @@ def rates(episodes: Sequence[Sequence[int]]) -> tuple[float, int]:
 
 
 def drift_s(stamps: Sequence[int], fps: int) -> float:
-    """The largest difference of the times (N,) of an episode, nanoseconds, from its row numbers / ``fps``, seconds."""
+    """Return how far, in seconds, the times (N,) of an episode are at most from its row numbers / ``fps``."""
     seconds = (np.array(stamps, np.int64) - stamps[0]) * 1e-9
     return float(np.abs(seconds - np.arange(len(stamps)) / fps).max())
 

@@ -43,7 +43,7 @@ def place_image(store: Store, item: ExportImage, target: Path, *, copy: bool) ->
 
 
 def image_bytes(item: ExportImage, suffix: str) -> bytes:
-    """The encoded image of an export: the bytes of the dataset, or encoded as `place_image` says."""
+    """Return the encoded image of an export: the bytes of the dataset, or encoded as `place_image` says."""
     image = item.image
     if _keeps_bytes(item, suffix):
         data = image.read()

@@ -94,7 +94,7 @@ class Parser:
 
 
 def local_path(dataset: Dataset, item: ExportImage) -> str:
-    """The path of an image's file on this machine.
+    """Return the path of an image's file on this machine.
 
     Raises:
         UsageError: the image is a frame of a video, a part of a file, or elsewhere.

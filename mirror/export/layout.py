@@ -28,7 +28,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Written:
-    """What a format has written besides images and masks.
+    """Counts of a format's files besides images and masks.
 
     Attributes:
         files: paths of the files.
@@ -47,7 +47,7 @@ class Written:
 
 @dataclass(frozen=True)
 class ExportLayout:
-    """One format.
+    """One export format with its writer.
 
     Attributes:
         name: the word of the command line.

@@ -164,7 +164,7 @@ def _rasters(scene: ExportScene, cameras: Sequence[str]) -> dict[str, tuple[int,
 
 
 def complete_episodes(scene: ExportScene, cameras: Sequence[str]) -> tuple[list[Episode], int]:
-    """The runs of complete frames of each traversal, and the number of incomplete frames.
+    """Return the runs of complete frames of each traversal, and the number of incomplete frames.
 
     Args:
         scene: what is exported.
@@ -256,7 +256,10 @@ def _rows(
 
 
 def motions(world_SE3_ego: Poses) -> Float64:
-    """(N, 3) metres forward and left and radians to the left, from each pose to the next; the last one is repeated."""
+    """Return the motion (N, 3) from each pose to the next: metres forward and left, and radians to the left.
+
+    The last one is repeated.
+    """
     if len(world_SE3_ego) < 2:
         return np.zeros((len(world_SE3_ego), 3))
     step = world_SE3_ego[:-1].inverse() @ world_SE3_ego[1:]

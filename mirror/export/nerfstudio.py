@@ -31,7 +31,7 @@ _OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def opengl_pose(item: ExportImage, origin_m: Float64) -> Float64:
-    """The matrix (4, 4) that maps OpenGL's camera frame to the world frame moved to ``origin_m``."""
+    """Return the matrix (4, 4) that maps OpenGL's camera frame to the world frame moved to ``origin_m``."""
     matrix = item.world_SE3_camera.matrix()[0] @ _OPENGL
     matrix[:3, 3] -= origin_m
     return np.asarray(matrix)

@@ -29,7 +29,7 @@ _ORDER = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 @dataclass
 class MirrorDataParserConfig(_base.DataParserConfig):
-    """Settings of the dataparser.
+    """Settings of the nerfstudio dataparser.
 
     Attributes:
         data: folder of the dataset.

@@ -51,7 +51,7 @@ _THREADS: Final = 8
 
 @dataclass(frozen=True)
 class PublishOptions:
-    """What is published.
+    """Options of publishing a dataset.
 
     Attributes:
         split: the split whose held-out traversals are withheld.
@@ -72,7 +72,7 @@ class PublishOptions:
 
 @dataclass(frozen=True, eq=False)
 class PublishReport:
-    """The result of publishing.
+    """The result of publishing a dataset.
 
     Attributes:
         bundle: the bundle's document, which was written last; None: files must not leave, and nothing was sealed.

@@ -56,7 +56,7 @@ class ExportOptions:
 
 
 def find_layout(name: str) -> ExportLayout:
-    """The format of a name.
+    """Return the format of a name.
 
     Raises:
         UsageError: there is no such format.

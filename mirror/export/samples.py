@@ -16,12 +16,12 @@ from mirror.geometry.poses import to_pose_numbers
 
 
 def own_lens(camera: Camera) -> ForeignLens:
-    """MIRROR's own model: formats that hold any numbers keep every lens."""
+    """Return MIRROR's own model: formats that hold any numbers keep every lens."""
     return ForeignLens(camera.model, {})
 
 
 def describe_frame(scene: ExportScene, frame: Frame, images: Sequence[ExportImage]) -> dict[str, Any]:
-    """A frame's ids, conditions, pose, cameras and boxes.
+    """Return a frame's ids, conditions, pose, cameras and boxes.
 
     Poses are seven numbers ``qw qx qy qz tx ty tz`` in the scene's world frame; pixels have the corner of the image at
     (0, 0).
@@ -43,7 +43,7 @@ def describe_frame(scene: ExportScene, frame: Frame, images: Sequence[ExportImag
 
 
 def describe_camera(item: ExportImage) -> dict[str, Any]:
-    """The lens, mounting, pose and exposure of one image."""
+    """Return the lens, mounting, pose and exposure of one image."""
     image, lens, calibration = item.image, item.lens, item.image.calibration
     return {
         "timestamp_ns": image.timestamp_ns,
@@ -59,7 +59,7 @@ def describe_camera(item: ExportImage) -> dict[str, Any]:
 
 
 def describe_boxes(boxes: FrameBoxes) -> list[dict[str, Any]]:
-    """Boxes in their frame; velocity and score are null where unknown."""
+    """Return the boxes in their frame; velocity and score are null where unknown."""
     return [
         {
             "timestamp_ns": boxes.timestamp_ns,

@@ -90,7 +90,7 @@ class ExportImage:
 
 @dataclass(frozen=True, eq=False)
 class ExportScene:
-    """What an export writes.
+    """The content of an export: one scene with its frames.
 
     Attributes:
         dataset: the view that is exported.
@@ -124,19 +124,19 @@ class ExportScene:
         return np.array([self.scene["x_m"], self.scene["y_m"], 0.0])
 
     def by_frame(self) -> Iterator[tuple[Frame, list[ExportImage]]]:
-        """Each frame with its images."""
+        """Yield each frame with its images."""
         for _, group in groupby(self.images, key=lambda item: (item.frame.traversal_id, item.frame.frame_index)):
             images = list(group)
             yield images[0].frame, images
 
     def by_traversal(self) -> Iterator[tuple[str, list[tuple[Frame, list[ExportImage]]]]]:
-        """Each traversal with its frames and their images."""
+        """Yield each traversal with its frames and their images."""
         for traversal_id, group in groupby(self.by_frame(), key=lambda item: item[0].traversal_id):
             yield traversal_id, list(group)
 
 
 def select_scene(dataset: Dataset, scene: str | None, split: str | None, *, undistort: bool) -> ExportScene:
-    """Select what an export writes. No image is opened.
+    """Select the content of an export. No image is opened.
 
     Args:
         dataset: the view to export.

@@ -41,7 +41,7 @@ class _Shard(NamedTuple):
 
 
 def sample_key(item: ExportImage) -> str:
-    """The key of the sample that an image belongs to."""
+    """Return the key of the sample that an image belongs to."""
     name = re.sub(r"[^A-Za-z0-9_-]", "_", item.frame.traversal_id)
     return f"{name}-{item.frame.frame_index:06}"
 

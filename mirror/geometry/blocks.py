@@ -38,5 +38,5 @@ def fill(kernel: Callable[..., None], out: AnyArray, *arrays: AnyArray) -> None:
 
 
 def split(array: AnyArray) -> AnyArray:
-    """The components (K, ...) of vectors (..., K), each contiguous."""
+    """Return the components (K, ...) of vectors (..., K), each contiguous."""
     return np.ascontiguousarray(array.transpose(array.ndim - 1, *range(array.ndim - 1)))

@@ -49,7 +49,7 @@ class BoxProjections:
         return len(self.visible)
 
     def hull(self, index: int) -> Float64:
-        """The convex hull of one box's image, not clipped to the raster.
+        """Return the convex hull of one box's image, not clipped to the raster.
 
         Returns:
             (K, 2) pixels, u towards v; (0, 2) where nothing of the box has a pixel.
@@ -122,7 +122,7 @@ def project_boxes(
 
 
 def convex_hull(points: npt.ArrayLike) -> Float64:
-    """The corners of the convex hull of points in the plane (A. Andrew, Inf. Proc. Letters 9(5), 1979).
+    """Return the corners of the convex hull of points in the plane (A. Andrew, Inf. Proc. Letters 9(5), 1979).
 
     Args:
         points: (P, 2); those that are not finite are left out.

@@ -35,7 +35,7 @@ FACES: Final = np.array([[0, 1, 2, 3], [4, 5, 6, 7], [0, 9, 4, 8], [1, 10, 5, 9]
 
 
 def corners(poses: Poses, lwh_m: npt.ArrayLike) -> Float64:
-    """The corners of boxes, in the order of `CORNER_SIGNS`.
+    """Return the corners of boxes, in the order of `CORNER_SIGNS`.
 
     Args:
         poses: N poses ``dst_SE3_box``: the box's centre, x along its length, y along its width, z along its height.
@@ -92,7 +92,7 @@ def points_in_boxes(points: npt.ArrayLike, poses: Poses, lwh_m: npt.ArrayLike) -
 
 
 def sizes(poses: Poses, lwh_m: npt.ArrayLike) -> Float64:
-    """The sizes (N, 3) of N boxes, checked.
+    """Return the sizes (N, 3) of N boxes, checked.
 
     Raises:
         UsageError: there are not as many sizes as poses, or a size is negative or not finite; its row is named.

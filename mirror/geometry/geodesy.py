@@ -27,7 +27,7 @@ ECCENTRICITY_SQUARED: Final = FLATTENING * (2.0 - FLATTENING)
 def geodetic_to_ecef(
     longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike, height_m: npt.ArrayLike = 0.0
 ) -> Float64:
-    """Earth-centred, earth-fixed coordinates.
+    """Return the earth-centred, earth-fixed coordinates.
 
     Args:
         longitude_deg: (...,) WGS 84.
@@ -52,7 +52,7 @@ def geodetic_to_ecef(
 
 
 def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
-    """Longitude, latitude and height of ECEF points (PROJ; heights to a micrometre).
+    """Return the longitude, latitude and height of ECEF points (PROJ; heights to a micrometre).
 
     Args:
         xyz_m: (N, 3) ECEF metres.
@@ -66,7 +66,7 @@ def ecef_to_geodetic(xyz_m: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
 
 
 def ecef_R_enu(longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike) -> Float64:  # noqa: N802
-    """Rotation from the east-north-up frame at a place to ECEF.
+    """Return the rotation from the east-north-up frame at a place to ECEF.
 
     Args:
         longitude_deg: (...,) WGS 84.
@@ -88,7 +88,7 @@ def ecef_R_enu(longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike) -> Flo
 def utm_to_geodetic(
     easting_m: npt.ArrayLike, northing_m: npt.ArrayLike, zone: int, north: bool
 ) -> tuple[Float64, Float64]:
-    """Longitude and latitude of UTM coordinates on WGS 84 (PROJ).
+    """Return the longitude and latitude of UTM coordinates on WGS 84 (PROJ).
 
     Args:
         easting_m: (N,) with the false easting of 500 km.
@@ -117,7 +117,7 @@ UTM_NORTHING_M: Final = {True: (-9_400_000.0, 9_400_000.0), False: (600_000.0, 1
 
 
 def is_in_utm_domain(easting_m: npt.ArrayLike, northing_m: npt.ArrayLike, north: bool) -> Bool:
-    """(N,) True where coordinates, with false easting and northing, can be those of a place in a UTM zone.
+    """Mark which of N coordinates, with false easting and northing, can be those of a place in a UTM zone.
 
     Args:
         easting_m: (N,); NaN is in no domain.
@@ -134,7 +134,7 @@ def is_in_utm_domain(easting_m: npt.ArrayLike, northing_m: npt.ArrayLike, north:
 def geodetic_to_utm(
     longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike, zone: int, north: bool
 ) -> tuple[Float64, Float64]:
-    """Easting and northing on WGS 84; the inverse of `utm_to_geodetic`."""
+    """Return the easting and northing on WGS 84; the inverse of `utm_to_geodetic`."""
     transformer = _transformer("EPSG:4326", _utm_crs(zone, north))
     east, nor = transformer.transform(np.asarray(longitude_deg, np.float64), np.asarray(latitude_deg, np.float64))
     return _finite(east), _finite(nor)
@@ -143,7 +143,7 @@ def geodetic_to_utm(
 def utm_convergence_rad(
     longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike, zone: int, north: bool = True
 ) -> Float64:
-    """Meridian convergence: grid north's azimuth, counted clockwise from true north.
+    """Return the meridian convergence: grid north's azimuth, counted clockwise from true north.
 
     A direction with grid azimuth a has the true azimuth a + convergence. East of the central meridian on the northern
     hemisphere it is positive.
@@ -168,7 +168,7 @@ def surface_distance_m(
     longitude0_deg: npt.ArrayLike,
     latitude0_deg: npt.ArrayLike,
 ) -> Float64:
-    """Geodesic distance on the ellipsoid for places that are near each other.
+    """Return the geodesic distance on the ellipsoid for places that are near each other.
 
     The chord through the ellipsoid is taken in closed form and bent to the arc of the mean curvature at the first
     place; within 20 km the error is below 1e-4 m, within 2 km below 1e-7 m (against Karney's algorithm).
@@ -190,13 +190,13 @@ def surface_distance_m(
 
 
 def mean_radius_m(latitude_deg: npt.ArrayLike) -> Float64:
-    """Geometric mean of the two principal radii of curvature at a latitude."""
+    """Return the geometric mean of the two principal radii of curvature at a latitude."""
     sin_lat = np.sin(np.radians(np.asarray(latitude_deg, np.float64)))
     return SEMI_MAJOR_M * np.sqrt(1.0 - ECCENTRICITY_SQUARED) / (1.0 - ECCENTRICITY_SQUARED * sin_lat**2)
 
 
 def geodesic_circle(longitude_deg: float, latitude_deg: float, radius_m: float, vertices: int = 256) -> Float64:
-    """Ring of points at one geodesic distance from a centre (Karney, through PROJ).
+    """Return the ring of points at one geodesic distance from a centre (Karney, through PROJ).
 
     Returns:
         (vertices + 1, 2) longitude and latitude, counter-clockwise, closed.
@@ -228,7 +228,7 @@ class TangentFrame:
     def from_geodetic(
         self, longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike, height_m: npt.ArrayLike
     ) -> Float64:
-        """World coordinates of geodetic points.
+        """Return the world coordinates of geodetic points.
 
         Differences are taken in float64 ECEF; the rounding of 6.4e6 m leaves below 2e-9 m.
 
@@ -240,13 +240,13 @@ class TangentFrame:
         return (points - origin) @ ecef_R_enu(self.longitude_deg, self.latitude_deg)
 
     def to_geodetic(self, world_m: npt.ArrayLike) -> tuple[Float64, Float64, Float64]:
-        """Longitude, latitude and height of world points (N, 3)."""
+        """Return the longitude, latitude and height of world points (N, 3)."""
         origin = geodetic_to_ecef(self.longitude_deg, self.latitude_deg, self.height_m)
         rotation = ecef_R_enu(self.longitude_deg, self.latitude_deg)
         return ecef_to_geodetic(np.asarray(world_m, np.float64) @ rotation.T + origin)
 
     def world_R_enu(self, longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike) -> Float64:  # noqa: N802
-        """Rotation from the east-north-up frame at other places into this one, (..., 3, 3).
+        """Return the rotation from the east-north-up frame at other places into this one, (..., 3, 3).
 
         At 200 m it is a turn of 0.002 degrees: small, and exact here.
         """

@@ -65,7 +65,7 @@ class Poses:
 
     @classmethod
     def unchecked(cls, rotation: Float64, translation: Float64) -> Poses:
-        """Poses of arrays that are known to be valid: a second check would double the time of a single pose."""
+        """Return poses of arrays that are known to be valid: a second check would double the time of a single pose."""
         poses = object.__new__(cls)
         # Contiguous: gathering a few rows of a strided array would copy all of it first.
         object.__setattr__(poses, "rotation", np.ascontiguousarray(rotation))
@@ -74,12 +74,12 @@ class Poses:
 
     @classmethod
     def identity(cls, count: int = 1) -> Poses:
-        """``count`` motions that move nothing."""
+        """Return ``count`` motions that move nothing."""
         return cls.unchecked(np.tile((1.0, 0.0, 0.0, 0.0), (count, 1)), np.zeros((count, 3)))
 
     @classmethod
     def from_matrix(cls, matrix: npt.ArrayLike) -> Poses:
-        """Poses of homogeneous matrices.
+        """Return the poses of homogeneous matrices.
 
         Args:
             matrix: (N, 4, 4), or one (4, 4).
@@ -105,7 +105,7 @@ class Poses:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, Any]) -> Poses:
-        """Poses of the seven columns ``qw qx qy qz tx_m ty_m tz_m`` of a mapping, a data frame or an Arrow table.
+        """Make poses of the columns ``qw qx qy qz tx_m ty_m tz_m`` of a mapping, a data frame or an Arrow table.
 
         Raises:
             UsageError: a column is missing, or a row is no pose; it is named.
@@ -117,13 +117,13 @@ class Poses:
         return cls(np.stack(values[:4], axis=-1), np.stack(values[4:], axis=-1))
 
     def to_columns(self) -> dict[str, Float64]:
-        """The seven columns ``qw qx qy qz tx_m ty_m tz_m``, (N,) each."""
+        """Return the seven columns ``qw qx qy qz tx_m ty_m tz_m``, (N,) each."""
         values = (*self.rotation.T, *self.translation.T)
         return {name: np.ascontiguousarray(column) for name, column in zip(COLUMNS, values)}
 
     @classmethod
     def exp(cls, twist: npt.ArrayLike) -> Poses:
-        """The motions reached after one unit of time at constant twist: the exponential map of SE(3).
+        """Return the motions reached after one unit of time at constant twist: the exponential map of SE(3).
 
         Args:
             twist: (N, 6) rotation vector (rad), then velocity (m), both in the moving frame, as in the
@@ -145,7 +145,7 @@ class Poses:
         return cls.unchecked(canonical(motion[:, :4]), motion[:, 4:])
 
     def log(self) -> Float64:
-        """The twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
+        """Return the twists (N, 6) whose `exp` these motions are: rotation of at most pi first, then translation."""
         return broadcast(log_kernel, 6, np.concatenate((self.rotation, self.translation), axis=1))
 
     def __len__(self) -> int:
@@ -155,7 +155,7 @@ class Poses:
         return self.unchecked(np.atleast_2d(self.rotation[index]), np.atleast_2d(self.translation[index]))
 
     def compose(self, other: Poses) -> Poses:
-        """``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
+        """Return ``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
 
         Args:
             other: as many poses, or one; one here goes with all of ``other``.
@@ -177,7 +177,7 @@ class Poses:
     __matmul__ = compose
 
     def inverse(self) -> Poses:
-        """``a_SE3_b.inverse()`` is ``b_SE3_a``."""
+        """Return ``a_SE3_b.inverse()`` is ``b_SE3_a``."""
         rotation = invert_unit(self.rotation)
         return self.unchecked(rotation, -rotate_unit(rotation, self.translation))
 
@@ -205,7 +205,7 @@ class Poses:
         return broadcast(_transform_kernel, 3, motion[:, None], given)
 
     def matrix(self) -> Float64:
-        """Homogeneous matrices (N, 4, 4)."""
+        """Return the homogeneous matrices (N, 4, 4)."""
         out = np.zeros((len(self), 4, 4))
         out[:, :3, :3] = matrix_unit(self.rotation).reshape(-1, 3, 3)
         out[:, :3, 3] = self.translation
@@ -213,7 +213,7 @@ class Poses:
         return out
 
     def one_matrix(self) -> Float64:
-        """Homogeneous matrix (4, 4) of a single pose, such as that of one image.
+        """Return the homogeneous matrix (4, 4) of a single pose, such as that of one image.
 
         Raises:
             UsageError: there are none or several poses.

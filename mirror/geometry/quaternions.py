@@ -36,7 +36,7 @@ ROTATION_TOLERANCE: Final = 1e-3
 
 
 def quaternion_normalise(quaternion: npt.ArrayLike) -> Float64:
-    """Scale to unit length and canonical sign; what is both already is returned bit for bit.
+    """Scale quaternions to unit length and canonical sign, bit for bit where they have both already.
 
     Args:
         quaternion: (..., 4), of any length but zero.
@@ -69,7 +69,7 @@ def quaternion_normalise(quaternion: npt.ArrayLike) -> Float64:
 
 
 def quaternion_multiply(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
-    """The Hamilton product: the rotation that turns by ``second``, then by ``first``.
+    """Return the Hamilton product: the rotation that turns by ``second``, then by ``first``.
 
     Args:
         first: (..., 4) unit quaternions.
@@ -85,7 +85,7 @@ def quaternion_multiply(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
 
 
 def quaternion_inverse(quaternion: npt.ArrayLike) -> Float64:
-    """The inverse rotation.
+    """Return the inverse rotation.
 
     Args:
         quaternion: (..., 4) unit quaternions.
@@ -113,7 +113,7 @@ def rotate(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Float64:
 
 
 def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Float64:
-    """Rotation matrices.
+    """Return the rotation matrices.
 
     Args:
         quaternion: (..., 4) unit quaternions.
@@ -129,7 +129,9 @@ def matrix_from_quaternion(quaternion: npt.ArrayLike) -> Float64:
 
 
 def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
-    """Quaternions of rotation matrices, accurate for every rotation (Shepperd, J. Guidance and Control 1(3), 1978).
+    """Convert rotation matrices to quaternions, accurately for every rotation.
+
+    The method is that of Shepperd, J. Guidance and Control 1(3), 1978.
 
     A matrix that is a rotation only up to the rounding of a file is replaced by the rotation nearest to it.
 
@@ -164,7 +166,7 @@ def quaternion_from_matrix(matrix: npt.ArrayLike) -> Float64:
 
 
 def quaternion_exp(rotation_vector: npt.ArrayLike) -> Float64:
-    """Unit quaternions of rotation vectors (axis times angle, radians), exact for the smallest angles.
+    """Return the unit quaternions of rotation vectors (axis times angle, radians), exact for the smallest angles.
 
     Args:
         rotation_vector: (..., 3).
@@ -188,7 +190,9 @@ def quaternion_exp(rotation_vector: npt.ArrayLike) -> Float64:
 
 
 def quaternion_log(quaternion: npt.ArrayLike) -> Float64:
-    """Rotation vectors (axis times angle in [0, pi], radians) of unit quaternions, exact for the smallest angles.
+    """Convert unit quaternions to rotation vectors (axis times angle in [0, pi], radians).
+
+    The vectors of the smallest angles are exact too.
 
     Args:
         quaternion: (..., 4) unit quaternions.
@@ -220,7 +224,7 @@ def slerp(first: npt.ArrayLike, second: npt.ArrayLike, fraction: npt.ArrayLike) 
 
 
 def angle_between_deg(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
-    """The angle in [0, 180] degrees by which two rotations differ, accurate to 1e-14 degrees.
+    """Return the angle in [0, 180] degrees by which two rotations differ, accurate to 1e-14 degrees.
 
     Args:
         first: (..., 4) unit quaternions.
@@ -237,7 +241,7 @@ def angle_between_deg(first: npt.ArrayLike, second: npt.ArrayLike) -> Float64:
 def quaternion_from_heading_pitch_roll(
     heading_deg: npt.ArrayLike, pitch_deg: npt.ArrayLike = 0.0, roll_deg: npt.ArrayLike = 0.0
 ) -> Float64:
-    """``enu_SE3_ego`` rotations from the angles that an inertial unit reports (ego: x forward, y left, z up).
+    """Return ``enu_SE3_ego`` rotations from the angles that an inertial unit reports (ego: x forward, y left, z up).
 
     Args:
         heading_deg: (...) clockwise from north, of the forward axis.
@@ -276,7 +280,9 @@ def quaternion_from_heading_pitch_roll(
 
 
 def heading_deg(quaternion: npt.ArrayLike) -> Float64:
-    """Heading of ``enu_SE3_ego`` rotations in [0, 360), clockwise from north; 0 where forward is straight up or down.
+    """Return the heading of ``enu_SE3_ego`` rotations in [0, 360), clockwise from north.
+
+    It is 0 where forward is straight up or down.
 
     Args:
         quaternion: (..., 4) unit quaternions.

@@ -15,7 +15,7 @@ from mirror.geometry.blocks import fill, split
 
 
 def canonical(quaternion: Float64) -> Float64:
-    """Of the two quaternions (..., 4) of each rotation, the one whose first non-zero component is positive."""
+    """Return the quaternion (..., 4) of each rotation whose first non-zero component is positive."""
     scalar = quaternion[..., 0]
     if (scalar > 0).all():
         return quaternion
@@ -29,43 +29,43 @@ def canonical(quaternion: Float64) -> Float64:
 
 
 def multiply_unit(first: Float64, second: Float64) -> Float64:
-    """`quaternion_multiply` of unit quaternions."""
+    """Return `quaternion_multiply` of unit quaternions."""
     return canonical(broadcast(_multiply_kernel, 4, first, second))
 
 
 def invert_unit(quaternion: Float64) -> Float64:
-    """`quaternion_inverse` of unit quaternions."""
+    """Return `quaternion_inverse` of unit quaternions."""
     return canonical(quaternion * (1.0, -1.0, -1.0, -1.0) + 0.0)
 
 
 def rotate_unit(quaternion: Float64, points: Float64) -> Float64:
-    """`rotate` by unit quaternions."""
+    """Return `rotate` by unit quaternions."""
     return broadcast(_rotate_kernel, 3, quaternion, points)
 
 
 def slerp_unit(first: Float64, second: Float64, fraction: Float64) -> Float64:
-    """`slerp` between unit quaternions."""
+    """Return `slerp` between unit quaternions."""
     return canonical(broadcast(slerp_kernel, 4, first, second, fraction[..., None]))
 
 
 def matrix_unit(quaternion: Float64) -> Float64:
-    """`matrix_from_quaternion` of unit quaternions, as rows of nine."""
+    """Return `matrix_from_quaternion` of unit quaternions, as rows of nine."""
     return broadcast(_matrix_kernel, 9, quaternion)
 
 
 def log_unit(quaternion: Float64) -> Float64:
-    """`quaternion_log` of canonical quaternions."""
+    """Return `quaternion_log` of canonical quaternions."""
     return broadcast(_log_kernel, 3, quaternion)
 
 
 def sinc(angle: Float64) -> Float64:
-    """``sin(angle) / angle``, 1 at 0."""
+    """Return ``sin(angle) / angle``, 1 at 0."""
     divisor = np.where(angle == 0.0, 1.0, angle)
     return np.asarray(np.where(angle == 0.0, 1.0, np.sin(angle) / divisor))
 
 
 def broadcast(kernel: Callable[..., None], components: int, *arrays: Float64) -> Float64:
-    """The (..., ``components``) result of a kernel over the arrays' broadcast batch axes."""
+    """Return the (..., ``components``) result of a kernel over the arrays' broadcast batch axes."""
     axes = max(array.ndim for array in arrays)
     arrays = tuple(array.reshape(*(1,) * (axes - array.ndim), *array.shape) for array in arrays)
     shape = arrays[0].shape[:-1]

@@ -22,7 +22,7 @@ from mirror.schema.tables import IMAGES, PASSES
 
 
 def make_rig_document(drive: DrivePasses) -> Rig | None:
-    """``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
+    """Return ``rigs/<rig_id>.json`` of a drive; None for a poses-only one."""
     rig = drive.recording.rig
     if rig is None:
         return None
@@ -43,7 +43,7 @@ def make_rig_document(drive: DrivePasses) -> Rig | None:
 
 
 def uncalibrated_cameras(rig: RigInfo | None) -> tuple[str, ...]:
-    """Names of the cameras of which the source states that it has no calibration."""
+    """Return the names of the cameras of which the source states that it has no calibration."""
     return () if rig is None else tuple(camera.name for camera in rig.cameras if not camera.is_calibrated)
 
 

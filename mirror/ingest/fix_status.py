@@ -65,7 +65,7 @@ class CleaningLimits(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def count_status(status: UInt8) -> Int64:
-    """(6,) number of fixes of each status."""
+    """Return the number (6,) of fixes of each status."""
     counts = np.zeros(6, np.int64)
     for value in status:
         counts[value] += 1
@@ -74,7 +74,7 @@ def count_status(status: UInt8) -> Int64:
 
 @njit(cache=True, nogil=True)
 def count_backward(stamps: Int64) -> tuple[int, int]:
-    """Number of stamps that are earlier than one before them, and the row of the first such stamp (-1: none)."""
+    """Count stamps earlier than one before them; return also the row of the first such stamp (-1: none)."""
     latest = stamps[0]
     count, row = 0, -1
     for index in range(len(stamps)):

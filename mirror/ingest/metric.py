@@ -19,7 +19,7 @@ _EARTH_M = 6_371_000.0
 
 @njit(cache=True, nogil=True)
 def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
-    """Metres per unit of longitude (or x) and of latitude (or y) at a latitude: the exact first derivatives."""
+    """Return metres per unit of longitude (or x) and of latitude (or y) at a latitude: the exact first derivatives."""
     if not geodetic:
         return 1.0, 1.0
     sin_lat = math.sin(lat_or_y * _RAD_PER_DEG)
@@ -42,7 +42,10 @@ def unwrap(difference: float, geodetic: bool) -> float:
 
 @njit(cache=True, nogil=True)
 def step_m(lon_or_x0: float, lat_or_y0: float, lon_or_x1: float, lat_or_y1: float, geodetic: bool) -> float:
-    """Length of a step in metres, with the scales at its middle latitude; relative error below 1e-8 up to 1 km."""
+    """Return the length of a step in metres, with the scales at its middle latitude.
+
+    The relative error is below 1e-8 up to 1 km.
+    """
     scale_x, scale_y = scales(0.5 * (lat_or_y0 + lat_or_y1), geodetic)
     dx = unwrap(lon_or_x1 - lon_or_x0, geodetic) * scale_x
     dy = (lat_or_y1 - lat_or_y0) * scale_y
@@ -51,7 +54,7 @@ def step_m(lon_or_x0: float, lat_or_y0: float, lon_or_x1: float, lat_or_y1: floa
 
 @njit(cache=True, nogil=True)
 def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: float, geodetic: bool) -> float:
-    """Geodesic distance in metres between nearby places.
+    """Return the geodesic distance in metres between nearby places.
 
     The chord is computed in closed form, and then the arc over it on a circle of the mean curvature. The error is below
     1e-7 m within 2 km. This is the compiled form of `mirror.geometry.geodesy.surface_distance_m`. The chord is built
@@ -74,7 +77,7 @@ def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: fl
 
 @inner_njit
 def plane_error(lat_or_y: float, radius: float, geodetic: bool) -> float:
-    """Upper bound of the relative error of distances within a radius (m) that use the scales at the centre."""
+    """Bound the relative error of distances within a radius (m) that use the scales at the centre."""
     if not geodetic:
         return 1e-12
     return 4.0 * radius / _EARTH_M * (1.0 + abs(math.tan(lat_or_y * _RAD_PER_DEG))) + 1e-6

@@ -26,7 +26,7 @@ _SAME_NS = 1_000_000
 
 
 class StepRule(NamedTuple):
-    """Which fixes count for the path.
+    """The rule that decides which fixes count for the path.
 
     Attributes:
         sigma_m: (N,) horizontal standard deviation of each fix, or (0,) if not known.
@@ -40,7 +40,7 @@ class StepRule(NamedTuple):
 
 
 class Figures(NamedTuple):
-    """What is measured of a pass; also the columns of `FIGURES`.
+    """Measured figures of a pass; also the columns of `FIGURES`.
 
     Attributes:
         path_m: driven length.

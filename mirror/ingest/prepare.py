@@ -25,7 +25,7 @@ from mirror.schema.files import read_json
 
 @dataclass(frozen=True)
 class PreparedDrive:
-    """A drive that can be written, or need not be.
+    """A drive with its judged passes, ready to be written if its input changed.
 
     Attributes:
         drive_id: its id.

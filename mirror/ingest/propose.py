@@ -35,7 +35,7 @@ _FINALISTS = 2000
 
 @dataclass(frozen=True)
 class Proposal:
-    """One proposed ROI.
+    """One proposed region of interest.
 
     Attributes:
         roi: the circle.
@@ -81,7 +81,7 @@ class SparseDrives:
 
 @dataclass(frozen=True)
 class Proposals:
-    """What `propose_rois` found.
+    """The result of `propose_rois`.
 
     Attributes:
         ranked: the proposals, best first.

@@ -23,7 +23,7 @@ Thresholds = TypeVar("Thresholds", TriggerOptions, CleaningOptions)
 
 
 def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> Thresholds:
-    """Defaults, with those thresholds that were given.
+    """Return the defaults, with those thresholds that were given.
 
     Raises:
         UsageError: one is out of its range; it is named.
@@ -41,7 +41,7 @@ def validate_thresholds(kind: type[Thresholds], given: Mapping[str, object]) -> 
 
 @dataclass(frozen=True)
 class IngestOptions:
-    """What an ingest run is asked to do.
+    """Options of an ingest run.
 
     Attributes:
         reader: name of the recording reader; None: each recording is recognised.
@@ -80,7 +80,7 @@ class IngestOptions:
 
 @dataclass(frozen=True)
 class DriveReport:
-    """What became of one drive; nothing in it grows with the drive's poses or images.
+    """The result of one drive's ingest; nothing in it grows with the drive's poses or images.
 
     Attributes:
         path: where the recording lies.
@@ -99,7 +99,7 @@ class DriveReport:
 
 @dataclass
 class IngestReport:
-    """What an ingest run came to.
+    """The result of an ingest run.
 
     Attributes:
         drives: drives that were judged, by id.
@@ -157,10 +157,10 @@ class IngestReport:
 
     @property
     def bytes(self) -> int:
-        """Their size."""
+        """Total size of the images that this run wrote."""
         return sum(one.bytes for one in self.traversals if not one.reused)
 
     @property
     def linked(self) -> int:
-        """The number of hard links among them."""
+        """The number of hard links among the written images."""
         return sum(one.linked for one in self.traversals)

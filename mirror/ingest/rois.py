@@ -67,7 +67,7 @@ def read_rois(path: Path) -> list[Roi]:
 
 
 def parse_roi(text: str) -> Roi:
-    """A ROI from the command line: ``lon,lat[,radius_m[,scene_id]]``.
+    """Return a ROI from the command line: ``lon,lat[,radius_m[,scene_id]]``.
 
     Raises:
         UsageError: not of that form, or off the globe.
@@ -118,7 +118,7 @@ def write_rois(path: Path, rois: Iterable[Roi], generator: str | None = None) ->
 
 
 def merge_rois(present: Sequence[Roi], given: Sequence[Roi], file: Path) -> list[Roi]:
-    """The dataset's ROIs with new ones added.
+    """Return the dataset's ROIs with new ones added.
 
     Raises:
         DatasetError: an id is there already with another centre or radius.

@@ -18,7 +18,7 @@ from mirror.schema.version import SCHEMA_VERSION
 
 @dataclass(frozen=True)
 class Settings:
-    """What every drive of a run is judged and written by.
+    """Settings by which every drive of a run is judged and written.
 
     Attributes:
         document: ``dataset.json``.
@@ -36,12 +36,12 @@ class Settings:
         return {roi.scene_id for roi in self.rois}
 
     def trigger(self) -> Trigger:
-        """The trigger for all scenes."""
+        """Return the trigger for all scenes."""
         return Trigger(self.rois, self.document.trigger, self.document.cleaning)
 
 
 def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> Settings:
-    """The dataset's settings with what a run adds.
+    """Merge the settings of a run into those of the dataset.
 
     Raises:
         UsageError: there is no ROI, or a threshold is out of its range.
@@ -80,7 +80,7 @@ def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) 
 
 
 def missing_roi_error() -> UsageError:
-    """The error where there is no scene to cut out."""
+    """Return the error where there is no scene to cut out."""
     return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
 
 

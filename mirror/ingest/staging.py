@@ -55,7 +55,10 @@ class Staging:
 
     @contextmanager
     def attempt(self) -> Iterator[Layout]:
-        """A folder that one attempt alone writes, laid out as a dataset; what is left in it is removed at the end."""
+        """Open a folder that one attempt alone writes, laid out as a dataset.
+
+        Its remains are removed at the end.
+        """
         attempts = self.layout.root / "attempts"
         attempts.mkdir(exist_ok=True)
         folder = Path(tempfile.mkdtemp(dir=attempts))
@@ -65,7 +68,7 @@ class Staging:
             shutil.rmtree(folder, ignore_errors=True)
 
     def complete(self, attempt: Layout, traversal_id: str) -> None:
-        """Move a traversal that an attempt has sealed to its place; another attempt's that is the same is left there.
+        """Move a sealed traversal to its place; an equal one of another attempt is left there.
 
         Raises:
             DatasetError: it cannot be moved.
@@ -92,12 +95,12 @@ class Staging:
             return
 
     def recorded(self, traversal_id: str) -> Path:
-        """The recorded part of a traversal: of this run, else of the dataset."""
+        """Return the recorded part of a traversal: of this run, else of the dataset."""
         own = self.layout.recorded(traversal_id)
         return own if (own / MANIFEST).is_file() else self.dataset.recorded(traversal_id)
 
     def forget(self, drive_id: str) -> None:
-        """Remove what this run made of a drive that failed."""
+        """Remove the output of a drive that failed."""
         for folder in (self.layout.drive(drive_id), *(self.layout.root / "traversals").glob(f"*.{drive_id}.*")):
             shutil.rmtree(folder, ignore_errors=True)
 

@@ -27,7 +27,7 @@ _COURSE_STEP_M = 0.5
 
 
 def build_pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table:
-    """``ego_poses`` of one traversal, in the world of its scene.
+    """Return ``ego_poses`` of one traversal, in the world of its scene.
 
     The world is the east-north-up frame at the ROI's centre; of a drive in a local metric frame it is that frame. Where
     the source has no height, the ROI's is taken; where it has no orientation, the direction of travel, level.
@@ -76,7 +76,7 @@ def build_pose_table(poses: PoseSlice, roi: Roi, drive: DrivePasses) -> pa.Table
 
 
 def course(poses: PoseSlice, *, geodetic: bool) -> Float64:
-    """Rotations that look along the direction of travel, level, from positions alone.
+    """Return the rotations that look along the direction of travel, level, from positions alone.
 
     A step counts once it is half a metre long; between the middles of such steps the course turns evenly, so that it is
     held while standing.
@@ -145,7 +145,7 @@ def _nearest(sorted_ns: Int64, query_ns: Int64) -> Int64:
 def build_pass_table(
     drive: DrivePasses, traversal_ids: Sequence[str | None], weather: Mapping[int, str], weather_plugin: str | None
 ) -> pa.Table:
-    """The ledger of one drive.
+    """Return the ledger of one drive.
 
     Args:
         drive: judged.

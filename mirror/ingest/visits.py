@@ -55,7 +55,7 @@ class Visit(NamedTuple):
 
 
 def dtype_of_rows(row: type[tuple[Any, ...]]) -> np.dtype[np.void]:
-    """The dtype of structured arrays with the fields of a named tuple: int64 for ``int``, else float64."""
+    """Return the dtype of structured arrays with the fields of a named tuple: int64 for ``int``, else float64."""
     return np.dtype([(name, np.int64 if kind is int else np.float64) for name, kind in get_type_hints(row).items()])
 
 

@@ -23,7 +23,7 @@ _IMAGES = 3
 def weather_from_traversals(
     staging: Staging, drive: DrivePasses, traversal_ids: Sequence[str | None], plugin: str
 ) -> dict[int, str]:
-    """Weather by number of pass, for accepted passes with images of a drive whose source does not state it.
+    """Return the weather by number of pass, for accepted passes with images of a drive whose source does not state it.
 
     Args:
         staging: the dataset, with the traversals written.

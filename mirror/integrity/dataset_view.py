@@ -69,7 +69,7 @@ class DatasetView:
         self.cameras: dict[Camera, Camera] = {}
 
     def name(self, path: Path) -> str:
-        """A path relative to the dataset's root."""
+        """Return a path relative to the dataset's root."""
         return path.relative_to(self.layout.root).as_posix()
 
     @cached_property
@@ -241,18 +241,18 @@ class DatasetView:
         return find_ties(self.candidates, by_scene=True)
 
     def folders(self, name: str) -> list[Path]:
-        """Folders of a folder of the dataset, sorted; hidden ones are passed over."""
+        """Return the folders of a folder of the dataset, sorted; hidden ones are passed over."""
         parent = self.layout.root / name
         found = parent.iterdir() if parent.is_dir() else ()
         return sorted(folder for folder in found if folder.is_dir() and not folder.name.startswith("."))
 
     def layer_folders(self, traversal: str) -> list[Path]:
-        """Folders of a traversal's layers, complete or not."""
+        """Return the folders of a traversal's layers, complete or not."""
         kinds = self.folders(f"traversals/{traversal}/layers")
         return [layer for kind in kinds for layer in self.folders(self.name(kind))]
 
     def folders_with_manifest(self) -> Iterator[Path]:
-        """Folders that have a manifest when they are complete, except the index."""
+        """Yield the folders that have a manifest when they are complete, except the index."""
         yield from self.folders("drives")
         yield from self.folders(MAPS)
         for folder in self.folders("traversals"):
@@ -260,14 +260,14 @@ class DatasetView:
             yield from self.layer_folders(folder.name)
 
     def listed_files(self) -> Iterator[tuple[Path, FileEntry]]:
-        """The files that manifests list, the index's included."""
+        """Yield the files that manifests list, the index's included."""
         indexed = {} if self.index_manifest is None else {self.layout.index: self.index_manifest}
         for folder, manifest in {**self.folder_manifests, **indexed}.items():
             for name, entry in manifest.files.items():
                 yield folder / name, entry
 
     def parts(self, table: Table, folders: Sequence[tuple[int, Path]]) -> list[TablePart]:
-        """A table of many folders; those that have none, or a broken one, are left out.
+        """Return a table of many folders; those that have none, or a broken one, are left out.
 
         Args:
             table: which.
@@ -280,7 +280,7 @@ class DatasetView:
         return [(self.name(path), number, data) for path, (number, _), data in read if data is not None]
 
     def table(self, path: Path, table: Table, columns: Sequence[str] | None = None) -> pa.Table | None:
-        """A table, or columns of it; None: the file is missing, or it is broken, which is kept as a problem."""
+        """Return a table, or columns of it; None: the file is missing, or it is broken, which is kept as a problem."""
         try:
             return read_table(path, table, columns)
         except SchemaError as error:

@@ -15,7 +15,7 @@ class Severity(StrEnum):
 
 
 class Cost(IntEnum):
-    """What a rule has to read: tables and documents; the sizes and ends of files; all bytes, images decoded."""
+    """The amount that a rule reads: tables and documents; sizes and ends of files; all bytes, images decoded."""
 
     TABLES = 0
     FILES = 1

@@ -13,7 +13,7 @@ from mirror.integrity.rows import TableRows
 
 @dataclass(frozen=True)
 class FrameAssignment:
-    """Columns of the N recorded images and of the traversals.
+    """The assignment of the N recorded images to frames, and of frames to traversals.
 
     Attributes:
         is_reference: (N,) True for images of the rig's reference camera.

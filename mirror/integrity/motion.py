@@ -63,11 +63,11 @@ class Motion:
         return self.distance_m / self.step_s
 
     def forward(self) -> Float64:
-        """(N, 2) horizontal direction of the ego's x axis, not normalised."""
+        """Return the horizontal direction (N, 2) of the ego's x axis, not normalised."""
         w, x, y, z = self.rotation.T
         return np.column_stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)])
 
     def up(self) -> Float64:
-        """(N,) cosine of the angle between the ego's z axis and up."""
+        """Return the cosine (N,) of the angle between the ego's z axis and up."""
         _, x, y, _ = self.rotation.T
         return 1.0 - 2.0 * (x * x + y * y)

@@ -16,7 +16,7 @@ from mirror.integrity.rule import Rule, declared
 
 @cache
 def rules() -> dict[str, Rule]:
-    """All rules by id, sorted."""
+    """Return all rules by id, sorted."""
     for module in walk_packages(package.__path__, f"{package.__name__}."):
         import_module(module.name)
     return declared()

@@ -51,13 +51,13 @@ class TableRows:
         return len(self.owner)
 
     def floats(self, name: str) -> Float64:
-        """A column of floats (N,), NaN where null."""
+        """Return a column of floats (N,), NaN where null."""
         if name not in self._floats:
             self._floats[name] = floats_or_nan(self.data.column(name))
         return self._floats[name]
 
     def integers(self, name: str) -> Int64:
-        """A column of integers (N,), 0 where null."""
+        """Return a column of integers (N,), 0 where null."""
         if name not in self._integers:
             self._integers[name] = integers_or_zero(self.data.column(name)).astype(np.int64, copy=False)
         return self._integers[name]
@@ -67,7 +67,7 @@ class TableRows:
         return is_valid(self.data.column(name))
 
     def text_codes(self, name: str) -> tuple[Int64, list[str]]:
-        """Codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes number."""
+        """Return the codes (N,) of a column of strings, -1 where null, and the sorted strings that the codes number."""
         if name not in self._words:
             column = self.data.column(name)
             if not pa.types.is_dictionary(column.type):
@@ -85,17 +85,17 @@ class TableRows:
         return self._words[name]
 
     def text(self, name: str, row: int) -> str | None:
-        """One value of a column of strings."""
+        """Return one value of a column of strings."""
         value: str | None = self.data.column(name)[row].as_py()
         return value
 
     @cached_property
     def same_file(self) -> Bool:
-        """(N,) True where the previous row is in the same file."""
+        """Mask (N,) of the rows whose previous row is in the same file."""
         return np.concatenate([[False], self.owner[1:] == self.owner[:-1]]) if len(self) else np.empty(0, np.bool_)
 
     def same_group(self, *names: str) -> Bool:
-        """(N,) True where the previous row is in the same file and has the same strings in some columns."""
+        """Mark the rows (N,) whose previous row is in the same file and has the same strings in some columns."""
         same = self.same_file.copy()
         for name in names:
             codes = self.text_codes(name)[0]
@@ -103,7 +103,7 @@ class TableRows:
         return same
 
     def runs(self, *names: str) -> Int64:
-        """Bounds (R + 1,) of the R runs of rows that `same_group` joins."""
+        """Return the bounds (R + 1,) of the R runs of rows that `same_group` joins."""
         return np.append(np.flatnonzero(~self.same_group(*names)), len(self)).astype(np.int64)
 
     def slices(self) -> Iterator[tuple[str, int, slice]]:
@@ -113,7 +113,7 @@ class TableRows:
             yield file, number, slice(start, stop)
 
     def key_columns(self) -> list[tuple[Int64, Bool]]:
-        """The sort columns of the table as integers (N,) of the same order, and masks (N,) of their values."""
+        """Return the sort columns of the table as integers (N,) of the same order, and masks (N,) of their values."""
         columns = []
         for name in self.table.sorted_by:
             whole = pa.types.is_integer(self.table.schema.field(name).type)
@@ -121,7 +121,7 @@ class TableRows:
         return columns
 
     def place(self, row: int) -> str:
-        """The number and keys of a row, for a message."""
+        """Return the number and keys of a row, for a message."""
         keys = [name for name in self.table.sorted_by if self.data.column(name)[row].is_valid]
         return ", ".join([f"row {self.row[row]}", *(f"{name} {self.data.column(name)[row].as_py()}" for name in keys)])
 

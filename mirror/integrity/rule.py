@@ -41,7 +41,7 @@ SceneCheck: TypeAlias = "Callable[[SceneView], Findings]"
 
 @dataclass(frozen=True)
 class Rule:
-    """One integrity rule.
+    """One integrity rule: id, severity, cost, text and check.
 
     Attributes:
         rule_id: letters of the group and three digits.
@@ -95,7 +95,7 @@ def scene_rule(
 
 
 def declared() -> dict[str, Rule]:
-    """The rules of all imported modules, by id; `mirror.integrity.registry.rules` imports all modules."""
+    """Return the rules of all imported modules, by id; `mirror.integrity.registry.rules` imports all modules."""
     return dict(sorted(_declared.items()))
 
 

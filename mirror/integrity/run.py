@@ -37,12 +37,12 @@ class CheckReport:
     unreadable: Sequence[MirrorError]
 
     def counts(self) -> dict[str, int]:
-        """Number of findings by severity."""
+        """Return the number of findings by severity."""
         found = Counter(rule.severity.value for rule, _ in self.findings)
         return {severity.value: found[severity.value] for severity in _ORDER}
 
     def exit_code(self, *, strict: bool = False) -> ExitCode:
-        """The exit code of `mirror check`.
+        """Return the exit code of `mirror check`.
 
         Args:
             strict: count warnings as errors.

@@ -144,7 +144,7 @@ class SceneView:
         return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
-        """Each row of `calibrations`, the rows of `images` of its traversal, and which of these are its camera's."""
+        """Yield each row of `calibrations` with the rows of `images` of its traversal, and mark its camera's."""
         taken, names = self.images.text_codes("camera")
         code_of = {name: code for code, name in enumerate(names)}
         cameras, camera_names = self.calibrations.text_codes("camera")
@@ -155,7 +155,10 @@ class SceneView:
                 yield row, own, taken[own] == code_of.get(camera_names[cameras[row]], -1)
 
     def pose_span(self) -> tuple[Int64, Int64]:
-        """(traversals,) first and last stamp of the recorded poses; where there are none, the first is the larger."""
+        """Return the first and the last stamp (traversals,) of the recorded poses.
+
+        Where there are none, the first is the larger.
+        """
         stamps = self.poses.integers("timestamp_ns")
         first = np.full(len(self.traversals), np.iinfo(np.int64).max)
         last = np.full(len(self.traversals), np.iinfo(np.int64).min)
@@ -173,7 +176,7 @@ class SceneView:
         )
 
     def tables(self) -> Sequence[TableRows]:
-        """Every table, layers included."""
+        """Return every table, layers included."""
         recorded = (self.all_poses, self.all_images, self.all_calibrations)
         return (*recorded, self.boxes, self.masks, self.depth, self.points)
 

@@ -62,7 +62,7 @@ class DatasetSummary:
     problems: tuple[MirrorError, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON values, for ``--json``."""
+        """Return all fields as JSON values, for ``--json``."""
         plain = {_JSON_KEYS.get(name, name): getattr(self, name) for name in self.__dataclass_fields__}
         plain["document"] = self.document.model_dump(mode="json")
         plain["problems"] = [error.to_dict() for error in self.problems]

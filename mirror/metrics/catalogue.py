@@ -21,7 +21,7 @@ _OF_CLASS: Final = "ap_"
 
 @dataclass(frozen=True)
 class Measure:
-    """One metric.
+    """One metric: its title, sentence, unit, direction, bounds, weights and function.
 
     Attributes:
         title: title of its column.

@@ -34,7 +34,7 @@ _Result = TypeVar("_Result")
 
 
 def as_array(value: Pixels, what: str) -> AnyArray:
-    """An array, or the values of a torch tensor, without a copy.
+    """Return an array, or the values of a torch tensor, without a copy.
 
     Raises:
         UsageError: it is neither, or a tensor that is not on the CPU, takes part in a gradient, or is of a type that
@@ -67,7 +67,7 @@ def as_array(value: Pixels, what: str) -> AnyArray:
 
 
 def as_numbers(values: Numbers, what: str, dtype: type[np.float64] | None = None) -> AnyArray:
-    """Numbers of a list, an array or a torch tensor.
+    """Return the numbers of a list, an array or a torch tensor.
 
     Args:
         values: the numbers.
@@ -105,7 +105,7 @@ def require_rows(valid: Bool | np.bool_, name: str, values: AnyArray, expected: 
 
 
 def as_images(value: Pixels, what: str, layout: Layout | None) -> list[AnyArray]:
-    """Images (H, W) or (H, W, C), one of a single image and all of a batch.
+    """Return the images (H, W) or (H, W, C), one of a single image and all of a batch.
 
     Args:
         value: pixels.
@@ -120,7 +120,7 @@ def as_images(value: Pixels, what: str, layout: Layout | None) -> list[AnyArray]
 
 
 def as_image(value: Pixels, what: str, layout: ImageLayout | None) -> AnyArray:
-    """One image (H, W) or (H, W, C); as `as_images`.
+    """Return one image (H, W) or (H, W, C); as `as_images`.
 
     Raises:
         UsageError: as of `as_images`, or the layout is that of a batch.
@@ -131,7 +131,7 @@ def as_image(value: Pixels, what: str, layout: ImageLayout | None) -> AnyArray:
 
 
 def images_of(values: Iterable[Pixels], what: str, layout: Layout | None) -> Iterator[AnyArray]:
-    """The images of many values, one by one, those of batches too.
+    """Yield single images from images and batches.
 
     Raises:
         UsageError: as of `as_images`.
@@ -141,7 +141,7 @@ def images_of(values: Iterable[Pixels], what: str, layout: Layout | None) -> Ite
 
 
 def as_masks(mask: Pixels | None, layout: Layout | None, count: int) -> Sequence[AnyArray | None]:
-    """The masks of images: one (H, W) for all of them, or (N, H, W) of a batch.
+    """Return the masks of images: one (H, W) for all of them, or (N, H, W) of a batch.
 
     Raises:
         UsageError: `as_array` refuses it, or there are not as many as images.
@@ -157,7 +157,7 @@ def as_masks(mask: Pixels | None, layout: Layout | None, count: int) -> Sequence
 
 
 def channels_last(value: Pixels, what: str, layout: Layout | None) -> AnyArray:
-    """Pixels with the channels as the last axis, contiguous where a layout is given.
+    """Return the pixels with the channels as the last axis, contiguous where a layout is given.
 
     Raises:
         UsageError: as of `as_images`.
@@ -190,7 +190,7 @@ def is_batch(layout: Layout | None) -> bool:
 
 
 def of_layout(results: Sequence[_Result], layout: Layout | None) -> Any:
-    """The result of one image, or the list of those of a batch."""
+    """Return the result of one image, or the list of those of a batch."""
     return list(results) if is_batch(layout) else results[0]
 
 

@@ -95,7 +95,7 @@ class Pixels(Document):
 
 
 class Masks(Document):
-    """Which pixels are not scored. Pixels outside the lens's field of view are never scored.
+    """The pixels that are not scored. Pixels outside the lens's field of view are never scored.
 
     Attributes:
         ego: exclude the ego vehicle, by the rig's static masks and mask layers of kind ``ego``.
@@ -113,7 +113,7 @@ class Masks(Document):
 
 
 class Vehicles(Document):
-    """Which vehicles are edited, and how much of one a view must show.
+    """The vehicles that are edited, and the part of one that a view must show.
 
     Attributes:
         categories: box categories of the vehicles.

@@ -164,7 +164,7 @@ Metric = Annotated[
 
 
 def metric_name(metric: Metric) -> str:
-    """The name of a metric's figure: the metric, with its variant or network if it has several."""
+    """Return the name of a metric's figure: the metric, with its variant or network if it has several."""
     if isinstance(metric, EditIou):
         return f"edit_iou_{metric.variant}"
     if isinstance(metric, EditFidelity):
@@ -175,5 +175,5 @@ def metric_name(metric: Metric) -> str:
 
 
 def figure_names(metric: Metric) -> tuple[str, ...]:
-    """The names of a metric's figures that can rank; most metrics have one."""
+    """Return the names of a metric's figures that can rank; most metrics have one."""
     return ("mean_ap", "nds_no_attr") if isinstance(metric, Detection) else (metric_name(metric),)

@@ -25,7 +25,7 @@ class RenderError(MirrorError):
 
 
 def max_png_bytes(width_px: int, height_px: int) -> int:
-    """An upper bound on the bytes of a PNG of this size: uncompressed pixels, and room for other chunks."""
+    """Return an upper bound on the bytes of a PNG of this size: uncompressed pixels, and room for other chunks."""
     raw = (3 * width_px + 1) * height_px
     return raw + raw // 50 + _SLACK_BYTES
 

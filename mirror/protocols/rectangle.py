@@ -30,11 +30,11 @@ class Rectangle(Document):
         return f"columns {self.left:g} to {self.right:g}, rows {self.top:g} to {self.bottom:g}"
 
     def touched(self, height: int, width: int) -> tuple[slice, slice]:
-        """Rows and columns of all pixels of a raster that the rectangle touches."""
+        """Return the rows and columns of all pixels of a raster that the rectangle touches."""
         rows = slice(math.floor(self.top * height), math.ceil(self.bottom * height))
         return rows, slice(math.floor(self.left * width), math.ceil(self.right * width))
 
     def inside(self, height: int, width: int) -> tuple[slice, slice]:
-        """Rows and columns of the pixels of a raster that lie wholly inside the rectangle."""
+        """Return the rows and columns of the pixels of a raster that lie wholly inside the rectangle."""
         rows = slice(math.ceil(self.top * height), math.floor(self.bottom * height))
         return rows, slice(math.ceil(self.left * width), math.floor(self.right * width))

@@ -22,7 +22,7 @@ Side = Literal["left", "right"]
 
 
 class Trigger(Document):
-    """When a scripted agent acts.
+    """The condition at which a scripted agent acts.
 
     Attributes:
         ttc_s: the agent acts once the ego's time to collision with it is at most this.

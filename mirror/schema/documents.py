@@ -113,7 +113,7 @@ class TriggerOptions(Document):
 
 
 class CleaningOptions(Document):
-    """How fixes are cleaned before the trigger.
+    """Thresholds that clean fixes before the trigger.
 
     Attributes:
         max_speed_mps: a fix that requires a higher speed from the last good fix is an outlier.
@@ -132,7 +132,7 @@ class CleaningOptions(Document):
 
 
 class CleaningReport(Document):
-    """What cleaning did to a drive's fixes.
+    """Counts of the fixes of a drive that cleaning dropped or moved.
 
     Attributes:
         poses: number of fixes read.

@@ -62,7 +62,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Remove what killed writers left in a folder and below: files under the temporary names of `write_bytes`.
+    """Remove the temporary files of `write_bytes` that killed writers left in a folder and below.
 
     Links to folders are not followed. No other process may be writing there.
     """
@@ -73,7 +73,7 @@ def remove_temporaries(folder: Path) -> None:
 
 
 def unwritable_error(path: Path, error: OSError) -> UnwritableError:
-    """Make the error for a file that could not be written; it names what blocks the path, or the system's reason.
+    """Make the error for an unwritable file; it names the obstacle in the path, or the system's reason.
 
     `mirror` adds the option that names the place, where the verb has one.
     """
@@ -330,5 +330,5 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
 
 
 def sha256_bytes(data: bytes) -> str:
-    """SHA-256 in hexadecimal."""
+    """Return the SHA-256 in hexadecimal."""
     return hashlib.sha256(data).hexdigest()

@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class HashStyle(Enum):
-    """How the values of a document are written before they are hashed: as JSON in ASCII, on one line.
+    """The form in which a document's values are written before they are hashed: ASCII JSON, on one line.
 
     Attributes:
         SORTED: keys in order, a space after a comma and a colon.

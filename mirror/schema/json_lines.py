@@ -32,7 +32,7 @@ def decode_object(line: bytes) -> dict[str, Any]:
 
 
 class LineReader(Generic[Row]):
-    """Reads a file that grows; each call reads what was appended since the last one.
+    """A reader of a file that grows; each call returns the lines that were appended since the last one.
 
     Args:
         path: the file; it need not exist.

@@ -148,7 +148,10 @@ def read_python_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def decoded_bytes(file: pq.ParquetFile, columns: Collection[str] | None = None, row_group: int | None = None) -> int:
-    """Size of the decoded columns of a file in bytes, from its footer; a lower bound for columns of varying width."""
+    """Return the size of the decoded columns of a file in bytes, from its footer.
+
+    It is a lower bound for columns of varying width.
+    """
     widths = {field.name: _width(field.type) for field in file.schema_arrow}
     size = 0
     for number in range(file.metadata.num_row_groups) if row_group is None else [row_group]:
@@ -163,7 +166,7 @@ def decoded_bytes(file: pq.ParquetFile, columns: Collection[str] | None = None, 
 
 
 def free_bytes() -> int | None:
-    """Memory that is free, or that the system can free, in bytes; None: unknown."""
+    """Return the memory that is free, or that the system can free, in bytes; None: unknown."""
     try:
         lines = _MEMORY.read_text().splitlines()
     except OSError:

@@ -18,7 +18,7 @@ _PATTERNS: Final = {
 
 
 def describe_problem(details: ErrorDetails) -> str:
-    """Say what is wrong with a value: one of `pydantic.ValidationError.errors`, without the name of the exception."""
+    """Describe the fault of a value: one of `pydantic.ValidationError.errors`, without the exception's name."""
     if details["type"] == "string_pattern_mismatch":
         pattern = details.get("ctx", {}).get("pattern", "")
         return _PATTERNS.get(pattern, "the text has another form than documented")
@@ -26,13 +26,13 @@ def describe_problem(details: ErrorDetails) -> str:
 
 
 def describe_expected(details: ErrorDetails) -> str:
-    """Say what a right value is, such as ``a number greater than 0``."""
+    """Describe a right value, such as ``a number greater than 0``."""
     expected = describe_problem(details).removeprefix("Input should be ")
     return f"a number {expected}" if expected.startswith(("greater", "less")) else expected
 
 
 def describe_problems(every: Sequence[ErrorDetails]) -> tuple[str, str]:
-    """Say what is wrong with a document, and where: all problems at once.
+    """Describe all faults of a document at once, each with its place.
 
     Args:
         every: `pydantic.ValidationError.errors`.

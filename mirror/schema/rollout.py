@@ -31,7 +31,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Rollout(Document):
-    """``run.json``: one rollout.
+    """``run.json``: the document of one rollout.
 
     Attributes:
         format: always ``mirror-rollout``.
@@ -115,7 +115,7 @@ def read_rollout(folder: Path) -> Rollout:
 
 
 def list_files(folder: Path) -> dict[str, FileEntry]:
-    """The sizes and hashes of all files of a rollout's folder, apart from ``run.json``, by relative path."""
+    """Return the sizes and hashes of all files of a rollout's folder, apart from ``run.json``, by relative path."""
     entries = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path != folder / ROLLOUT and not path.name.startswith("."):

@@ -103,7 +103,7 @@ class WeightResolver:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal; the file is read in blocks."""
+    """Return the SHA-256 of a file in hexadecimal; the file is read in blocks."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(_BLOCK):

@@ -34,13 +34,13 @@ def require_device(device: str) -> None:
 
 
 def computing_in(precision: Precision, device: torch.device | str) -> AbstractContextManager[object]:
-    """The context in which a network computes in a precision on a device."""
+    """Return the context in which a network computes in a precision on a device."""
     return nullcontext() if precision == "float32" else torch.autocast(torch.device(device).type, torch.bfloat16)
 
 
 @contextmanager
 def repeating_exactly(device: str) -> Iterator[None]:
-    """Within this block, a CUDA device gives the same bits for the same computation, as the processor always does.
+    """Make a CUDA device give equal bits for equal computations, as the processor always does.
 
     Args:
         device: where the networks are.
@@ -83,7 +83,7 @@ def require_seed(seed: int) -> None:
 
 @contextmanager
 def exhausted_memory_named(device: str, remedy: str) -> Iterator[None]:
-    """Within this block, exhausted memory raises an error that names the device and the remedy.
+    """Turn exhausted memory into an error that names the device and the remedy.
 
     torch has an error of its own for the memory of accelerators, and a plain one for that of the processor.
 

@@ -75,7 +75,7 @@ def read_generator(path: Path) -> tuple[Transformer, int]:
 
 
 def captioned_config(path: Path) -> TransformerConfig:
-    """The configuration of a generator that was trained with captions; its tensors are not read.
+    """Return the configuration of a generator that was trained with captions; its tensors are not read.
 
     Raises:
         UsageError: it was trained without, so that the parameters that read captions are random.
@@ -114,7 +114,7 @@ def require_guidance(path: Path, scale: float) -> None:
 
 
 def read_references(path: Path) -> int:
-    """The number T of a generator's reference frames; its tensors are not read.
+    """Return the number T of a generator's reference frames; its tensors are not read.
 
     Raises:
         DatasetError: the file is missing, broken, or no generator.
@@ -123,7 +123,9 @@ def read_references(path: Path) -> int:
 
 
 def trained_rates(path: Path) -> tuple[float, float] | None:
-    """The lowest and highest rate of a generator's training clips, frames per second; None: its file states none.
+    """Return the lowest and highest rate of a generator's training clips, frames per second.
+
+    None: its file states none.
 
     Raises:
         DatasetError: the file is missing, broken, or no generator.

@@ -35,7 +35,7 @@ class TextEmbedding:
 
     @classmethod
     def empty(cls, config: TransformerConfig) -> TextEmbedding:
-        """No text: no tokens, and zeros for the pooled vector."""
+        """Make an empty text: no tokens, and zeros for the pooled vector."""
         return cls(torch.zeros(0, config.text_channels), torch.zeros(config.pooled_channels))
 
 
@@ -48,7 +48,7 @@ class Captions(Protocol):
 
 
 def embed_views(captions: Captions, clip: Clip, frame: int, config: TransformerConfig) -> TextEmbedding:
-    """The captions of all views of a frame: tokens (V, M, text_channels), and pooled (V, pooled_channels).
+    """Return the captions of all views of a frame: tokens (V, M, text_channels), and pooled (V, pooled_channels).
 
     Raises:
         UsageError: a caption has another size than the network takes, or another number of tokens than the others.
@@ -82,7 +82,7 @@ def require_equal_lengths(texts: Iterable[Tensor]) -> None:
 
 
 def embedding_widths(path: Path) -> tuple[int, int]:
-    """The numbers of a token and of a pooled embedding in a file of embeddings.
+    """Return the widths of tokens and of pooled embeddings in a file of embeddings.
 
     Raises:
         WeightsUnavailableError: the file is missing or broken, or its embeddings differ in width.

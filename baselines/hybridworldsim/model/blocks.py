@@ -52,12 +52,12 @@ class Block:
         return np.asarray(points_m, np.float64) - np.array(self.origin_m)
 
     def distance_m(self, points_m: Float64) -> Float64:
-        """Distance (N,) of points (N, 2 or more) in the world from the block's square; 0 within it."""
+        """Return the distance (N,) of points (N, 2 or more) in the world from the block's square; 0 within it."""
         beyond = np.abs(np.asarray(points_m, np.float64)[:, :2] - np.array(self.origin_m[:2])) - self.size_m / 2.0
         return np.hypot(*np.maximum(beyond, 0.0).T)
 
     def far(self, points_m: Float64) -> Bool:
-        """(N,) whether points (N, 3) in the world are so far outside that the block's sky node represents them."""
+        """Mark which points (N, 3) in the world are so far outside that the block's sky node represents them."""
         beyond = np.abs(np.asarray(points_m, np.float64)[:, :2] - np.array(self.origin_m[:2]))
         return np.asarray((beyond > self.half_extent_m).any(axis=1))
 

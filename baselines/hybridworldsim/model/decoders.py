@@ -35,7 +35,7 @@ class ModulatedMLP(nn.Module):
         self.out = nn.Linear(hidden, outputs)
 
     def first_layer(self, latent: Tensor, width: int) -> Tensor:
-        """(hidden, width) the first layer under an appearance: the matrix, the bias, and zeros up to the width.
+        """Return the first layer (hidden, width) under an appearance: matrix, bias, and zeros up to the width.
 
         Args:
             latent: (latent,) the appearance.

@@ -103,7 +103,7 @@ def _first_points(initial: InitialGeometry, settings: Settings) -> Float64:
 
 
 def background_points(initial: InitialGeometry, spacing_m: float, share: float, max_count: int) -> Float64:
-    """Points (N, 3) of the background. Those far from the driven places appear small and are thinned more.
+    """Return the points (N, 3) of the background. Those far from the driven places appear small and are thinned more.
 
     Args:
         initial: geometry of the block.
@@ -121,7 +121,10 @@ def background_points(initial: InitialGeometry, spacing_m: float, share: float, 
 
 
 def neighbour_spacing(points: Float64, least_m: float) -> Float64:
-    """(N,) root mean square distance to the three nearest other points, metres, limited to 0.5 to 5 times `least_m`."""
+    """Return the root mean square distances (N,) of points to the three nearest others.
+
+    Metres, limited to 0.5 to 5 times `least_m`.
+    """
     if len(points) < 4:
         return np.full(len(points), least_m)
     distances, _ = cKDTree(points).query(points, k=4)
@@ -129,7 +132,7 @@ def neighbour_spacing(points: Float64, least_m: float) -> Float64:
 
 
 def ground_seeds(initial: InitialGeometry, step_m: float, reach_m: float, max_count: int | None = None) -> Seeds:
-    """Flat Gaussians on the ground; the grid is wider where many streets meet.
+    """Return the flat Gaussians on the ground; the grid is wider where many streets meet.
 
     Args:
         initial: geometry of the block.
@@ -163,7 +166,7 @@ def _rings(driven: Float64, step_m: float, reach_m: float) -> tuple[Float64, Flo
 
 
 def sky_seeds(initial: InitialGeometry, count: int, radii: float, far_count: int) -> Seeds:
-    """Flat Gaussians on a hemisphere around the block, followed by round ones on the points beyond the block.
+    """Make flat Gaussians on a hemisphere around the block, then round ones on the points beyond the block.
 
     Points beyond the hemisphere are moved inside it, along the ray from the middle of the block.
 

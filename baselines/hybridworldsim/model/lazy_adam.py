@@ -113,7 +113,7 @@ class LazyAdam:
         self._next_number += count
 
     def state(self) -> dict[str, Tensor]:
-        """Moments, row numbers and counters as tensors, for a checkpoint."""
+        """Return the moments, row numbers and counters as tensors, for a checkpoint."""
         moments = {f"first.{name}": table for name, table in self._first.items()}
         moments |= {f"second.{name}": table for name, table in self._second.items()}
         counters = torch.tensor([self.steps, self._next_number])

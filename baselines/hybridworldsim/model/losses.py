@@ -9,7 +9,7 @@ from hybridworldsim.model.ssim_loss import ssim
 
 
 def colour_loss(rendered: Tensor, recorded: Tensor, scored: Tensor) -> Tensor:
-    """Mean square error of the scored pixels.
+    """Return the mean square error of the scored pixels.
 
     Args:
         rendered: (H, W, 3).
@@ -21,7 +21,7 @@ def colour_loss(rendered: Tensor, recorded: Tensor, scored: Tensor) -> Tensor:
 
 
 def structure_loss(rendered: Tensor, recorded: Tensor, scored: Tensor) -> Tensor:
-    """Mean of 1 - SSIM of the scored pixels.
+    """Return the mean of 1 - SSIM of the scored pixels.
 
     In the windows, a pixel that is not scored counts as rendered without error. 3DGS and Scaffold-GS have this loss,
     the supplement of HybridWorldSim does not: `Settings.structure_weight` is 0 for the paper's method.
@@ -36,7 +36,7 @@ def structure_loss(rendered: Tensor, recorded: Tensor, scored: Tensor) -> Tensor
 
 
 def depth_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor) -> Tensor:
-    """Mean square of the depth error as a share of the depth.
+    """Return the mean square of the depth error as a share of the depth.
 
     With the supplement's square of metres, the farthest points make up nearly all of the loss, while the error of
     stereo grows at least in proportion to depth. The share is limited to 1, so that one wrong match has little effect.

@@ -19,7 +19,7 @@ _LEAST = 1e-24
 
 
 def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) -> Tensor:
-    """Mean absolute difference of curvatures over pixels where stereo depth is known all around.
+    """Return the mean absolute difference of curvatures over pixels where stereo depth is known all around.
 
     A normal is that of the plane through a pixel's four neighbours. The curvature is the square of the normals' Sobel
     gradients (3 x 3), summed over channels and directions. Both are computed from depth alone, so that the normals of

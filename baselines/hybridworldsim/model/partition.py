@@ -37,6 +37,6 @@ def partition(places: Tensor, centres: Tensor, ramp_m: float) -> Tensor:
 
 
 def smoothstep(share: Tensor) -> Tensor:
-    """A smooth cubic from 0 at 0 to 1 at 1, constant outside; its values at t and 1 - t sum to one."""
+    """Return a smooth cubic from 0 at 0 to 1 at 1, constant outside; its values at t and 1 - t sum to one."""
     share = share.clamp(0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)

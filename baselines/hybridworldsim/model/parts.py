@@ -68,7 +68,7 @@ class Parts:
     ramp_m: float
 
     def sky_weights(self, eye_m: Float64) -> Tensor:
-        """Weights (B,) of the blocks' skies for a camera at (3,) in the world."""
+        """Return the weights (B,) of the blocks' skies for a camera at (3,) in the world."""
         place = torch.from_numpy(np.asarray(eye_m[:2] - self.origin_m[:2])[None])
         return partition(place, self.centres, self.ramp_m)[0]
 

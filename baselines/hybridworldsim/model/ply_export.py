@@ -72,7 +72,7 @@ def export_gaussians(
     sky: Sky = "pull",
     reach_m: float = 150.0,
 ) -> ExportedGaussians:
-    """Fit Gaussians that do not depend on the view to what a street shows one camera on one drive.
+    """Fit Gaussians that do not depend on the view to a street's images for one camera on one drive.
 
     Opacities, scales and rotations are means over the views, taken before the networks' last activations. Colours are
     spherical harmonics, fitted by least squares with a small penalty on all but the constant, because directions from a
@@ -122,7 +122,7 @@ def psnr_to_model_db(
     views: Sequence[RenderView],
     select_latents: LatentSelector,
 ) -> float:
-    """PSNR of the exported street's images against the model's images, over all pixels of some views."""
+    """Return the PSNR of the exported street's images against the model's images, over all pixels of some views."""
     street = Composition(blocks)
     errors = []
     for view in views:

@@ -18,7 +18,7 @@ from mirror.errors import DatasetError
 
 
 def driven_m(dataset: Dataset) -> Float64:
-    """(N, 3) places of vehicles on the ground in the traversals of a dataset view, in the world."""
+    """Return the places (N, 3) of vehicles on the ground in the traversals of a dataset view, in the world."""
     return read_driven_poses(dataset).translation
 
 

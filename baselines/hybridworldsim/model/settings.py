@@ -24,7 +24,7 @@ class Rate:
     last: float
 
     def at(self, progress: float) -> float:
-        """The rate at a progress from 0 to 1."""
+        """Return the rate at a progress from 0 to 1."""
         return float(self.first ** (1.0 - progress) * self.last**progress)
 
 
@@ -44,7 +44,7 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class Refinement:
-    """When anchors are added and removed, and how many there may be.
+    """The schedule that adds and removes anchors, and their largest number.
 
     Attributes:
         begin: progress at which refinement begins.

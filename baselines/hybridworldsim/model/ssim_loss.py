@@ -18,7 +18,9 @@ _WINDOW = (np.exp(-0.5 * _STEPS**2) / np.exp(-0.5 * _STEPS**2).sum()).astype(np.
 
 
 def ssim(rendered: Tensor, recorded: Tensor) -> Tensor:
-    """(H, W) structural similarity, averaged over the channels; pixels beyond the border are black, as in 3DGS.
+    """Compute the structural similarity (H, W), averaged over the channels.
+
+    Pixels beyond the border are black, as in 3DGS.
 
     Args:
         rendered: (H, W, 3) float32; only this image gets a gradient.

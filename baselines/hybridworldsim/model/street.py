@@ -16,7 +16,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 class NodeRows(NamedTuple):
-    """Some rows of each node."""
+    """A selection of rows of each node."""
 
     background: AnchorRows
     ground: CodeRows
@@ -25,7 +25,7 @@ class NodeRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """A rendered image, with what the optimiser reads.
+    """A rendered image, and the tensors whose gradients the optimiser reads.
 
     Attributes:
         rgb: (H, W, 3).

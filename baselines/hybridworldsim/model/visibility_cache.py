@@ -29,7 +29,7 @@ class _VisitRecord:
 
 
 class VisibilityCache:
-    """Which rows of the nodes each training image shows.
+    """A record of the rows of nodes that each training image shows.
 
     About half of the rows in a street's view frustum are hidden: their gradients are zero, and they cost as much as
     visible rows. Rows that an image did not show are skipped at its next three visits; rows that were added since are
@@ -75,7 +75,7 @@ class VisibilityCache:
             self._bytes += sum(bits.nbytes for bits in record.shown)
 
     def state(self) -> dict[str, Tensor]:
-        """The records as tensors, for a checkpoint."""
+        """Return the records as tensors, for a checkpoint."""
         images = list(self._records.values())
         packed = [bits for image in images for bits in image.shown]
         return {

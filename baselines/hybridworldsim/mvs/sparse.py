@@ -37,7 +37,7 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class SparsePoints:
-    """Triangulated points.
+    """Points triangulated from matched features.
 
     Attributes:
         cloud: the points; their standard deviations are unknown.

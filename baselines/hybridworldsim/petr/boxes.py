@@ -41,7 +41,7 @@ class DecodedBoxes:
 
 
 def encode_boxes(centre: Tensor, size: Tensor, yaw: Tensor, velocity: Tensor, generation: Generation) -> Tensor:
-    """Codes (K, 10) of boxes: centres (K, 3), length, width, height (K, 3), yaws (K,), velocities (K, 2)."""
+    """Return the codes (K, 10) of boxes: centres (K, 3), length, width, height (K, 3), yaws (K,), velocities (K, 2)."""
     log = size.log()
     pair = log[:, [1, 0]] if generation == "width-length" else log[:, [0, 1]]
     angle = (-yaw - 0.5 * math.pi)[:, None]
@@ -56,7 +56,7 @@ def decode_boxes(
     min_score: float = 0.0,
     centre_range_m: tuple[float, ...] = (-61.2, -61.2, -10.0, 61.2, 61.2, 10.0),
 ) -> list[DecodedBoxes]:
-    """The best boxes of the last layer: each pair of query and class is one candidate.
+    """Return the best boxes of the last layer: each pair of query and class is one candidate.
 
     Args:
         output: outputs of the head.

@@ -13,7 +13,7 @@ class Attention(nn.Module):
         self.attn = nn.MultiheadAttention(dim, heads, dropout, batch_first=True)
 
     def forward(self, x: Tensor, position: Tensor, keys: Tensor, key_position: Tensor) -> Tensor:
-        """(B, Q, C) queries and (B, K, C) keys to (B, Q, C)."""
+        """Return (B, Q, C) queries and (B, K, C) keys to (B, Q, C)."""
         attended: Tensor = self.attn(x + position, keys + key_position, keys, need_weights=False)[0]
         return x + attended
 
@@ -27,7 +27,7 @@ class FeedForward(nn.Module):
         self.layers = nn.Sequential(first, nn.Linear(hidden, dim), nn.Dropout(dropout))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, Q, C) to the same shape."""
+        """Map (B, Q, C) to the same shape."""
         return x + self.layers(x)
 
 
@@ -41,7 +41,7 @@ class DecoderLayer(nn.Module):
         self.norms = nn.ModuleList([nn.LayerNorm(dim) for _ in range(3)])
 
     def forward(self, x: Tensor, position: Tensor, memory: Tensor, memory_position: Tensor) -> Tensor:
-        """(B, Q, C) to the same shape."""
+        """Map (B, Q, C) to the same shape."""
         x = self.norms[0](self.attentions[0](x, position, x, position))
         x = self.norms[1](self.attentions[1](x, position, memory, memory_position))
         out: Tensor = self.norms[2](self.ffns[0](x))
@@ -57,7 +57,7 @@ class Decoder(nn.Module):
         self.post_norm = nn.LayerNorm(dim)
 
     def forward(self, x: Tensor, position: Tensor, memory: Tensor, memory_position: Tensor) -> list[Tensor]:
-        """The output (B, Q, C) of each layer."""
+        """Return the output (B, Q, C) of each layer."""
         outputs = []
         for layer in self.layers:
             x = layer(x, position, memory, memory_position)

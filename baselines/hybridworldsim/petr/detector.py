@@ -58,14 +58,14 @@ class Petr(nn.Module):
 
 
 class LastLayer(nn.Module):
-    """The outputs of the last decoder layer as tensors: what ONNX files hold."""
+    """The outputs of the last decoder layer as tensors, in the form of ONNX files."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, images: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, Q, classes) and codes (B, Q, 10)."""
+        """Return the logits (B, Q, classes) and codes (B, Q, 10)."""
         out = self.network(images, points)
         return out.logits[-1], out.codes[-1]
 

@@ -9,7 +9,10 @@ from torch import Tensor
 
 
 def lid_depths(count: int, start_m: float, end_m: float, *, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Depths (count,) with linearly increasing steps: d_i = start + (end - start) i (i + 1) / (count (count + 1))."""
+    """Return depths (count,) with linearly increasing steps.
+
+    d_i = start + (end - start) i (i + 1) / (count (count + 1)).
+    """
     index = torch.arange(count, dtype=dtype)
     return start_m + (end_m - start_m) / (count * (1 + count)) * index * (index + 1)
 
@@ -17,7 +20,7 @@ def lid_depths(count: int, start_m: float, end_m: float, *, dtype: torch.dtype =
 def matrix_points(
     image_from_frame: Tensor, height: int, width: int, image_size: tuple[int, int], depths: Tensor
 ) -> Tensor:
-    """Points of pinhole cameras, as published: pixels at multiples of the stride, without half a pixel.
+    """Return the points of pinhole cameras, as published: pixels at multiples of the stride, without half a pixel.
 
     Args:
         image_from_frame: (N, 4, 4) projection of each camera, onto pixels of the resized image.
@@ -45,13 +48,13 @@ def matrix_points(
 
 
 def inverse_sigmoid(x: Tensor, eps: float = 1e-5) -> Tensor:
-    """The logarithm of the odds, with the odds limited to 1e5."""
+    """Return the logarithm of the odds, with the odds limited to 1e5."""
     x = x.clamp(0.0, 1.0)
     return torch.log(x.clamp(min=eps) / (1.0 - x).clamp(min=eps))
 
 
 def encode_points(points: Tensor, position_range: Tensor) -> Tensor:
-    """The input (N, 3 D, H, W) of the position encoder: channel 3 d + k is coordinate k at depth d.
+    """Return the input (N, 3 D, H, W) of the position encoder: channel 3 d + k is coordinate k at depth d.
 
     Args:
         points: (N, H, W, D, 3).
@@ -62,7 +65,9 @@ def encode_points(points: Tensor, position_range: Tensor) -> Tensor:
 
 
 def multiview_sine(cameras: int, height: int, width: int, features: int, *, dtype: torch.dtype) -> Tensor:
-    """Sines (N, 3 features, H, W) of the camera's number, the row and the column; in each part all sines come first.
+    """Return sines (N, 3 features, H, W) of the camera's number, the row and the column.
+
+    In each part all sines come first.
 
     The camera's number makes this encoding specific to a rig of a fixed number and order of cameras.
     """
@@ -80,7 +85,10 @@ def multiview_sine(cameras: int, height: int, width: int, features: int, *, dtyp
 
 
 def query_sine(reference: Tensor, features: int) -> Tensor:
-    """Sines (Q, 3 features) of reference points (Q, 3) in 0..1, in the order y, x, z, sines and cosines alternating."""
+    """Return sines (Q, 3 features) of reference points (Q, 3) in 0..1.
+
+    The order is y, x, z, with sines and cosines alternating.
+    """
     frequency = _frequencies(features, reference.dtype).to(reference.device)
     angle = (reference * 2.0 * math.pi)[..., None] / frequency
     code = torch.stack((angle[..., 0::2].sin(), angle[..., 1::2].cos()), -1).flatten(-2)

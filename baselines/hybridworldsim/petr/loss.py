@@ -31,7 +31,7 @@ class TrueBoxes:
 
 
 def sigmoid_focal_loss(logits: Tensor, target: Tensor) -> Tensor:
-    """Focal loss (T.-Y. Lin et al., ICCV 2017) of each logit; ``target`` is 0 or 1."""
+    """Return the focal loss (T.-Y. Lin et al., ICCV 2017) of each logit; ``target`` is 0 or 1."""
     p = logits.sigmoid()
     cross_entropy = F.binary_cross_entropy_with_logits(logits, target, reduction="none")
     p_true = p * target + (1.0 - p) * (1.0 - target)
@@ -40,7 +40,7 @@ def sigmoid_focal_loss(logits: Tensor, target: Tensor) -> Tensor:
 
 
 def match(logits: Tensor, code: Tensor, truth: TrueBoxes) -> tuple[Tensor, Tensor]:
-    """Queries and true boxes with the least total cost.
+    """Return the queries and true boxes with the least total cost.
 
     Args:
         logits: (Q, classes).
@@ -64,7 +64,7 @@ def match(logits: Tensor, code: Tensor, truth: TrueBoxes) -> tuple[Tensor, Tenso
 
 
 def detection_loss(output: HeadOutput, truth: Sequence[TrueBoxes], code_weights: Tensor) -> dict[str, Tensor]:
-    """Sum of the losses of all decoder layers.
+    """Return the sum of the losses of all decoder layers.
 
     Args:
         output: of the head.

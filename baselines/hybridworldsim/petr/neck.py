@@ -16,7 +16,7 @@ class Convolution(nn.Module):
         self.conv = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, inputs, H, W) to (N, outputs, H, W)."""
+        """Map (N, inputs, H, W) to (N, outputs, H, W)."""
         out: Tensor = self.conv(x)
         return out
 
@@ -35,7 +35,7 @@ class Neck(nn.Module):
         self.fpn_convs = nn.ModuleList([Convolution(dim, dim, 3)])
 
     def forward(self, features: Sequence[Tensor]) -> Tensor:
-        """Features of all levels to (N, dim, H, W) at the finest one."""
+        """Return the features of all levels to (N, dim, H, W) at the finest one."""
         laterals = [lateral(x) for lateral, x in zip(self.lateral_convs, features)]
         for level in range(len(laterals) - 1, 0, -1):
             size = laterals[level - 1].shape[2:]

@@ -31,7 +31,7 @@ class Bottleneck(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, inputs, H, W) to (N, 4 channels, H / stride, W / stride)."""
+        """Map (N, inputs, H, W) to (N, 4 channels, H / stride, W / stride)."""
         shortcut = x if self.downsample is None else self.downsample(x)
         y = F.relu(self.bn1(self.conv1(x)))
         y = F.relu(self.bn2(self.conv2(y)))
@@ -58,7 +58,7 @@ class ResNet50(nn.Module):
             self.add_module(f"layer{stage + 1}", nn.Sequential(*layers))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """(N, 3, H, W) to features of strides 16 and 32."""
+        """Map (N, 3, H, W) to features of strides 16 and 32."""
         x = F.max_pool2d(F.relu(self.bn1(self.conv1(images))), 3, 2, 1)
         outputs = []
         for stage in range(4):

@@ -47,7 +47,7 @@ class InputRaster:
     height_px: int = 320
 
     def pinhole(self, camera: str) -> Camera:
-        """The camera of the network's image in one of the positions of `ORDER`."""
+        """Return the camera of the network's image in one of the positions of `ORDER`."""
         focal = self.width_px * _FOCAL_SHARE.get(camera, _FRONT_FOCAL_SHARE)
         whole = self.width_px * _BOTTOM_SHARE
         top = whole - self.height_px
@@ -70,7 +70,7 @@ class RigInput:
 
 
 def choose_cameras(frame: Frame, names: Mapping[str, str]) -> list[Image]:
-    """The images of a frame in the order of `ORDER`.
+    """Return the images of a frame in the order of `ORDER`.
 
     Args:
         frame: the frame.
@@ -109,7 +109,7 @@ def prepare(frame: Frame, images: list[Image], raster: InputRaster, backbone: st
 
 
 def projection_matrix(camera: Camera, camera_SE3_frame: Poses) -> Float64:
-    """The matrix (4, 4) from homogeneous points to ``(u d, v d, d, 1)``, with OpenCV's pixel coordinates."""
+    """Return the matrix (4, 4) from homogeneous points to ``(u d, v d, d, 1)``, with OpenCV's pixel coordinates."""
     lens = np.eye(4)
     lens[:3, :3] = camera.intrinsic_matrix(first_pixel_centre=0.0)
     return np.asarray(lens @ camera_SE3_frame.matrix()[0])

@@ -34,7 +34,7 @@ class ChannelGate(nn.Module):
         self.fc = nn.Conv2d(channels, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) to the same shape."""
+        """Map (N, C, H, W) to the same shape."""
         return x * (F.relu6(self.fc(x.mean((2, 3), keepdim=True)) + 3.0) / 6.0)
 
 
@@ -55,7 +55,7 @@ class Aggregation(nn.Module):
         self.ese = ChannelGate(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, inputs, H, W) to (N, outputs, H, W)."""
+        """Map (N, inputs, H, W) to (N, outputs, H, W)."""
         parts = [x]
         for layer in self.layers:
             parts.append(layer(parts[-1]))
@@ -87,7 +87,7 @@ class VoVNet99(nn.Module):
             self.add_module(f"stage{stage}", nn.Sequential(OrderedDict(parts)))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """(N, 3, H, W) to features of strides 16 and 32."""
+        """Map (N, 3, H, W) to features of strides 16 and 32."""
         x = self.stem(images)
         outputs = []
         for stage in range(2, 6):

@@ -146,7 +146,7 @@ class Simulation:
         )  # fmt: skip
 
     def progress_m(self) -> float:
-        """Length along the route that the ego has come since the start."""
+        """Return the length along the route that the ego has come since the start."""
         ego = self.now.ego
         return self.route.way.nearest_m(np.array([ego.x_m, ego.y_m])) - self.route.begin_m
 

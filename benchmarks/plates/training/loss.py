@@ -20,7 +20,7 @@ _BOX_WEIGHT: Final = 2.0
 def plate_loss(
     raw: Tensor, cells: Tensor, boxes: Tensor, is_plate: Tensor, is_ignored: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Losses of scores and of boxes.
+    """Return the losses of scores and of boxes.
 
     Args:
         raw: (B, N, 5) outputs.
@@ -69,7 +69,7 @@ def assign(cells: Tensor, boxes: Tensor, is_plate: Tensor, is_ignored: Tensor) -
 
 
 def overlaps(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
-    """Intersection over union (N,) of pairs of boxes (N, 4), and the generalised one."""
+    """Return the intersection over union (N,) of pairs of boxes (N, 4), and the generalised one."""
     low, high = torch.maximum(first[:, :2], second[:, :2]), torch.minimum(first[:, 2:], second[:, 2:])
     common = (high - low).clamp(min=0).prod(dim=-1)
     areas = [(one[:, 2:] - one[:, :2]).clamp(min=0).prod(dim=-1) for one in (first, second)]

@@ -44,7 +44,7 @@ class PlateNetwork(nn.Module):
         self.out.bias = nn.Parameter(torch.tensor([0.0, 0.0, 0.0, 0.0, -4.6]))
 
     def forward(self, images: Tensor) -> Tensor:
-        """Outputs (B, N, 5) of all cells: offsets of the middle, logarithms of width and height, and logit.
+        """Return the outputs (B, N, 5) of all cells: offsets of the middle, logarithms of width and height, and logit.
 
         Args:
             images: (B, 3, H, W), RGB, 0 to 255.
@@ -78,14 +78,14 @@ class Decoded(nn.Module):
         self.network = network
 
     def forward(self, images: Tensor) -> Tensor:
-        """Boxes and scores (B, N, 5) of images (B, 3, H, W): left, top, right, bottom, score."""
+        """Return the boxes and scores (B, N, 5) of images (B, 3, H, W): left, top, right, bottom, score."""
         raw = self.network(images)
         cells = make_cells(images)
         return torch.cat([decode(raw, cells), raw[..., 4:].sigmoid()], dim=-1)
 
 
 def make_cells(images: Tensor) -> Tensor:
-    """Middle and stride (N, 3) of the cells of images (B, 3, H, W)."""
+    """Return the middle and stride (N, 3) of the cells of images (B, 3, H, W)."""
     parts = []
     for stride in STRIDES:
         v = torch.arange(images.shape[2] // stride, device=images.device)
@@ -97,7 +97,7 @@ def make_cells(images: Tensor) -> Tensor:
 
 
 def decode(raw: Tensor, cells: Tensor) -> Tensor:
-    """Boxes (B, N, 4) of outputs (B, N, 5) and cells (N, 3)."""
+    """Return the boxes (B, N, 4) of outputs (B, N, 5) and cells (N, 3)."""
     stride = cells[:, 2:]
     middle = cells[:, :2] + raw[..., :2] * stride
     half = 0.5 * _UNIT * stride * raw[..., 2:4].clamp(-5.0, 4.0).exp()

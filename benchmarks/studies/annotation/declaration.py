@@ -33,7 +33,7 @@ class Streets:
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is fixed before the first run; `experiment.toml` explains each value.
+    """The choices that are fixed before the first run; `experiment.toml` explains each value.
 
     Attributes:
         streets: the recordings.

@@ -19,7 +19,7 @@ _TURNS: Final = 8
 
 
 def prior_boxes(samples: Sequence[Sample], range_m: float) -> Found:
-    """The same boxes in every frame: the most frequent places of cars around the vehicle in the training frames.
+    """Return the most frequent places of cars around the vehicle in the training frames, for every frame.
 
     The score of a place is the share of the frames with a car in its cell of 2 m; its heading and size are the most
     frequent and the median ones there.
@@ -44,7 +44,7 @@ def prior_boxes(samples: Sequence[Sample], range_m: float) -> Found:
 
 
 def ground_boxes(usual: Found) -> Callable[[TestFrame], Found]:
-    """Boxes where the rays through the lower edges of exact two-dimensional boxes meet the ground z = 0.
+    """Return the boxes where the rays through the lower edges of exact two-dimensional boxes meet the ground z = 0.
 
     Half a width of a usual car is added along the ray; size and heading are the usual ones. All scores are 1, so the
     nearer boxes go first.

@@ -27,7 +27,7 @@ MERGED: Final = frozenset({"car", "van"})
 
 @dataclass(frozen=True)
 class Bar:
-    """What counts.
+    """The boxes that count: their range, their visible pixels, and the distances of a match.
 
     Attributes:
         range_m: greatest distance of true and found boxes from the vehicle.
@@ -124,7 +124,7 @@ def _test_frame(
 
 
 def score(frames: Sequence[TestFrame], find: Callable[[TestFrame], Found], bar: Bar) -> Scores:
-    """Score what `find` finds in each frame."""
+    """Score the boxes that `find` finds in each frame."""
     found = []
     for frame in frames:
         boxes = find(frame)
@@ -140,7 +140,7 @@ def score(frames: Sequence[TestFrame], find: Callable[[TestFrame], Found], bar: 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """What is found above a score: shares of the boxes found that match a true one, and of the true ones found."""
+    """Precision and recall above a score: the shares of found boxes and of true boxes that match."""
 
     score: float
     precision: float
@@ -150,7 +150,10 @@ class OperatingPoint:
 def operating_points(
     frames: Sequence[TestFrame], find: Callable[[TestFrame], Found], bar: Bar, scores: Sequence[float]
 ) -> list[OperatingPoint]:
-    """Precision and recall above each of some scores; the best box first, matches within the largest threshold."""
+    """Return the precision and recall above each of some scores.
+
+    The best box comes first, matches are within the largest threshold.
+    """
     rows: list[tuple[float, bool]] = []
     count = 0
     for frame in frames:

@@ -54,5 +54,5 @@ def open_streets(folder: Path, seed: int) -> Dataset:
 
 
 def recordings_of(folder: Path, seed: int) -> Path:
-    """The folder of the recordings of a seed."""
+    """Return the folder of the recordings of a seed."""
     return folder / f"recordings-{seed}"

@@ -15,7 +15,7 @@ FILE: Final = Path(__file__).with_name("experiment.toml")
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is fixed before the first run; `experiment.toml` explains each value.
+    """The choices that are fixed before the first run; `experiment.toml` explains each value.
 
     Attributes:
         streets: the two streets that are driven in.

@@ -21,7 +21,7 @@ _FREE_SHARE: Final = 0.95
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What all policies share; `experiment.toml` explains the numbers.
+    """Settings of the controller that all policies share; `experiment.toml` explains the numbers.
 
     Attributes:
         sight_m: the greatest distance of a lead.
@@ -103,7 +103,7 @@ class NetworkPolicy:
         self._network, self._settings = network, settings
 
     def reset(self, spec: ObservationSpec) -> None:
-        """Forget what was seen."""
+        """Forget earlier images."""
         self._controller, self.percepts = Controller(self._settings, spec.step_s), []
 
     def act(self, observation: Observation) -> Action:
@@ -127,7 +127,7 @@ class PrivilegedPolicy:
         self._settings = settings
 
     def reset(self, spec: ObservationSpec) -> None:
-        """Forget what was seen."""
+        """Forget earlier states."""
         self._spec, self.percepts = spec, []
         self._controller = Controller(self._settings, spec.step_s)
 

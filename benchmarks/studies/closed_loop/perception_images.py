@@ -90,7 +90,7 @@ def make_perception_images(
 
 
 def part_file(folder: Path, site: str, drive: str, seed: int) -> Path:
-    """File of the images of a street in the light of a drive."""
+    """Return the file of the images of a street in the light of a drive."""
     return folder / f"{site}-{drive}-{seed}.npz"
 
 

@@ -26,7 +26,7 @@ HEADING_RAD: Final = 0.1
 
 @dataclass(frozen=True)
 class Percept:
-    """What one image shows.
+    """The offset in the lane, the heading and the lead that one image shows.
 
     Attributes:
         offset_m: place of the rear axle to the left of the lane's middle.
@@ -101,13 +101,13 @@ def scale(percepts: Float64, sight_m: float) -> Float64:
 
 
 def unscale(numbers: Float64, sight_m: float) -> Float64:
-    """The inverse of `scale`."""
+    """Return the inverse of `scale`."""
     lead = np.expm1(np.clip(0.5 * numbers[:, 2], 0.0, 1.0) * math.log1p(sight_m))
     return np.column_stack([numbers[:, 0] * OFFSET_M, numbers[:, 1] * HEADING_RAD, lead])
 
 
 def to_tensor(images: UInt8) -> torch.Tensor:
-    """Images (N, H, W, 3) as (N, 3, H, W) float32 between 0 and 1."""
+    """Return the images (N, H, W, 3) as (N, 3, H, W) float32 between 0 and 1."""
     return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float().div_(255.0)
 
 

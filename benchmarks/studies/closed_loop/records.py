@@ -20,7 +20,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True, order=True)
 class RolloutKey:
-    """What a rollout is of.
+    """The key of a rollout: policy, scenario, seed and world.
 
     Attributes:
         world: the world.
@@ -56,7 +56,7 @@ class Records:
         self.refresh()
 
     def refresh(self) -> None:
-        """Read what was appended to the file, also by other processes, since the last call.
+        """Read the lines that were appended to the file since the last call, also by other processes.
 
         Raises:
             UsageError: a line is of another declaration.
@@ -79,7 +79,7 @@ class Records:
         self._append({**vars(key), **row})
 
     def withdraw(self, key: RolloutKey, reason: str) -> None:
-        """Append that a rollout does not count, because no hash shows what was wrong with it; its cost stays."""
+        """Append that a rollout does not count although no hash shows its fault; its cost stays."""
         nothing = dict.fromkeys(("network", "model", "scale"))
         self._append({**vars(key), "core_s": 0.0, **nothing, "withdrawn": reason})
 

@@ -26,7 +26,7 @@ _DIGITS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What a rollout gave.
+    """The result of one rollout: its record, its log and its images.
 
     Attributes:
         row: verdicts and errors, as they are recorded.
@@ -112,7 +112,7 @@ def drive(
 
 
 def log_hash(log: StateLog) -> str:
-    """First digits of the SHA-256 of all states: equal if the logs are equal to the bit."""
+    """Return the first digits of the SHA-256 of all states: equal if the logs are equal to the bit."""
     digest = hashlib.sha256(repr((log.ids, log.stamps_ns.shape)).encode())
     for name in ("stamps_ns", "x_m", "y_m", "yaw_rad", "vx_mps", "vy_mps", "present"):
         digest.update(np.ascontiguousarray(getattr(log, name)).tobytes())

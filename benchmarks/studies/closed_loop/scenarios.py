@@ -34,7 +34,7 @@ class Case:
 
 
 def list_cases(names: Sequence[str], seeds: Sequence[int], streets: int) -> list[Case]:
-    """All cases, by seed: lights alternate by seed, streets by every second seed and by scenario."""
+    """Return all cases, by seed: lights alternate by seed, streets by every second seed and by scenario."""
     return [
         Case(name, seed, (number + seed // 2) % streets, LIGHTS[seed % 2])
         for seed in seeds
@@ -45,7 +45,7 @@ def list_cases(names: Sequence[str], seeds: Sequence[int], streets: int) -> list
 def make_scenario(
     case: Case, place: Place, declared: Mapping[str, Any], speed_mps: float, rate_hz: float, scale: float
 ) -> Scenario:
-    """The scenario of a case.
+    """Return the scenario of a case.
 
     Args:
         case: the case.

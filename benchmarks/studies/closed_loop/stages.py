@@ -61,7 +61,7 @@ class Stage:
 
 
 def list_stages(study: Study) -> list[Stage]:
-    """All stages in their order."""
+    """Return all stages in their order."""
     declared, plan = study.declaration, study.plan()
     seeds = declared.streets["seeds"]
     streets = tuple(f"street-{seed}" for seed in seeds)
@@ -160,7 +160,7 @@ def _run_with_needs(study: Study, stage: Stage, progress: ProgressReporter) -> N
 
 
 def run_count(study: Study, plan: Plan) -> int:
-    """Number of rollouts in one world."""
+    """Return the number of rollouts in one world."""
     references = study.declaration.references
     seeds = len(set(references["seeds"]) & set(plan.seeds))
     policies = len(study.declaration.policies) * len(plan.seeds) + len(references["names"]) * seeds
@@ -168,7 +168,10 @@ def run_count(study: Study, plan: Plan) -> int:
 
 
 def planned_rollouts(study: Study, world: str) -> list[RolloutKey]:
-    """All rollouts in a world; by seed, so that what is there after an interruption is complete for some seeds."""
+    """List all rollouts in a world by seed.
+
+    After an interruption, those that exist are then complete for some seeds.
+    """
     declared, plan = study.declaration, study.plan()
     keys = []
     for case in study.cases(plan.seeds):
@@ -180,7 +183,7 @@ def planned_rollouts(study: Study, world: str) -> list[RolloutKey]:
 
 
 def missing_rollouts(study: Study, world: str) -> list[RolloutKey]:
-    """The planned rollouts in a world that are not recorded, or do not count."""
+    """Return the planned rollouts in a world that are not recorded, or do not count."""
     planned = planned_rollouts(study, world)
     # Before the triggers are tuned nothing is driven.
     return [key for key in planned if not study.is_current(key)] if "triggers" in study.records.stages else planned
@@ -250,7 +253,7 @@ def _pilot(study: Study, progress: ProgressReporter) -> Figures:
 
 
 def choose_plan(study: Study, figures: Figures) -> Figures:
-    """Choose what is driven: the first plan whose estimate is within the budget, or the last one."""
+    """Choose the first plan whose estimate is within the budget, or the last one."""
     declared = study.declaration
     methods, seeds = declared.reconstruction["methods"], declared.scenarios["seeds"]
     plans = [Plan(tuple(seeds), tuple(methods))]

@@ -33,17 +33,17 @@ class Rollouts:
     lead_m: Float64
 
     def of(self, scenarios: Any) -> Rollouts:
-        """The rollouts in some scenarios."""
+        """Return the rollouts in some scenarios."""
         return Rollouts(**{name: values[:, scenarios] for name, values in vars(self).items()})
 
 
 def rank_correlation(first: Rollouts, second: Rollouts) -> float:
-    """Kendall's tau-b of the policies' mean scores; NaN if all policies of a world have the same score."""
+    """Return Kendall's tau-b of the policies' mean scores; NaN if all policies of a world have the same score."""
     return float(kendalltau(*(one.score.mean(axis=(1, 2)) for one in (first, second)), variant="b").statistic)
 
 
 def balanced_accuracy(true: Bool, found: Bool) -> float:
-    """Mean of the shares of found verdicts that are right among those that are true and among those that are not.
+    """Compute the mean of two shares: of true and of false verdicts that are found to be so.
 
     NaN if all true verdicts are the same.
     """
@@ -54,7 +54,7 @@ def balanced_accuracy(true: Bool, found: Bool) -> float:
 
 
 def mean_difference(true: Float64, found: Float64, *, absolute: bool = False) -> float:
-    """Mean of found less true, or of its magnitude, where both have a value; NaN if that is nowhere."""
+    """Return the mean of found less true, or of its magnitude, where both have a value; NaN if that is nowhere."""
     difference = (found - true)[np.isfinite(found) & np.isfinite(true)]
     if not len(difference):
         return float("nan")
@@ -62,7 +62,7 @@ def mean_difference(true: Float64, found: Float64, *, absolute: bool = False) ->
 
 
 def compare(true: Rollouts, found: Rollouts) -> dict[str, float]:
-    """All figures of a world against the exact one."""
+    """Return all figures of a world against the exact one."""
     return {
         "tau": rank_correlation(true, found),
         "collision": balanced_accuracy(true.collision, found.collision),
@@ -79,7 +79,7 @@ def compare(true: Rollouts, found: Rollouts) -> dict[str, float]:
 def intervals(
     true: Rollouts, found: Rollouts, resamples: int, level: float, seed: int = 0
 ) -> Mapping[str, tuple[float, float]]:
-    """Intervals of all figures; scenarios are drawn with replacement, with all their seeds and policies."""
+    """Return the intervals of all figures; scenarios are drawn with replacement, with all their seeds and policies."""
     rng = np.random.default_rng(seed)
     count = true.score.shape[1]
     drawn = []

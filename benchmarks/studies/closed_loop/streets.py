@@ -47,13 +47,13 @@ class Vehicle:
 
 @lru_cache(maxsize=1)
 def open_vehicle(preset: str, seed: int, drive_id: str, camera: str, width_px: int, height_px: int) -> Vehicle:
-    """The vehicle of a drive, with one of its cameras as a pinhole of a size."""
+    """Return the vehicle of a drive, with one of its cameras as a pinhole of a size."""
     street = street_of_drive(make_drive(preset, seed, drive_id))
     return Vehicle(street, rig_cameras(street, (camera,), width_px, height_px))
 
 
 def vehicle_of(streets: Mapping[str, Any], camera: Mapping[str, Any]) -> Vehicle:
-    """The vehicle that the declaration names: that of the first street's drive by day."""
+    """Return the vehicle that the declaration names: that of the first street's drive by day."""
     return open_vehicle(
         streets["preset"], streets["seeds"][0], f"{streets['site']}-{streets['day']}", camera["name"],
         camera["width_px"], camera["height_px"],
@@ -67,13 +67,13 @@ def _driven(preset: str, seed: int, drive_id: str) -> tuple[Street, SynthDrive]:
 
 
 def open_place(vehicle: Vehicle, preset: str, seed: int, drive_id: str) -> Place:
-    """A street that is driven in, with the recording of the drive."""
+    """Return a street that is driven in, with the recording of the drive."""
     street, drive = _driven(preset, seed, drive_id)
     return Place(replace(street, vehicle=vehicle.street.vehicle, rig=vehicle.street.rig), drive, vehicle.cameras)
 
 
 def open_training_place(vehicle: Vehicle, preset: str, seed: int, drive_id: str) -> Place:
-    """A street in the light of a drive whose traffic is not simulated."""
+    """Return a street in the light of a drive whose traffic is not simulated."""
     drive = make_drive(preset, seed, drive_id)
     world = drive.world
     street = Street(
@@ -84,7 +84,7 @@ def open_training_place(vehicle: Vehicle, preset: str, seed: int, drive_id: str)
 
 
 def time_inside_s(street: Street, after_m: float) -> float:
-    """Time in the recording at which it has come so far into the part of the street that can be rendered."""
+    """Return the time in the recording at which it has come so far into the part of the street that can be rendered."""
     recording = next(iter(street.recordings.values()))
     inside = street.is_inside(recording.poses[:, :2])
     first = int(np.argmax(inside))

@@ -28,7 +28,7 @@ PILOT = "pilot"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is driven, after the pilot.
+    """The plan after the pilot: seeds, methods and the estimated hours.
 
     Attributes:
         seeds: seeds of each scenario.
@@ -43,7 +43,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """The folder of a study, and what its stages share.
+    """The folder of a study with the data that its stages share.
 
     Attributes:
         folder: what can be made again: recordings, images, networks, models.
@@ -66,33 +66,33 @@ class Study:
         return vehicle_of(self.declaration.streets, self.declaration.camera)
 
     def street_folder(self, seed: int) -> Path:
-        """Folder of a street's recordings and dataset."""
+        """Return the folder of a street's recordings and dataset."""
         return self.folder / "streets" / f"street-{seed}"
 
     def dataset(self, seed: int) -> Dataset:
-        """Dataset of a street."""
+        """Return the dataset of a street."""
         return mirror.open(self.street_folder(seed) / "dataset")
 
     def model_folder(self, method: str, seed: int) -> Path:
-        """Folder of a model."""
+        """Return the folder of a model."""
         return self.folder / "models" / method / f"street-{seed}"
 
     def network_file(self, policy: str) -> Path:
-        """File of a policy's network."""
+        """Return the file of a policy's network."""
         return self.folder / "networks" / f"{policy}.safetensors"
 
     def place(self, case: Case) -> Place:
-        """The street of a case, in its light."""
+        """Return the street of a case, in its light."""
         streets = self.declaration.streets
         seed = int(streets["seeds"][case.street])
         return open_place(self.vehicle, streets["preset"], seed, f"{streets['site']}-{streets[case.light]}")
 
     def cases(self, seeds: Sequence[int]) -> list[Case]:
-        """All scenarios with some seeds."""
+        """Return all scenarios with some seeds."""
         return list_cases(self.declaration.scenarios["names"], seeds, len(self.declaration.streets["seeds"]))
 
     def scenario(self, case: Case, scale: float) -> Scenario:
-        """The scenario of a case, with its triggers scaled."""
+        """Return the scenario of a case, with its triggers scaled."""
         declared = self.declaration
         return make_scenario(
             case, self.place(case), declared.scenarios, declared.controller["cruise_mps"],
@@ -100,7 +100,7 @@ class Study:
         )  # fmt: skip
 
     def policy(self, name: str) -> tuple[StudyPolicy, str]:
-        """A policy, and the hash of its network.
+        """Return a policy, and the hash of its network.
 
         Raises:
             UsageError: it is not trained.
@@ -114,18 +114,18 @@ class Study:
         return NetworkPolicy(network, self.settings, camera), digest
 
     def worlds(self, name: str) -> Mapping[int, World]:
-        """A world, by index of the street."""
+        """Return a world, by index of the street."""
         seeds = self.declaration.streets["seeds"]
         if name in self.declaration.worlds:
             return dict.fromkeys(range(len(seeds)), ExactWorld(self.declaration.worlds[name]))
         return {number: self.reconstructed(self.model_folder(name, seed), seed) for number, seed in enumerate(seeds)}
 
     def reconstructed(self, model: Path, seed: int) -> ReconstructedWorld:
-        """The world of a model of a street."""
+        """Return the world of a model of a street."""
         return ReconstructedWorld(model, self.street_folder(seed) / "dataset", model_hash(model))
 
     def scale(self, scenario: str) -> float:
-        """The tuned factor of a scenario's triggers.
+        """Return the tuned factor of a scenario's triggers.
 
         Raises:
             UsageError: they are not tuned.
@@ -136,7 +136,7 @@ class Study:
         return float(figures["scales"].get(scenario, 1.0))
 
     def plan(self) -> Plan:
-        """Return what is driven: everything, or less if the pilot's estimate is over the budget."""
+        """Return the plan: everything, or less if the pilot's estimate is over the budget."""
         figures = self.records.stages.get(PILOT)
         if figures is None:
             return Plan(tuple(self.declaration.scenarios["seeds"]), tuple(self.declaration.reconstruction["methods"]))
@@ -148,7 +148,7 @@ class Study:
         return row is not None and all(row[name] == value for name, value in self.provenance(key).items())
 
     def provenance(self, key: RolloutKey) -> Figures:
-        """The hashes and the scale that a rollout has to have, from the records alone."""
+        """Return the hashes and the scale that a rollout has to have, from the records alone."""
         stages = self.records.stages
         street = next(case.street for case in self.cases([key.seed]) if case.scenario == key.scenario)
         model: str | None = ""
@@ -165,17 +165,17 @@ _TUNING = "exact*"
 
 
 def tuning_world(scale: float) -> str:
-    """Name of the exact world in records of the tuning of triggers."""
+    """Return the name of the exact world in records of the tuning of triggers."""
     return f"{_TUNING}{scale:g}"
 
 
 def tuning_scale(world: str) -> float | None:
-    """The scale in the name of a world of the tuning; None: it is another world."""
+    """Return the scale in the name of a world of the tuning; None: it is another world."""
     return float(world.removeprefix(_TUNING)) if world.startswith(_TUNING) else None
 
 
 def model_hash(model: Path) -> str:
-    """First digits of the SHA-256 of all blocks of a model.
+    """Return the first digits of the SHA-256 of all blocks of a model.
 
     Raises:
         DatasetError: a block is not finished.

@@ -28,7 +28,7 @@ _BATCH: Final = 100
 
 @dataclass(frozen=True)
 class Training:
-    """What differs between the policies; `experiment.toml` explains the values."""
+    """The training of one policy's perception; `experiment.toml` explains the values."""
 
     images: int | None = None
     lights: tuple[str, ...] | None = None
@@ -42,7 +42,7 @@ class Training:
 
     @classmethod
     def declared(cls, values: Mapping[str, Any]) -> Training:
-        """The training that a table of the declaration describes.
+        """Return the training that a table of the declaration describes.
 
         Raises:
             UsageError: a key is unknown.
@@ -55,7 +55,7 @@ class Training:
 
 
 def select(training: Training, data: PerceptionImages, sight_m: float, rng: np.random.Generator) -> Int64:
-    """Rows of the images that a policy is trained on, in the order in which they are drawn."""
+    """Return the rows of the images that a policy is trained on, in the order in which they are drawn."""
     kept: Bool = np.abs(data.percepts[:, 0]) <= training.offset_m
     kept &= np.abs(data.turn_rad) <= math.radians(min(training.yaw_deg, 360.0))
     if training.lights is not None:
@@ -116,7 +116,7 @@ def augment(images: torch.Tensor, kind: Augmentation, rng: np.random.Generator) 
 
 
 def measure_errors(network: PerceptionNet, data: PerceptionImages, sight_m: float) -> dict[str, float]:
-    """Mean absolute errors over images; the lead's where there is one."""
+    """Return the mean absolute errors over images; the lead's where there is one."""
     found = np.concatenate(
         [perceive(network, data.images[first : first + _BATCH], sight_m) for first in range(0, len(data), _BATCH)]
     )

@@ -26,7 +26,7 @@ from mirror.protocols.document import load_protocol
 
 @dataclass(frozen=True, eq=False)
 class ExactWorld:
-    """The exact world.
+    """The exact street as a world of rollouts.
 
     Attributes:
         noise: seed of the images' noise.
@@ -37,14 +37,14 @@ class ExactWorld:
     model: str = ""
 
     def renderer(self, simulation: Simulation, place: Place) -> Renderer:
-        """The renderer of a rollout."""
+        """Return the renderer of a rollout."""
         seed = (self.noise, simulation.seed)
         return ExactCamera(place, simulation.now.agents, simulation.street.clock_s, seed)
 
 
 @dataclass(frozen=True, eq=False)
 class ReconstructedWorld:
-    """A reconstructed street.
+    """A reconstructed street as a world of rollouts.
 
     Attributes:
         folder: folder of the model.
@@ -57,7 +57,7 @@ class ReconstructedWorld:
     model: str
 
     def renderer(self, simulation: Simulation, place: Place) -> Renderer:
-        """The renderer of a rollout, in the light of the drive whose light the exact world has."""
+        """Return the renderer of a rollout, in the light of the drive whose light the exact world has."""
         traversal = self._traversals[place.drive.drive_id]
         recording = next(iter(place.street.recordings.values()))
         street: Street = replace(place.street, recordings={traversal: replace(recording, traversal_id=traversal)})
@@ -103,7 +103,7 @@ def _run(main: object, words: list[str]) -> None:
 
 
 def make_task(streets: Mapping[str, Any], declared: Mapping[str, Any], core_minutes: float) -> ReconstructionTask:
-    """The reconstruction that a method gets."""
+    """Return the reconstruction that a method gets."""
     protocol = load_protocol("static-reconstruction")
     pixels = protocol.pixels.model_copy(update={"max_width_px": declared["width_px"]})
     return ReconstructionTask(

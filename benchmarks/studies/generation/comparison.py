@@ -37,7 +37,7 @@ class Ratio:
 
 
 def collect_statistics(scores: Mapping[str, Scores], drives: Mapping[str, str], name: str) -> Statistics:
-    """Statistics of features by drive.
+    """Return the statistics of features by drive.
 
     Args:
         scores: by clip.
@@ -52,7 +52,7 @@ def collect_statistics(scores: Mapping[str, Scores], drives: Mapping[str, str], 
 
 
 def measure_distance(model: Statistics, truth: Statistics) -> float:
-    """Fréchet distance of a model to the truth, over all drives."""
+    """Return the Fréchet distance of a model to the truth, over all drives."""
     drives = sorted(truth)
     everyone = np.arange(len(drives))
     return frechet_distance(_merge(model, drives, everyone), _merge(truth, drives, everyone)).value

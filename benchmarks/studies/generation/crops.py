@@ -22,7 +22,7 @@ _Chosen: TypeAlias = Mapping[str, Bool]
 
 
 def measure_crops(study: Study, least_crops: int = _LEAST_CROPS) -> Figures:
-    """The distance of crops to those of the truth, over that of the empty background.
+    """Return the distance of crops to those of the truth, over that of the empty background.
 
     Args:
         study: the study; every model that was scored over all test clips is measured.

@@ -137,7 +137,7 @@ def score_edit(edit: Edit, images: UInt8, segmenter: nn.Module, least_px: int) -
 
 
 def normalise(scores: Sequence[EditScore]) -> dict[str, float]:
-    """Means, and the mean overlap between floor (0) and ceiling (1)."""
+    """Return the means, and the mean overlap between floor (0) and ceiling (1)."""
     found, floor, ceiling = (float(np.mean([getattr(one, name) for one in scores])) for name in _NAMES)
     return {
         "iou": found,

@@ -35,7 +35,7 @@ DISTANCES: Final = "distances"
 
 @dataclass(frozen=True)
 class Addition:
-    """What is fixed before the addition is run; `end_to_end.toml` explains each value.
+    """The choices that are fixed before the addition is run; `end_to_end.toml` explains each value.
 
     Attributes:
         experiment: hash of the experiment.
@@ -67,7 +67,7 @@ def load_addition(file: Path = FILE) -> Addition:
 
 
 def open_addition(study: Study, addition: Addition, published: Path = OUTCOMES) -> Study:
-    """The addition as a study of its own, in a folder of the study's, with the study's models and judges.
+    """Return the addition as a study of its own, in a folder of the study's, with the study's models and judges.
 
     Raises:
         UsageError: the addition is to another experiment.
@@ -88,25 +88,25 @@ def open_addition(study: Study, addition: Addition, published: Path = OUTCOMES) 
 
 
 class Backgrounds(Protocol):
-    """Where the backgrounds of a road come from."""
+    """The backgrounds of a road: recorded, reconstructed and rendered."""
 
     road: Road
 
     def record(self) -> Figures:
-        """Make what is reconstructed."""
+        """Make the recordings that are reconstructed."""
         ...
 
     def reconstruct(self) -> Figures:
-        """Make what is rendered."""
+        """Make the model that is rendered."""
         ...
 
     def render(self, clip: Clip) -> UInt8:
-        """Images (F, V, H, W, 3) at the views of a clip."""
+        """Return the images (F, V, H, W, 3) at the views of a clip."""
         ...
 
 
 def list_roads(addition: Addition, folder: Path) -> list[RoadModel]:
-    """The models of all roads, in folders of the addition's."""
+    """Return the models of all roads, in folders of the addition's."""
     return [
         RoadModel(
             Road(
@@ -120,7 +120,7 @@ def list_roads(addition: Addition, folder: Path) -> list[RoadModel]:
 
 
 def list_parts(study: Study, addition: Addition, roads: Sequence[Backgrounds]) -> list[Stage]:
-    """The stages of the addition in their order; they run in the study that `open_addition` returns.
+    """Return the stages of the addition in their order; they run in the study that `open_addition` returns.
 
     Args:
         study: the experiment's study.

@@ -15,7 +15,7 @@ _Row = tuple[str, str, float, float, bool]
 
 
 def format_addition(study: Study, addition: Study) -> list[str]:
-    """The lines of the addition; none until it is finished.
+    """Return the lines of the addition; none until it is finished.
 
     Args:
         study: the study, with the figures over exact backgrounds.

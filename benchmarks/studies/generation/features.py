@@ -30,7 +30,7 @@ Features: TypeAlias = Callable[[UInt8], Float64]
 
 
 def trunk_features(trunk: Trunk) -> Features:
-    """Features of a trunk."""
+    """Return the features of a trunk."""
     shift, scale = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
 
     @torch.inference_mode()
@@ -45,7 +45,7 @@ def trunk_features(trunk: Trunk) -> Features:
 
 
 def load_features() -> Features:
-    """The features of the study.
+    """Return the features of the study.
 
     Raises:
         WeightsUnavailableError: the published weights are not there; the error states how to get them.

@@ -42,7 +42,7 @@ class JudgedBox:
 
 
 def pinhole(clip: Clip, view: int) -> Camera:
-    """The camera of a view."""
+    """Return the camera of a view."""
     height, width = clip.size_px
     lens = clip.intrinsics[view]
     return Camera(
@@ -51,7 +51,7 @@ def pinhole(clip: Clip, view: int) -> Camera:
 
 
 def judged_boxes(clip: Clip) -> Iterator[JudgedBox]:
-    """The boxes of which enough is shown.
+    """Yield the boxes of which enough is shown.
 
     At least `LEAST_PX` pixels are visible, which are not a small part of the box, and most of the box's rectangle lies
     in the image.
@@ -91,7 +91,7 @@ def crop(image: UInt8, square_px: Float64) -> UInt8:
 
 
 def collect_crops(clips: Sequence[Clip]) -> tuple[UInt8, Int64]:
-    """True crops (N, CROP_PX, CROP_PX, 3) and their classes (N,)."""
+    """Return the true crops (N, CROP_PX, CROP_PX, 3) and their classes (N,)."""
     crops, classes = [np.zeros((0, CROP_PX, CROP_PX, 3), np.uint8)], [0][:0]
     for clip in clips:
         for box in judged_boxes(clip):
@@ -101,7 +101,7 @@ def collect_crops(clips: Sequence[Clip]) -> tuple[UInt8, Int64]:
 
 
 def collect_masks(clips: Sequence[Clip], every: int) -> tuple[UInt8, UInt8, Bool]:
-    """Images and backgrounds (N, H, W, 3) and masks (N, H, W) of road users, of every so many frames."""
+    """Return the images and backgrounds (N, H, W, 3) and masks (N, H, W) of road users, of every so many frames."""
     images, backgrounds, masks = [], [], []
     for clip in clips:
         if clip.tracks is None:

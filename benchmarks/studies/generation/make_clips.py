@@ -115,7 +115,7 @@ def _windows(driven_m: np.ndarray, test: bool) -> list[tuple[int, int]]:
 
 
 def busy_share(tracks: AnyArray) -> float:
-    """Share of frames of masks (F, V, H, W) in which some view shows a road user with at least 60 pixels."""
+    """Return the share of frames of masks (F, V, H, W) in which some view shows a road user with at least 60 pixels."""
     shown = [
         any(np.bincount(view[view != ABSENT].astype(np.int64), minlength=1).max() >= _LEAST_PX for view in frame)
         for frame in tracks

@@ -22,7 +22,7 @@ FVD_FRAMES: Final = 16
 
 
 def load_networks() -> tuple[InceptionFeatures | None, VideoFeatures | None]:
-    """The networks of FID and FVD; None: its weights are not there.
+    """Return the networks of FID and FVD; None: its weights are not there.
 
     Raises:
         WeightsUnavailableError: neither is there.
@@ -42,7 +42,7 @@ def load_networks() -> tuple[InceptionFeatures | None, VideoFeatures | None]:
 
 
 def measure_published(study: Study, inception: InceptionFeatures | None, video: VideoFeatures | None) -> Figures:
-    """FID of images that show a box, and FVD of each view's rollout in parts, against the recorded images.
+    """Return the FID of images that show a box, and FVD of each view's rollout in parts, against the recorded images.
 
     Args:
         study: the study; every model that was rolled out over all test clips is measured.

@@ -61,7 +61,10 @@ def write_recording(folder: Path, drive: SynthDrive, rig: StreetRig, spacing_m: 
 
 
 def image_times_s(drive: SynthDrive, spacing_m: float, stretch_m: float) -> Float64:
-    """Times of images: the first pose at or beyond each multiple of a distance, so that a standing vehicle has one."""
+    """Return the times of images: of the first pose at or beyond each multiple of a distance.
+
+    A standing vehicle then has one image.
+    """
     times_s = drive.seconds(pose_stamps(drive))
     steps_m = np.linalg.norm(np.diff(drive.truth.poses(times_s).translation, axis=0), axis=1)
     driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])

@@ -20,7 +20,7 @@ from mirror.schema.files import write_bytes
 
 
 def shorten(clip: Clip, first: int, last: int) -> Clip:
-    """The frames of a clip from a first one to before a last one; poses keep their common frame."""
+    """Return the frames of a clip from a first one to before a last one; poses keep their common frame."""
     boxes = clip.boxes
     kept = (boxes.frame >= first) & (boxes.frame < last)
     return replace(

@@ -23,7 +23,7 @@ def scores_file(study: Study, name: str, clip_id: str) -> Path:
 
 
 def read_scores(study: Study, name: str) -> dict[str, Scores]:
-    """The scores of all test clips, by clip."""
+    """Return the scores of all test clips, by clip."""
     found: dict[str, Scores] = {}
     for clip in study.test:
         with np.load(scores_file(study, name, clip.clip_id)) as file:
@@ -32,7 +32,7 @@ def read_scores(study: Study, name: str) -> dict[str, Scores]:
 
 
 def list_scored(study: Study) -> list[str]:
-    """Names of the models whose rollouts over all test clips are scored."""
+    """Return the names of the models whose rollouts over all test clips are scored."""
     names = sorted(path.name for path in (study.folder / "scores").glob("*") if path.is_dir())
     return [
         name

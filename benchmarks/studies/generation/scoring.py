@@ -64,7 +64,7 @@ def score_clip(
 def score_background(
     clip: Clip, frames: Sequence[int], images: UInt8, others: Mapping[str, UInt8]
 ) -> dict[str, AnyArray]:
-    """Squared errors outside the masks of road users, in views that show a box.
+    """Return the squared errors outside the masks of road users, in views that show a box.
 
     Args:
         clip: the clip, with tracks.
@@ -89,13 +89,13 @@ def score_background(
 
 
 def outside_db(scores: Sequence[Scores], name: str, frames: slice = slice(None)) -> float:
-    """PSNR of all pixels that `score_background` counted, in some of the frames."""
+    """Return the PSNR of all pixels that `score_background` counted, in some of the frames."""
     total, count = (math.fsum(float(one[key][frames].sum()) for one in scores) for key in (name, "count"))
     return -10.0 * math.log10(total / count) if total > 0.0 else math.inf
 
 
 def background_db(scores: Sequence[Scores]) -> dict[str, float]:
-    """PSNR outside the masks, that of the background copied, and how the difference changes to the end.
+    """Return the PSNR outside the masks, that of the background copied, and how the difference changes to the end.
 
     ``drift`` is the loss against the copy in the last ten frames, less that in the first ten, in dB.
     """
@@ -109,7 +109,7 @@ def background_db(scores: Sequence[Scores]) -> dict[str, float]:
 
 
 def identity(scores: Sequence[Scores], long_frames: int, least_tracks: int) -> dict[str, float]:
-    """Correlation of the brightness of road users with the truth, and how much of it is left at a track's end.
+    """Correlate the brightness of road users with the truth, and state the part that is left at a track's end.
 
     The end is the last five frames of tracks that are seen over ``long_frames`` frames; if fewer than
     ``least_tracks`` are, over the longest span that as many tracks have. Figures that begin with ``seen_`` are of the

@@ -32,7 +32,7 @@ def write_sheets(study: Study, out: Path) -> list[Path]:
 
 
 def list_rolled_out(study: Study) -> list[str]:
-    """Names of the models that were rolled out, without those that only chose the teacher's number of steps."""
+    """Return names of the models that were rolled out, without those that only chose the teacher's number of steps."""
     paths = sorted(path for path in (study.folder / "rollouts").glob("*") if path.is_dir())
     return [path.name for path in paths if not path.name.startswith("teacher-")]
 

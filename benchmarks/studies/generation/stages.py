@@ -30,7 +30,7 @@ _NEXT_EVERY: Final = 5
 
 
 def list_stages(declaration: Declaration) -> list[Stage]:
-    """All stages in their order: what the most bars need comes first."""
+    """List all stages, those first that most bars need."""
     seeds = [int(seed) for seed in declaration.training["seeds"]]
     stages = [
         Stage("clips", 45.0, _clips),
@@ -153,7 +153,7 @@ def _edits(study: Study, progress: ProgressReporter) -> Figures:
 
 
 def plan_declared_edits(study: Study, dy_m: float) -> list[Edit]:
-    """The edits of the test clips, as declared, by some metres."""
+    """Plan the declared edits of the test clips, by a distance in metres."""
     scoring = study.declaration.scoring
     return plan_edits(
         study.test,

@@ -75,7 +75,7 @@ class StreetRig:
 
 
 def busy_drive(preset: str, route: str, seed: int, bustle: float, drive_id: str) -> SynthDrive:
-    """A drive in dense traffic, without the effects of the camera.
+    """Return a drive in dense traffic, without the effects of the camera.
 
     Args:
         preset: a preset of the synthetic street.
@@ -123,11 +123,11 @@ class StreetRecorder:
         return np.arange(0.0, self.drive.truth.duration_s, 1.0 / RATE_HZ)
 
     def ego(self, times_s: Float64) -> Poses:
-        """``world_SE3_ego`` at (N,) times."""
+        """Return ``world_SE3_ego`` at (N,) times."""
         return self.drive.truth.poses(times_s)
 
     def tracks(self, times_s: Float64) -> AnyArray:
-        """Number of the road user in each pixel (F, V, H, W) at (F,) times, `ABSENT` elsewhere."""
+        """Return the number of the road user in each pixel (F, V, H, W) at (F,) times, `ABSENT` elsewhere."""
         egos = self.ego(times_s)
         return np.stack(
             [
@@ -174,7 +174,7 @@ class StreetRecorder:
         )
 
     def lines(self, egos: Poses) -> tuple[MapLine, ...]:
-        """The lines of the exact map near the vehicle's poses, in the frame of the first one."""
+        """Return the lines of the exact map near the vehicle's poses, in the frame of the first one."""
         lines = lines_of_map(street_map(self.drive.world.plan), egos.translation)
         return move_lines(crop_lines(lines, egos.translation), egos.inverse().matrix()[0])
 
@@ -194,7 +194,7 @@ class StreetRecorder:
         )  # fmt: skip
 
     def with_traffic(self, time_s: float, ego: Poses) -> Iterator[RenderedImage]:
-        """The street with its road users at a time and a pose of the vehicle, view by view."""
+        """Yield the street with its road users at a time and a pose of the vehicle, view by view."""
         instant = self.street.around(time_s, ego.translation[0])
         for view in range(len(VIEWS)):
             yield self.street.render(instant, self._lens, ego @ self._ego_SE3_camera[view : view + 1])

@@ -33,7 +33,7 @@ OUTCOMES: Final = Path(__file__).with_name("outcomes.jsonl")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage cost in seconds of processor time, and its figures."""
+    """The processor time of a stage in seconds, and its figures."""
 
     core_s: float
     figures: Figures
@@ -41,7 +41,7 @@ class Outcome:
 
 @dataclass
 class Study:
-    """The folder of a study, and what its stages share.
+    """The folder of a study with the data that its stages share.
 
     Attributes:
         folder: the folder.
@@ -101,11 +101,11 @@ class Study:
         return (self.trained or self.folder) / "judges"
 
     def model(self, name: str) -> Path:
-        """File of a generator."""
+        """Return the file of a generator."""
         return (self.trained or self.folder) / "models" / name / "generator" / "model.safetensors"
 
     def figures(self, stage: str) -> Figures | None:
-        """Figures of a stage that is finished in this folder; None: it is not.
+        """Return the figures of a stage that is finished in this folder; None: it is not.
 
         Raises:
             UsageError: the stage was run under another declaration.
@@ -127,7 +127,7 @@ class Study:
         }
 
     def shown(self, stage: str) -> Figures | None:
-        """Figures of a stage, finished here or published; None: there are none."""
+        """Return the figures of a stage, finished here or published; None: there are none."""
         outcome = self.outcomes.get(stage)
         return None if outcome is None else outcome.figures
 
@@ -147,7 +147,7 @@ class Study:
         self.__dict__.pop("outcomes", None)
 
     def used_core_s(self) -> float:
-        """Processor time of the stages that are finished in this folder."""
+        """Return the processor time of the stages that are finished in this folder."""
         return sum(float(self._read(path)["core_s"]) for path in sorted((self.folder / "figures").glob("*.json")))
 
     def is_void(self) -> bool:

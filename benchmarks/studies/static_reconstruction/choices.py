@@ -17,7 +17,7 @@ AS_TUNED: Final = "as-tuned"
 
 
 def baseline_name(package: ModuleType) -> str:
-    """The name of a baseline: that of its package."""
+    """Return the name of a baseline: that of its package."""
     return package.__name__.rpartition(".")[2]
 
 
@@ -78,5 +78,5 @@ OWN_CHOICES: Final[Mapping[str, Callable[[Settings], Settings]]] = {
 
 
 def choice(method: str, name: str) -> str:
-    """The name of the row of a choice."""
+    """Return the name of the row of a choice."""
     return f"{method}+{name}"

@@ -22,7 +22,7 @@ _TRAVERSALS: Final = 4
 
 
 def with_equal_bytes(settings: Splatting) -> Splatting:
-    """A baseline's settings with as many Gaussians as fill the bytes of our model in single precision."""
+    """Return a baseline's settings with as many Gaussians as fill the bytes of our model in single precision."""
     bands = 3 * (settings.sh_degree + 1) ** 2
     if isinstance(settings, MtgsStyle):
         # A constant band for all, and a set of all bands for each of the four traversals of a scene.
@@ -37,7 +37,7 @@ def with_equal_bytes(settings: Splatting) -> Splatting:
 
 
 def count_parameters(settings: Settings) -> int:
-    """Number of parameters of our model of a block at its largest."""
+    """Return the number of parameters of our model of a block at its largest."""
     sizes = {"code": settings.code, "latent": settings.latent, "hidden": settings.hidden}
     none = torch.empty(0, 3)
     anchors = Anchors(none, torch.empty(0), 1.0, offsets=settings.offsets, **sizes)

@@ -66,12 +66,12 @@ class Group:
 
     @property
     def shown(self) -> list[str]:
-        """Rows and what stands beside them, each once."""
+        """Rows of the group and the rows beside them, each once."""
         return list(dict.fromkeys([*self.beside, *self.rows]))
 
     @property
     def jobs(self) -> list[Job]:
-        """Seed by seed and scene by scene, so that rows that are compared are trained within the same hour."""
+        """Jobs seed by seed and scene by scene, so that compared rows are trained within the same hour."""
         return [
             Job(entry, scene, seed, minutes, self.width_px)
             for seed in self.seeds for minutes in self.minutes for scene in self.scenes for entry in self.rows
@@ -84,7 +84,7 @@ class Group:
 
 
 def groups(declaration: Declaration) -> Mapping[Name, Group]:
-    """All groups, by name."""
+    """Return all groups, by name."""
     tuned = (OURS, _MTGS, STRUCTURE, *(name for name in _TUNED if name != _MTGS))
     whole = Group(
         rows=(*tuned, _EXPOSED, SINGLE),
@@ -134,12 +134,14 @@ def groups(declaration: Declaration) -> Mapping[Name, Group]:
 
 
 def split_of(row: str, declaration: Declaration) -> str:
-    """The split that a row is trained on."""
+    """Return the split that a row is trained on."""
     return entries()[row].split or declaration.split
 
 
 def select_group(arguments: Arguments, declaration: Declaration, name: Name | None = None) -> Group:
-    """The group that arguments name, or `name`, with what the arguments replace: entries, scenes, seeds and so on.
+    """Select the group that arguments name, or `name`.
+
+    The arguments replace its entries, scenes, seeds and so on.
 
     Raises:
         UsageError: an unknown row or scene, or a budget, width or seed that is too small.

@@ -50,7 +50,10 @@ def _margin(by_run: np.ndarray, by_street: np.ndarray) -> tuple[str, str]:
 
 
 def scene_table(results: Sequence[JobResult], exact: Sequence[Document], group: Group) -> str:
-    """Training PSNR and held-out PSNR* of each scene: of the exact street at recorded poses, and of three methods."""
+    """Format the training PSNR and held-out PSNR* of each scene.
+
+    Of the exact street at recorded poses, and of three methods.
+    """
     scenes = sorted(group.scenes)
     streets = {one["scene"]: _exact_figures(one) for one in exact if one["width_px"] == group.width_px}
     rows = [["the exact street", *(f"{streets[scene][0]:.2f} / {streets[scene][1]:.2f}" for scene in scenes)]]
@@ -70,7 +73,7 @@ def _exact_figures(one: Document) -> tuple[float, float]:
 
 
 def budget_table(results: Sequence[JobResult], group: Group) -> str:
-    """Training PSNR and held-out PSNR* of each entry after each budget."""
+    """Return the training PSNR and held-out PSNR* of each entry after each budget."""
     first, *others = group.minutes
     titles = [f"{first:g} core-minutes", *(f"{minutes:g}" for minutes in others)]
     own = [one for one in results if group.has(one.job)]
@@ -83,7 +86,7 @@ def budget_table(results: Sequence[JobResult], group: Group) -> str:
 
 
 def tuning_cell_table(results: Sequence[JobResult], declaration: Declaration) -> str:
-    """Write what cells of MTGS-style's grid come to with the budget of the comparison."""
+    """Format the results of cells of MTGS-style's grid with the budget of the comparison."""
     group = groups(declaration)["comparison"]
     entries = {
         (1.0, 2.0): _TUNED,

@@ -42,7 +42,7 @@ class Job:
 
 
 def parse_job(name: str) -> Job:
-    """The job that has a name.
+    """Return the job that has a name.
 
     Raises:
         UsageError: the name is not one of a job.
@@ -54,35 +54,35 @@ def parse_job(name: str) -> Job:
 
 
 def models_folder(folder: Path) -> Path:
-    """Folder of all trained models."""
+    """Return the folder of all trained models."""
     return folder / _RUNS
 
 
 def model_folder(folder: Path, job: Job) -> Path:
-    """Folder of the model that a job trains."""
+    """Return the folder of the model that a job trains."""
     return models_folder(folder) / job.name
 
 
 def outcomes_folder(folder: Path) -> Path:
-    """Folder of one JSON file for each finished job."""
+    """Return the folder of one JSON file for each finished job."""
     return folder / _OUTCOMES
 
 
 def outcome_file(folder: Path, job: Job) -> Path:
-    """The file that a job writes last."""
+    """Return the file that a job writes last."""
     return outcomes_folder(folder) / f"{job.name}.json"
 
 
 def truth_folder(folder: Path) -> Path:
-    """Folder of what `truth` measured: one JSON file for each model and for each scene's exact street."""
+    """Return the folder of the measurements of `truth`: a JSON file for each model and each exact street."""
     return folder / _TRUTH
 
 
 def truth_file(folder: Path, job: Job) -> Path:
-    """The file of a model's errors against exact truth."""
+    """Return the file of a model's errors against exact truth."""
     return truth_folder(folder) / f"{job.name}.json"
 
 
 def exact_street_file(folder: Path, scene: str, width_px: int) -> Path:
-    """The file of the scores of a scene's exact street."""
+    """Return the file of the scores of a scene's exact street."""
     return truth_folder(folder) / f"ceiling.{scene}.{width_px}px.json"

@@ -99,7 +99,7 @@ def _score_best_appearance(entry: Entry, model: Path, dataset: Dataset, plan: Pl
 
 
 def main(argv: list[str]) -> int:
-    """``python -m benchmarks.studies.static_reconstruction.run_job FOLDER JOB`` with the job as JSON."""
+    """Return ``python -m benchmarks.studies.static_reconstruction.run_job FOLDER JOB`` with the job as JSON."""
     print(run(Job(**json.loads(argv[1])), Path(argv[0])))
     return 0
 

@@ -27,7 +27,7 @@ DATASET: Final = "dataset"
 
 
 def protocol_at(declaration: Declaration, width_px: int) -> Protocol:
-    """The declared protocol with images of another width."""
+    """Return the declared protocol with images of another width."""
     protocol = load_protocol(declaration.protocol)
     return protocol.model_copy(update={"pixels": protocol.pixels.model_copy(update={"max_width_px": width_px})})
 
@@ -156,7 +156,7 @@ def _nearest_first(dataset: Dataset, declaration: Declaration, scene: str) -> li
 def make_task(
     declaration: Declaration, scene: str, split: str, width_px: int, core_minutes: float, seed: int
 ) -> ReconstructionTask:
-    """The reconstruction that a method gets."""
+    """Return the reconstruction that a method gets."""
     return ReconstructionTask(
         scene=scene,
         split=split,

@@ -69,7 +69,7 @@ def score_image(
 
 
 def average_scores(scores: Sequence[Scores], group: str) -> dict[str, float]:
-    """Means over images within traversals, then over traversals, as the protocol defines it; NaN is left out."""
+    """Return means over images within traversals, then over traversals, as the protocol defines it; NaN is left out."""
     own = [one for one in scores if one.group == group]
     traversals = sorted({one.traversal_id for one in own})
     means = {}
@@ -83,5 +83,5 @@ def average_scores(scores: Sequence[Scores], group: str) -> dict[str, float]:
 
 
 def scores_as_json(scores: Sequence[Scores]) -> list[dict[str, Any]]:
-    """Scores as JSON objects."""
+    """Return the scores as JSON objects."""
     return [asdict(one) for one in scores]

@@ -11,7 +11,7 @@ _OF_EACH = ("seed", "method", "split")
 
 
 def settings_tables(rows: Sequence[str]) -> Iterator[str]:
-    """Tables with a column for each row of the comparison; learning rates show their first and last values."""
+    """Yield tables with a column for each row of the comparison; learning rates show their first and last values."""
     tables: list[dict[str, Mapping[str, str]]] = []
     for row in rows:
         own = dict(_flat(entries()[row].settings(0)))

@@ -38,7 +38,7 @@ COMPARED: Final = ("train PSNR", "train SSIM", "train ST-LPIPS", "novel PSNR*", 
 
 
 def read_results(outcomes: Sequence[Document]) -> list[JobResult]:
-    """The figures of outcomes.
+    """Return the figures of outcomes.
 
     Raises:
         DatasetError: the outcomes are of several datasets.
@@ -77,7 +77,7 @@ def _result(outcome: Document) -> JobResult:
 
 
 def mean_tables(results: Sequence[JobResult], rows: Sequence[str]) -> Iterator[str]:
-    """Tables of means, a row for each entry.
+    """Yield the tables of means, a row for each entry.
 
     A mean of three scenes and a mean of one do not compare: where rows have different scenes and seeds, each such set
     has a table, with all rows that have results of the whole set.
@@ -93,7 +93,7 @@ def mean_tables(results: Sequence[JobResult], rows: Sequence[str]) -> Iterator[s
 
 
 def differences_table(results: Sequence[JobResult], entry: str, others: Iterable[str], names: Sequence[str]) -> str:
-    """Table of one entry minus each other, with 95 % intervals of Student's t; empty if nothing compares.
+    """Return the table of one entry minus each other, with 95 % intervals of Student's t; empty if nothing compares.
 
     Pairs of the same scene and seed say how sure a difference is on these scenes. Means over seeds, paired by scene,
     say what to expect of other scenes.
@@ -113,7 +113,10 @@ def differences_table(results: Sequence[JobResult], entry: str, others: Iterable
 def paired_differences(
     results: Sequence[JobResult], entry: str, other: str, names: Sequence[str], *, by_scene: bool
 ) -> np.ndarray:
-    """Differences (N, F) of figures between two entries: of each scene and seed, or of each scene's mean over seeds."""
+    """Return the differences (N, F) of figures between two entries.
+
+    They are of each scene and seed, or of each scene's mean over seeds.
+    """
     own = {_run(one): one for one in _of(results, entry)}
     pairs = [(own[_run(one)], one) for one in _of(results, other) if _run(one) in own]
     gaps = np.array([[mine.figures[name] - one.figures[name] for name in names] for mine, one in pairs])
@@ -152,7 +155,7 @@ def _difference(gaps: np.ndarray) -> str:
 
 
 def confidence_interval(gaps: np.ndarray, level: float = 0.95) -> tuple[float, float]:
-    """Interval of the mean of paired differences (N,) by Student's t; unbounded for one pair."""
+    """Return the interval of the mean of paired differences (N,) by Student's t; unbounded for one pair."""
     if len(gaps) < 2:
         return -np.inf, np.inf
     half = float(t.ppf(0.5 + level / 2.0, len(gaps) - 1) * gaps.std(ddof=1) / np.sqrt(len(gaps)))

@@ -17,7 +17,7 @@ from benchmarks.studies.static_reconstruction.tables import JobResult
 
 
 def grid_table(trials: Sequence[JobResult], grid: Tuning) -> str:
-    """Training PSNR and held-out PSNR* of each cell of the grid and method; the best sum of a method is bold."""
+    """Return training PSNR and held-out PSNR* of each cell of the grid and method; the best sum of a method is bold."""
     methods = [OURS, *(baseline_name(package) for package in BASELINES)]
     cells = [(rates, sizes) for rates in grid.rates for sizes in grid.sizes]
     cells += dict.fromkeys(cell for wider in WIDER.values() for cell in wider)
@@ -39,7 +39,7 @@ def grid_table(trials: Sequence[JobResult], grid: Tuning) -> str:
 
 
 def choices_table(trials: Sequence[JobResult]) -> str:
-    """Trials with one choice of the tuned settings changed, for baselines to the released one; empty without trials."""
+    """Format the trials with one tuned choice changed, for baselines to the released one; empty without trials."""
     known = {one.job.entry: (one.figures["train PSNR"], one.figures["novel PSNR*"]) for one in trials}
     lines = ["| changed | training PSNR | minus tuned | PSNR* | minus tuned |", "|---|---|---|---|---|"]
     for method, changes in ((OURS, OWN_CHOICES), *BASELINE_CHOICES.items()):

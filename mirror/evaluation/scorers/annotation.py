@@ -58,7 +58,7 @@ class DetectedFrame(Document):
 
 
 class Detections(Document):
-    """``detections/<traversal>.json``."""
+    """``detections/<traversal>.json``: the detections that a submission states for a traversal."""
 
     format: Literal["mirror-detections"] = "mirror-detections"
     version: Literal["1.0"] = "1.0"
@@ -66,7 +66,7 @@ class Detections(Document):
 
 
 class Annotation:
-    """Scores the task ``annotation``."""
+    """The scorer of the task ``annotation``."""
 
     version = 1
 

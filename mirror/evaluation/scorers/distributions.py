@@ -43,7 +43,7 @@ _MIN_KID_SAMPLES: Final = 4
 
 
 class Distributions:
-    """Scores the tasks ``vehicle-translation`` and ``generation``."""
+    """The scorer of the tasks ``vehicle-translation`` and ``generation``."""
 
     version = 2
 

@@ -35,7 +35,7 @@ _VARIANTS: Final[Mapping[str, HullVariant]] = {
 
 
 class EditingAccuracy:
-    """Scores the task ``editing-accuracy``."""
+    """The scorer of the task ``editing-accuracy``."""
 
     version = 3
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Reconstruction:
-    """Scores the tasks ``reconstruction`` and ``lane-shift``."""
+    """The scorer of the tasks ``reconstruction`` and ``lane-shift``."""
 
     version = 1
 

@@ -97,7 +97,7 @@ def score_drive(
 
 
 def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
-    """The keys under which a rollout stands in the table of values: its scenario takes the place of a traversal."""
+    """Return keys under which a rollout stands in the table of values: its scenario takes the place of a traversal."""
     return RenderView.model_construct(
         path=scored.path,
         group=group,

@@ -62,7 +62,7 @@ class CheckReport:
     not_checked: tuple[str, ...] = ()
 
     def counts(self) -> dict[str, int]:
-        """The number of problems of each kind."""
+        """Return the number of problems of each kind."""
         return dict(Counter(problem.kind for problem in self.problems))
 
 

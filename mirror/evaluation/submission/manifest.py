@@ -27,7 +27,7 @@ MOST_FRAMES_PER_SECOND: Final = 1e6
 
 
 class Method(Document):
-    """Who made the renders.
+    """The method that made the renders, as its authors name it.
 
     Attributes:
         name: name of the method on the leaderboard.
@@ -47,7 +47,7 @@ class Method(Document):
 
 
 class Appearance(Document):
-    """How the method chooses the appearance of views of traversals that it was not trained on.
+    """The method's choice of appearance for views of traversals that it was not trained on.
 
     Attributes:
         policy: ``none``: the method has no appearance codes. ``nearest-traversal``, ``mean``, ``zero``: the code of the
@@ -85,7 +85,7 @@ class Runtime(Document):
 
 
 class SubmissionManifest(Document):
-    """``manifest.json``.
+    """``manifest.json`` of a submission.
 
     Attributes:
         format: always ``mirror-submission``.

@@ -33,7 +33,7 @@ _SMALLEST_SCALE: Final = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Points in the image.
+    """Image points, and where the camera model defines them.
 
     Attributes:
         uv_px: (..., 2) pixels; NaN where the model does not define them: a point that is not finite, behind the camera
@@ -54,7 +54,7 @@ class Projection:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Directions of pixels.
+    """Directions of pixels' rays, and where the camera model defines them.
 
     Attributes:
         direction: (..., 3) unit vectors in the camera frame; NaN where not valid.
@@ -120,7 +120,7 @@ class Camera:
         return self.lens.angle_limit
 
     def project(self, points_camera: npt.ArrayLike) -> Projection:
-        """Image points.
+        """Project points to the image.
 
         Args:
             points_camera: (..., 3) in the camera frame, in metres.
@@ -143,7 +143,7 @@ class Camera:
         return Projection(uv.reshape(*batch, 2), depth.reshape(batch), valid.reshape(batch))
 
     def unproject(self, uv_px: npt.ArrayLike) -> Rays:
-        """The rays that are imaged at pixels: the inverse of `project` to rounding (1e-9 px and better).
+        """Return the rays that are imaged at pixels: the inverse of `project` to rounding (1e-9 px and better).
 
         Args:
             uv_px: (..., 2).
@@ -160,17 +160,17 @@ class Camera:
         return Rays(direction.reshape(*batch, 3), valid.reshape(batch))
 
     def rays(self) -> Rays:
-        """The rays (height, width) of all pixel centres."""
+        """Return the rays (height, width) of all pixel centres."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return self.unproject(np.stack((u, v), axis=-1))
 
     def intrinsic_matrix(self, *, first_pixel_centre: float = 0.5) -> Float64:
-        """The matrix K (3, 3), for images whose first pixel has its centre there (OpenCV: 0)."""
+        """Return the matrix K (3, 3), for images whose first pixel has its centre there (OpenCV: 0)."""
         shift = first_pixel_centre - 0.5
         return np.array([[self.fx_px, 0.0, self.cx_px + shift], [0.0, self.fy_px, self.cy_px + shift], [0.0, 0.0, 1.0]])
 
     def resized(self, width_px: int, height_px: int) -> Camera:
-        """The camera of this one's images, scaled to another raster."""
+        """Return the camera of this one's images, scaled to another raster."""
         across, down = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,
@@ -183,17 +183,17 @@ class Camera:
         )
 
     def scaled(self, factor: float) -> Camera:
-        """The camera of this one's images scaled by a factor, to the nearest whole raster."""
+        """Return the camera of this one's images scaled by a factor, to the nearest whole raster."""
         return self.resized(round(self.width_px * factor), round(self.height_px * factor))
 
     def cropped(self, left_px: int, top_px: int, width_px: int, height_px: int) -> Camera:
-        """The camera of a rectangle of this one's images; it may reach beyond them."""
+        """Return the camera of a rectangle of this one's images; it may reach beyond them."""
         return replace(
             self, width_px=width_px, height_px=height_px, cx_px=self.cx_px - left_px, cy_px=self.cy_px - top_px
         )
 
     def to_row(self) -> dict[str, Any]:
-        """The values of this camera by their names in the ``calibrations`` table; `camera_from_row` reads them."""
+        """Return values of this camera by their names in the ``calibrations`` table; `camera_from_row` reads them."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
     def undistort_maps(self, target: Camera) -> tuple[Float32, Float32]:
@@ -235,7 +235,7 @@ _COLUMNS: Final = tuple(field.name for field in fields(Camera))
 
 
 def camera_from_row(row: Mapping[str, Any]) -> Camera:
-    """The camera of one row of the ``calibrations`` table, or of one entry of a calibration file.
+    """Return the camera of one row of the ``calibrations`` table, or of one entry of a calibration file.
 
     Raises:
         UsageError: a key is missing or its value makes no camera; the camera is named.
@@ -261,7 +261,7 @@ def camera_from_row(row: Mapping[str, Any]) -> Camera:
 
 
 def camera_from_attributes(source: object) -> Camera:
-    """The camera that the attributes ``model``, ``width_px`` ... ``distortion`` of an object describe.
+    """Return the camera that the attributes ``model``, ``width_px`` ... ``distortion`` of an object describe.
 
     Raises:
         UsageError: the values make no camera.

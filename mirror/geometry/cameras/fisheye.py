@@ -43,7 +43,7 @@ class Fisheye:
         self._table = InverseTable(lambda angle: _horner(self._polynomial, angle), self.angle_limit)
 
     def project(self, x: AnyArray, y: AnyArray, z: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
-        """Image coordinates of points, and where the model defines them."""
+        """Project points to image coordinates, and mark where the model defines them."""
         across = np.sqrt(x * x + y * y)
         angle = np.arctan2(across, z)
         inside = (angle < self.angle_limit) & ((across > 0.0) | (z > 0.0))
@@ -51,7 +51,7 @@ class Fisheye:
         return x * scale, y * scale, inside
 
     def unproject(self, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Bool]:
-        """Unit rays of image coordinates, and where there is one."""
+        """Convert image coordinates to unit rays, and mark where there is one."""
         radius = np.sqrt(u * u + v * v)
         reachable = radius < self._largest
         wanted = np.where(reachable, radius, 0.0)
@@ -82,7 +82,7 @@ class Fisheye:
 
 
 def kannala_brandt_polynomial(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    """The polynomial of ``k1 k2 k3 k4``."""
+    """Return the polynomial of ``k1 k2 k3 k4``."""
     k1, k2, k3, k4 = coefficients
     return (0.0, 1.0, 0.0, k1, 0.0, k2, 0.0, k3, 0.0, k4)
 

@@ -18,7 +18,7 @@ _LEAST_RECIPROCAL: Final = 1e-9
 
 
 def first_positive_root(coefficients: Float64) -> float:
-    """The smallest positive root of a polynomial that is positive at zero; infinity if there is none.
+    """Return the smallest positive root of a polynomial that is positive at zero; infinity if there is none.
 
     Args:
         coefficients: (D + 1,) ascending, the first positive.
@@ -72,7 +72,7 @@ class InverseTable:
         self._slope = np.append(np.diff(self._start), 0.0)
 
     def quick(self, value: AnyArray) -> AnyArray:
-        """Arguments whose function values are near ``value``, where that is within the reach."""
+        """Return the arguments whose function values are near ``value``, where that is within the reach."""
         position = np.minimum(value * self._cells_per_value, _CELLS)
         cell = position.astype(np.intp)
         position -= cell
@@ -81,5 +81,5 @@ class InverseTable:
         return np.asarray(position)
 
     def careful(self, value: AnyArray) -> AnyArray:
-        """Arguments whose function values are near ``value``, however steep or far; 30 times as slow."""
+        """Return the arguments whose function values are near ``value``, however steep or far; 30 times as slow."""
         return np.asarray(np.interp(value, self._value, self._argument))

@@ -62,7 +62,7 @@ class Perspective:
         return float(np.arctan(self.limit))
 
     def project(self, x: AnyArray, y: AnyArray, z: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
-        """Image coordinates of points, and where the model defines them."""
+        """Project points to image coordinates, and mark where the model defines them."""
         front = z > 0.0
         inverse = 1.0 / np.where(front, z, 1.0)
         x, y = x * inverse, y * inverse
@@ -79,7 +79,7 @@ class Perspective:
         return x * factor + p2 * squared, y * factor + p1 * squared, inside
 
     def unproject(self, u: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Bool]:
-        """Unit rays of image coordinates, and where there is one."""
+        """Convert image coordinates to unit rays, and mark where there is one."""
         x, y, inside = (u, v, np.isfinite(u + v)) if self.straight else self._undistort(u, v)
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         return x * z, y * z, z, inside
@@ -102,7 +102,7 @@ class Perspective:
         return x, y, reachable & solved
 
     def undistort_carefully(self, u: AnyArray, v: AnyArray, radius: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
-        """Newton's method for the few points that need care: steps are shortened and stay within the limit."""
+        """Return Newton's method for the few points that need care: steps are shortened and stay within the limit."""
         scale = self._table.careful(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale
         solved = np.zeros(x.shape, dtype=np.bool_)

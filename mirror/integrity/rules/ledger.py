@@ -18,7 +18,7 @@ from mirror.schema.documents import TriggerOptions
 
 @dataclass(frozen=True)
 class Threshold:
-    """One of the trigger's thresholds.
+    """One threshold of the trigger.
 
     Attributes:
         rule: its name in the ledger.
@@ -33,7 +33,7 @@ class Threshold:
     strict: bool
 
     def met(self, passes: TableRows) -> Bool:
-        """(N,) True where the figure fulfils it."""
+        """Return a mask (N,), True where the figure fulfils it."""
         figure = passes.floats(self.column)
         return figure > self.limit if self.strict else figure >= self.limit
 
@@ -42,7 +42,7 @@ class Threshold:
 
 
 def thresholds(trigger: TriggerOptions) -> tuple[Threshold, ...]:
-    """The thresholds in the order in which the trigger asks them: the first that fails is named in the ledger."""
+    """Return thresholds in the order in which the trigger asks them: the first that fails is named in the ledger."""
     return (
         Threshold("min_duration", "duration_s", trigger.min_duration_s, strict=False),
         Threshold("min_path", "path_m", trigger.min_path_m, strict=False),
@@ -51,13 +51,13 @@ def thresholds(trigger: TriggerOptions) -> tuple[Threshold, ...]:
 
 
 def accepted(passes: TableRows) -> Bool:
-    """(N,) True where the decision is ``accepted``."""
+    """Return a mask (N,), True where the decision is ``accepted``."""
     codes, words = passes.text_codes("decision")
     return np.isin(codes, [code for code, word in enumerate(words) if word == "accepted"])
 
 
 def figures(passes: TableRows) -> dict[str, Float64]:
-    """The measured columns of a ledger by name."""
+    """Return the measured columns of a ledger by name."""
     names = ("duration_s", "path_m", "inside_path_m", "overlap", "closest_m", "mean_speed_mps")
     return {name: passes.floats(name) for name in names}
 
@@ -194,7 +194,9 @@ def _path_again(view: SceneView) -> Iterator[Finding]:
 
 
 def counted_path(x: Float64, y: Float64, least: Float64) -> float:
-    """Length of a line of points, where a point counts once it lies at least so far from the last one that counted.
+    """Return the length of a line of the points that count.
+
+    A point counts once it lies at least so far from the last one that counted.
 
     The last point always counts. All (N,), in metres.
     """

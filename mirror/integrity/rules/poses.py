@@ -146,7 +146,9 @@ def _acceleration(view: SceneView) -> Iterator[Finding]:
 
 
 def accelerations(motion: Motion) -> Float64:
-    """Second difference (N,) of the horizontal position over half a second to both sides, or a step if that is longer.
+    """Return the horizontal accelerations (N,), by second differences.
+
+    They are over half a second to both sides, or a step if that is longer.
 
     A tenth of a second would turn centimetres of noise into many m/s2. NaN near the ends of a file.
     """

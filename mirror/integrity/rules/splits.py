@@ -13,7 +13,7 @@ from mirror.schema.documents import ByScene
 
 
 def leak_findings(view: DatasetView, *kinds: TieKind) -> Iterator[Finding]:
-    """A finding for each split with such a leak: the first, and how many there are.
+    """Yield a finding for each split with a leak of a kind: the first leak, and their number.
 
     Scenes and their ground count only in splits by scene: in the others all traversals of a scene share it.
     """

@@ -17,7 +17,7 @@ HULL_VARIANTS: Final[tuple[HullVariant, ...]] = get_args(HullVariant)
 
 
 class RegionIou(Score):
-    """How well two regions of an image agree: a float in [0, 1], NaN where there is nothing to compare.
+    """The overlap of two regions of an image: a float in [0, 1], NaN where there is nothing to compare.
 
     Args:
         value: the figure.
@@ -49,7 +49,7 @@ class RegionIou(Score):
 
 
 def mask_iou(first: Numbers, second: Numbers, *, valid: Numbers | None = None) -> RegionIou:
-    """Intersection over union of two masks.
+    """Return the intersection over union of two masks.
 
     Two empty masks, or a ``valid`` that holds no pixel, have no IoU: NaN and the reason. One empty mask beside one that
     is not has an IoU of exactly 0, and the reason names the empty one.
@@ -81,7 +81,7 @@ def mask_iou(first: Numbers, second: Numbers, *, valid: Numbers | None = None) -
 
 
 def box_iou_2d(first: Numbers, second: Numbers) -> Float64:
-    """Intersection over union of boxes along the image's axes.
+    """Return the intersection over union of boxes along the image's axes.
 
     Args:
         first: (..., 4) ``u_min v_min u_max v_max``.
@@ -166,7 +166,7 @@ def hull_iou(
 
 
 def as_mask(mask: Numbers, what: str) -> Bool:
-    """A mask (H, W), checked: bool, or integers of which all but 0 are in.
+    """Return a mask (H, W), checked: bool, or integers of which all but 0 are in.
 
     Raises:
         UsageError: it is not two-dimensional, or not bool or integer.

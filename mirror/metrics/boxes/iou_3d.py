@@ -12,7 +12,7 @@ from mirror.metrics.inputs import Numbers, as_numbers
 
 
 def box_iou_3d(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: Numbers) -> Float64:
-    """Intersection over union of the volumes of pairs of boxes.
+    """Return the intersection over union of the volumes of pairs of boxes.
 
     Boxes whose z axes agree, whatever the frame they share, overlap in a prism: its base is integrated along the sides
     of one rectangle, held within the other (Green's theorem). Others are cut into tetrahedra. Both are exact up to
@@ -49,7 +49,7 @@ def box_iou_3d(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: 
 
 
 def box_iou_3d_matrix(first: Poses, first_lwh_m: Numbers, second: Poses, second_lwh_m: Numbers) -> Float64:
-    """`box_iou_3d` of each of N boxes with each of M.
+    """Compute `box_iou_3d` of each of N boxes with each of M.
 
     Args:
         first: N poses.

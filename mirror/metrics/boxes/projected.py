@@ -13,7 +13,7 @@ from mirror.metrics.inputs import Numbers
 
 
 def clip_to_image(polygon_px: Numbers, width_px: int, height_px: int) -> Float64:
-    """The part of a convex polygon within an image (Sutherland and Hodgman, Comm. ACM 17(1), 1974).
+    """Return the part of a convex polygon within an image (Sutherland and Hodgman, Comm. ACM 17(1), 1974).
 
     Args:
         polygon_px: (K, 2) corners in order.
@@ -44,7 +44,7 @@ def clip_to_image(polygon_px: Numbers, width_px: int, height_px: int) -> Float64
 
 
 def polygon_area(polygon_px: Numbers) -> float:
-    """The area that a simple polygon encloses (shoelace, about its first corner), in square pixels.
+    """Return the area that a simple polygon encloses (shoelace, about its first corner), in square pixels.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.
@@ -57,7 +57,7 @@ def polygon_area(polygon_px: Numbers) -> float:
 
 
 def visible_share(polygon_px: Numbers, width_px: int, height_px: int) -> float:
-    """The share of a convex polygon's area that lies within an image; NaN for a polygon without area.
+    """Return the share of a convex polygon's area that lies within an image; NaN for a polygon without area.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.

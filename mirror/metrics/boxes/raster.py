@@ -10,7 +10,7 @@ from mirror.metrics.inputs import Numbers, as_numbers
 
 
 def polygon_mask(polygon_px: Numbers, width_px: int, height_px: int) -> Bool:
-    """The pixels whose centres a polygon holds.
+    """Return the pixels whose centres a polygon holds.
 
     The pixel in column ``c`` and row ``r`` has its centre at ``(c + 0.5, r + 0.5)``. Centres on an upper or left side
     are in, those on a lower or right one are not, so that polygons which share a side share no pixel and leave none
@@ -42,7 +42,7 @@ def polygon_mask(polygon_px: Numbers, width_px: int, height_px: int) -> Bool:
 
 
 def as_polygon(polygon_px: Numbers) -> Float64:
-    """A polygon's corners (K, 2), checked.
+    """Return a polygon's corners (K, 2), checked.
 
     Raises:
         UsageError: the shape is another, or a corner is not finite; its row is named.

@@ -84,7 +84,7 @@ class DetectionBoxes:
         attribute: AnyArray | Sequence[str] | None = None,
         score: Numbers | None = None,
     ) -> DetectionBoxes:
-        """Boxes by their poses; what is not given is not known.
+        """Return the boxes by their poses; what is not given is not known.
 
         Args:
             sample: (N,).
@@ -118,7 +118,7 @@ class DetectionBoxes:
 
     @classmethod
     def concatenate(cls, parts: Sequence[DetectionBoxes]) -> DetectionBoxes:
-        """The rows of some boxes, in order."""
+        """Return the rows of some boxes, in order."""
         return cls(*(np.concatenate([getattr(one, part.name) for one in parts]) for part in fields(cls)))
 
 
@@ -145,7 +145,7 @@ def in_range(boxes: DetectionBoxes, ego_xy_m: Numbers, config: DetectionConfig) 
 
 
 def category_codes(boxes: DetectionBoxes, config: DetectionConfig) -> AnyArray:
-    """Each box's place (N,) among the classes.
+    """Return each box's place (N,) among the classes.
 
     Raises:
         UsageError: a category is not among them; its row is named.

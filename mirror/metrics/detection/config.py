@@ -60,7 +60,7 @@ class DetectionConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> DetectionConfig:
-        """The settings of a configuration file, also of one of nuScenes' own.
+        """Return the settings of a configuration file, also of one of nuScenes' own.
 
         Raises:
             UsageError: a setting is missing or unknown, the distance is another one, or a value is out of range.
@@ -84,7 +84,7 @@ class DetectionConfig:
         return cls(**given)
 
     def to_dict(self) -> dict[str, Any]:
-        """The settings as JSON has them."""
+        """Return the settings as JSON has them."""
         return {
             "class_range": dict(self.class_range),
             "dist_fcn": "center_distance",

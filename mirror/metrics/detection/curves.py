@@ -31,13 +31,13 @@ class Curve:
     errors: Mapping[str, Float64]
 
     def average_precision(self, min_recall: float, min_precision: float) -> float:
-        """Mean precision beyond ``min_recall``, counted from ``min_precision`` on."""
+        """Return the mean precision beyond ``min_recall``, counted from ``min_precision`` on."""
         precision = self.precision[_first(min_recall) :] - min_precision
         precision[precision < 0.0] = 0.0
         return float(np.mean(precision)) / (1.0 - min_precision)
 
     def error(self, name: str, min_recall: float) -> float:
-        """Mean of one error from ``min_recall`` to the recall that is reached; 1 if that lies below it."""
+        """Return the mean of one error from ``min_recall`` to the recall that is reached; 1 if that lies below it."""
         reached = np.flatnonzero(self.confidence)
         first, last = _first(min_recall), int(reached[-1]) if len(reached) else 0
         if last < first:
@@ -50,7 +50,7 @@ NO_MATCHES: Final = Curve(np.zeros(101), np.zeros(101), {name: np.ones(101) for 
 
 
 def trace(score: Float64, matched: Bool, truths: int, errors: Mapping[str, Float64]) -> Curve:
-    """The curve of predictions by falling confidence.
+    """Return the curve of predictions by falling confidence.
 
     Args:
         score: (P,) falling.
@@ -73,7 +73,7 @@ def trace(score: Float64, matched: Bool, truths: int, errors: Mapping[str, Float
 
 
 def pair_errors(truth: DetectionBoxes, found: DetectionBoxes, period_rad: float) -> dict[str, Float64]:
-    """The errors of pairs of boxes, row by row.
+    """Return the errors of pairs of boxes, row by row.
 
     Args:
         truth: M boxes.

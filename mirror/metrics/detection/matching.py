@@ -32,7 +32,7 @@ class MatchingTable:
     distance_m: Float64
 
     def assign(self, thresholds_m: Float64, rows: int) -> Int64:
-        """The true boxes' rows (T, P) that predictions get at each threshold, -1 for none.
+        """Return the true boxes' rows (T, P) that predictions get at each threshold, -1 for none.
 
         Args:
             thresholds_m: (T,).
@@ -46,7 +46,7 @@ class MatchingTable:
 def matching_tables(
     truth: DetectionBoxes, predictions: DetectionBoxes, config: DetectionConfig
 ) -> dict[str, MatchingTable]:
-    """The table of every class.
+    """Return the table of every class.
 
     Args:
         truth: true boxes of all samples.
@@ -75,7 +75,10 @@ def matching_tables(
 
 
 def centre_distance(one: Float64, other: Float64) -> Float64:
-    """Lengths (N,) of the differences of vectors (N, 2), rounded as ``numpy.linalg.norm`` rounds a single one's."""
+    """Compute the lengths (N,) of the differences of vectors (N, 2).
+
+    They are rounded as ``numpy.linalg.norm`` rounds those of single vectors.
+    """
     difference = one - other
     return np.asarray(np.sqrt(np.vecdot(difference, difference)))
 

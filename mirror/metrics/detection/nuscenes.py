@@ -51,7 +51,7 @@ class NuScenesDetection:
     curves: Mapping[tuple[str, float], Curve]
 
     def to_dict(self) -> dict[str, Any]:
-        """The figures under the names of the development kit's ``metrics_summary.json``."""
+        """Return the figures under the names of the development kit's ``metrics_summary.json``."""
         names = list(self.config.class_range)
         return {
             "label_aps": {
@@ -107,7 +107,7 @@ def score_tables(
     *,
     absent: AbsentClasses,
 ) -> NuScenesDetection:
-    """`nuscenes_detection` from tables that are already built."""
+    """Compute `nuscenes_detection` from tables that are already built."""
     curves: dict[tuple[str, float], Curve] = {}
     for name, table in tables.items():
         period = np.pi if name in config.half_turn_classes else 2 * np.pi
@@ -176,7 +176,7 @@ class NuScenesAccumulator:
         self._predictions.append(predictions)
 
     def merge(self, other: NuScenesAccumulator) -> None:
-        """Add what another has, after what this one has.
+        """Append the samples of another accumulator.
 
         Raises:
             UsageError: the other one was made with another configuration.
@@ -187,7 +187,7 @@ class NuScenesAccumulator:
         self._predictions += other._predictions
 
     def compute(self) -> NuScenesDetection:
-        """The figures of all samples so far.
+        """Return the figures of all samples so far.
 
         Raises:
             UsageError: as `nuscenes_detection`; or there are no samples.

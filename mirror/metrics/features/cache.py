@@ -29,7 +29,7 @@ class FeatureCache:
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, key: str) -> Float32 | None:
-        """The feature, or None if it is not there or its file is damaged."""
+        """Return the feature, or None if it is not there or its file is damaged."""
         try:
             content = self._path(key).read_bytes()
         except FileNotFoundError:
@@ -58,7 +58,7 @@ class FeatureCache:
 
 
 def feature_key(pixels: AnyArray, identity: str) -> str:
-    """Key of an image's or a clip's feature.
+    """Return the key of an image's or a clip's feature.
 
     Args:
         pixels: as they go into the network's preparation.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Extractor(Protocol):
-    """What turns pixels into features.
+    """A network that turns pixels into features.
 
     Attributes:
         name: what figures of these features are called.
@@ -32,14 +32,14 @@ class Extractor(Protocol):
     computed: int
 
     def prepare(self, pixels: UInt8) -> Tensor:
-        """One image or clip as the network takes it, without the batch axis."""
+        """Return one image or clip as the network takes it, without the batch axis."""
 
     def run(self, prepared: Tensor) -> Float32:
-        """(n, d) features of a batch."""
+        """Return the features (n, d) of a batch."""
 
 
 def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache | None = None) -> Float32:
-    """Features of images or clips, in their order.
+    """Return the features of images or clips, in their order.
 
     Args:
         extractor: the network.
@@ -82,7 +82,9 @@ def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache |
 
 
 def to_bytes(pixels: Pixels) -> UInt8:
-    """Pixels as uint8; floats from 0 to 1 are rounded, not truncated: that would take half a grey level off all.
+    """Return the pixels as uint8.
+
+    Floats from 0 to 1 are rounded, not truncated: that would take half a grey level off all.
 
     Raises:
         UsageError: another type, not finite, or outside of 0 to 1.
@@ -100,7 +102,7 @@ def to_bytes(pixels: Pixels) -> UInt8:
 
 
 def checked_name(name: str, reserved: Sequence[str], *, pinned: bool) -> str:
-    """A name, if it is not a published metric's or the weights are its published ones.
+    """Return a name, if it is not a published metric's or the weights are its published ones.
 
     Raises:
         UsageError: a published name with other weights.

@@ -88,7 +88,7 @@ class InceptionFeatures:
         self._network = network.fold()
 
     def prepare(self, pixels: UInt8) -> Tensor:
-        """(3, 299, 299), (grey - 128) / 128, of one image (h, w, 3).
+        """Convert one image (h, w, 3) to the network's input (3, 299, 299): (grey - 128) / 128.
 
         Raises:
             UsageError: another shape.
@@ -104,7 +104,7 @@ class InceptionFeatures:
         return ((resized - 128.0) / 128.0)[0]
 
     def run(self, prepared: Tensor) -> Float32:
-        """(n, 2048) features."""
+        """Return the features (n, 2048)."""
         import torch
 
         with torch.inference_mode():
@@ -113,7 +113,7 @@ class InceptionFeatures:
 
 
 def load_inception(mode: FidResize = "clean", resolver: WeightResolver | None = None) -> InceptionFeatures:
-    """The network behind FID, with its published weights.
+    """Return the network behind FID, with its published weights.
 
     Raises:
         WeightsUnavailableError: the file is not there or is another one.
@@ -136,7 +136,7 @@ def fid(
     seed: int = 0,
     layout: Layout | None = None,
 ) -> Fid:
-    """Distance of renders from photographs.
+    """Return the distance of renders from photographs.
 
     Args:
         renders: images (h, w, 3) of any size, or images or batches as ``layout`` says; arrays or torch tensors on the
@@ -155,7 +155,7 @@ def fid(
 
 
 def fid_of_features(renders: AnyArray, truth: AnyArray, network: InceptionFeatures, *, seed: int = 0) -> Fid:
-    """As `fid`, of features (n, 2048) that `extract` gave."""
+    """Compute `fid` of features (n, 2048) that `extract` gave."""
     distance = frechet_distance(renders, truth)
     fewest = min(distance.n)
     warning = None

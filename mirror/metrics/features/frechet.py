@@ -47,7 +47,7 @@ class FrechetDistance:
 def frechet_distance(
     a: AnyArray | FeatureStatistics, b: AnyArray | FeatureStatistics, *, ddof: int = 1
 ) -> FrechetDistance:
-    """Squared Fréchet distance of two sets of features.
+    """Return the squared Fréchet distance of two sets of features.
 
     Args:
         a: (n, d) features, or their statistics.

@@ -48,7 +48,7 @@ def kid(
     seed: int = 0,
     level: float = 0.95,
 ) -> KernelDistance:
-    """Kernel distance with the kernel (x.y / d + 1)³ of Bińkowski et al., "Demystifying MMD GANs" (2018).
+    """Return the kernel distance with the kernel (x.y / d + 1)³ of Bińkowski et al., "Demystifying MMD GANs" (2018).
 
     The interval comes from the spread over subsets drawn without replacement: with n features, subsets of m have
     n / m - 1 times the variance that the whole has (Politis and Romano, 1994, with the correction for finite n).

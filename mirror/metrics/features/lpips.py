@@ -24,7 +24,7 @@ TRUNK_WEIGHTS: Mapping[LpipsNet, str] = {"alex": "alexnet", "vgg": "vgg16", "squ
 
 
 def load_lpips(net: LpipsNet = "alex", resolver: WeightResolver | None = None) -> PerceptualDistance:
-    """The network behind LPIPS, from torchvision's trunk and the published heads.
+    """Return the network behind LPIPS, from torchvision's trunk and the published heads.
 
     Args:
         net: ``alex`` as DriveStudio, MTGS and most of the field report; ``vgg`` as 3DGS does; ``squeeze``.
@@ -73,7 +73,7 @@ def lpips(
     masked: Masked = "map",
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """LPIPS of a render.
+    """Return the LPIPS of a render.
 
     For many renders of one truth call the network itself: ``network(renders, truth)``.
 
@@ -104,7 +104,7 @@ def pair_distances(
     masked: Masked,
     layout: Layout | None,
 ) -> Any:
-    """Distance of one render, or the list of those of a batch, from as many truths.
+    """Return the distance of one render, or the list of those of a batch, from as many truths.
 
     Raises:
         UsageError: images or masks do not fit.
@@ -117,7 +117,7 @@ def pair_distances(
 
 
 def lpips_trunk(net: LpipsNet) -> Trunk:
-    """An unfilled trunk.
+    """Make the trunk of a net, without weights.
 
     Raises:
         UsageError: no such net.
@@ -133,7 +133,7 @@ def lpips_trunk(net: LpipsNet) -> Trunk:
 
 
 def lpips_heads(state: Mapping[str, Tensor], taps: int) -> list[Tensor]:
-    """Weights of the taps' channels from ``lin0.model.1.weight`` and so on.
+    """Return the weights of the taps' channels from ``lin0.model.1.weight`` and so on.
 
     Raises:
         WeightsUnavailableError: one is missing or left over.

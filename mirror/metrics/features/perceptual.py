@@ -168,7 +168,7 @@ class PerceptualDistance:
 
 
 def filled(trunk: Trunk, state: Mapping[str, Tensor], *, unused: tuple[str, ...] = ()) -> Trunk:
-    """A trunk with the weights of a state dict, strictly."""
+    """Return a trunk with the weights of a state dict, strictly."""
     load_strictly(trunk, state, unused=unused)
     return trunk
 

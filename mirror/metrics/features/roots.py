@@ -35,7 +35,7 @@ class CovarianceRoot:
 
 
 def covariance_root(statistics: FeatureStatistics, ddof: int) -> CovarianceRoot:
-    """Root of the covariance of features.
+    """Return the root of the covariance of features.
 
     Centred rows over sqrt(n - ddof) are a root as they are. Of a scatter matrix it is the Cholesky factor, and the
     pivoted one (LAPACK ``dpstrf``) where the covariance is singular.

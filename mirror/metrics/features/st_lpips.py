@@ -22,7 +22,7 @@ StLpipsNet = Literal["alex", "vgg"]
 
 
 def load_st_lpips(net: StLpipsNet = "alex", resolver: WeightResolver | None = None) -> PerceptualDistance:
-    """The network behind ST-LPIPS, from the weights in the ``stlpips-pytorch`` package; none of its code is run.
+    """Return the network behind ST-LPIPS, from the weights in the ``stlpips-pytorch`` package; none of its code is run.
 
     Raises:
         WeightsUnavailableError: the file is not there or is another one.
@@ -65,7 +65,7 @@ def st_lpips(
     masked: Masked = "map",
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
+    """Return the ST-LPIPS of a render; arguments as those of `mirror.metrics.features.lpips.lpips`.
 
     Raises:
         UsageError: another network than ST-LPIPS's, or images that do not fit.
@@ -76,7 +76,7 @@ def st_lpips(
 
 
 def st_lpips_trunk(net: StLpipsNet) -> Trunk:
-    """An unfilled trunk.
+    """Make the trunk of a net, without weights.
 
     Raises:
         UsageError: no such net.
@@ -90,7 +90,7 @@ def st_lpips_trunk(net: StLpipsNet) -> Trunk:
 
 
 def split_state(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Trunk and heads of the published file: ``net.slice2.5.weight`` is layer 5 of the features."""
+    """Return the trunk and heads of the published file: ``net.slice2.5.weight`` is layer 5 of the features."""
     layers, heads = {}, {}
     for name, tensor in state.items():
         if name.startswith("net.slice"):

@@ -18,7 +18,7 @@ _TILE = 128
 
 @dataclass(frozen=True, eq=False)
 class FeatureStatistics:
-    """What a Fréchet distance needs of a set of features.
+    """The mean and the scatter of a set of features, which a Fréchet distance needs.
 
     No more rows than dimensions: the centred rows themselves are kept, because the scatter would square their
     condition and cost more memory. More rows: their scatter, the sum of outer products about the mean.
@@ -46,7 +46,7 @@ class FeatureStatistics:
 
     @classmethod
     def from_features(cls, features: AnyArray) -> FeatureStatistics:
-        """Statistics of features that fit in memory.
+        """Return the statistics of features that fit in memory.
 
         The mean is taken twice: the second pass takes away what rounding left of a large offset in the first. Blocks
         of rows are centred as they are needed, so that no second copy of all features exists.
@@ -90,7 +90,7 @@ class FeatureStatistics:
 
     @classmethod
     def from_moments(cls, mean: AnyArray, covariance: AnyArray, count: int) -> FeatureStatistics:
-        """Statistics from a mean and a covariance (``ddof`` 1), as other tools store them.
+        """Return the statistics from a mean and a covariance (``ddof`` 1), as other tools store them.
 
         Args:
             mean: (d,).
@@ -115,7 +115,7 @@ class FeatureStatistics:
         return cls(count, mean, scatter=(covariance + covariance.T) * (0.5 * (count - 1)))
 
     def merge(self, other: FeatureStatistics) -> FeatureStatistics:
-        """Statistics of both sets together.
+        """Return the statistics of both sets together.
 
         After Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances"
         (1979): only differences of means enter, so that an offset costs no digits.
@@ -137,7 +137,7 @@ class FeatureStatistics:
         return FeatureStatistics(count, mean, scatter=scatter)
 
     def covariance(self, ddof: int = 1) -> Float64:
-        """(d, d) covariance, divided by n - ``ddof``.
+        """Return the covariance (d, d), divided by n - ``ddof``.
 
         Raises:
             UsageError: n <= ddof.
@@ -145,7 +145,7 @@ class FeatureStatistics:
         return self._scatter() / self.degrees(ddof)
 
     def degrees(self, ddof: int) -> int:
-        """Number of degrees of freedom, n - ``ddof``.
+        """Return the number of degrees of freedom, n - ``ddof``.
 
         Raises:
             UsageError: n <= ddof, or ``ddof`` is neither 0 nor 1.
@@ -197,7 +197,7 @@ class FeatureAccumulator:
             self.update(batch)
 
     def compute(self) -> FeatureStatistics:
-        """Statistics of all batches so far.
+        """Return the statistics of all batches so far.
 
         Raises:
             UsageError: there were none.
@@ -216,7 +216,7 @@ class FeatureAccumulator:
 
 
 def checked_features(features: AnyArray) -> Float64:
-    """Features as float64 (n, d).
+    """Return the features as float64 (n, d).
 
     Raises:
         UsageError: another shape, empty, or a value that is not finite.

@@ -74,7 +74,7 @@ def psnr_affine(
     data_range: float | None = None,
     layout: Layout | None = None,
 ) -> AffinePsnr | list[AffinePsnr]:
-    """PSNR of an image after each channel of the render was fitted to the same channel of the truth.
+    """Return the PSNR of an image after each channel of the render was fitted to the same channel of the truth.
 
     The gain of a channel whose best gain is negative, or that is constant, is 0: its offset is then the mean of the
     truth. A channel without an unsaturated pixel stays as it is (gain 1, offset 0).

@@ -20,7 +20,7 @@ _Group = TypeVar("_Group", bound=Hashable)
 
 @dataclass(frozen=True)
 class Summary:
-    """What a set of scores comes to.
+    """The mean and the counts of a set of scores.
 
     Attributes:
         n: number of scores.
@@ -57,7 +57,7 @@ def summarise(scores: Iterable[float]) -> Summary:
 
 
 def by_group(scores: Iterable[float], groups: Iterable[_Group]) -> dict[_Group, Summary]:
-    """Summarise scores by what they belong to: a camera, a traversal, a scene, a condition.
+    """Summarise scores by group: a camera, a traversal, a scene, a condition.
 
     Args:
         scores: one an image.
@@ -89,11 +89,11 @@ class Scores:
         self.values.append(score)
 
     def merge(self, other: Scores) -> None:
-        """Add what another accumulator has."""
+        """Add the scores of another accumulator."""
         self.values.extend(other.values)
 
     def compute(self) -> Summary:
-        """The summary so far."""
+        """Return the summary so far."""
         return summarise(self.values)
 
 

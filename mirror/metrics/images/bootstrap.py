@@ -33,7 +33,7 @@ _NORMAL: Final = NormalDist()
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and where it may lie.
+    """A mean with its confidence interval.
 
     Attributes:
         mean: of the finite scores; NaN if there is none.
@@ -56,7 +56,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Difference:
-    """Two methods on the same images.
+    """The mean difference of two methods on the same images, with its interval and p-value.
 
     Attributes:
         interval: of the mean difference, first less second, over images where both scores are finite.
@@ -108,7 +108,7 @@ def mean_interval(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Interval:
-    """Interval of the mean of scores.
+    """Return the interval of the mean of scores.
 
     Args:
         scores: (N,) one an image.

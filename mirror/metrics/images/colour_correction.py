@@ -54,7 +54,7 @@ class Correction:
 
 @dataclass(frozen=True)
 class CorrectedPsnr:
-    """PSNR after colour correction.
+    """The PSNR of an image after colour correction, and the rank of the correction.
 
     Attributes:
         db: the score.
@@ -101,7 +101,7 @@ def psnr_cc(
     iterations: int = ITERATIONS,
     layout: Layout | None = None,
 ) -> CorrectedPsnr | list[CorrectedPsnr]:
-    """PSNR of an image after its colours were warped to the photograph's.
+    """Return the PSNR of an image after its colours were warped to the photograph's.
 
     Args:
         render: (H, W, C), RGB as a rule, or as ``layout`` says; an array or a torch tensor on the CPU, of uint8,

@@ -58,7 +58,7 @@ def psnr_invariant(
     data_range: float | None = None,
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """PSNR of the truth's colours after a linear fit from the render's colours, an offset and two ramps.
+    """Return the PSNR of the truth's colours after a linear fit from the render's colours, an offset and two ramps.
 
     Args:
         render: (H, W) or (H, W, C), or as ``layout`` says; an array or a torch tensor on the CPU, of uint8, uint16,

@@ -40,7 +40,7 @@ class Pair:
         return self.mask is not None and not self.mask.any()
 
     def selected(self, image: AnyArray) -> AnyArray:
-        """The pixels of one of the images that count, (N, C), row by row."""
+        """Return the pixels of one of the images that count, (N, C), row by row."""
         pixels = image.reshape(-1, image.shape[2])
         # Four times as fast as image[mask].
         return pixels if self.mask is None else np.compress(self.mask.reshape(-1), pixels, axis=0)
@@ -70,7 +70,7 @@ class Pair:
 def as_pairs(
     render: Pixels, truth: Pixels, mask: Pixels | None, data_range: float | None, layout: Layout | None
 ) -> list[Pair]:
-    """The pair of an image, or the pairs of a batch: `as_pair` of what `mirror.metrics.inputs` takes.
+    """Return the pair of an image, or the pairs of a batch, checked by `as_pair`.
 
     Raises:
         UsageError: neither arrays nor tensors on the CPU, another layout, or as of `as_pair`.
@@ -83,7 +83,7 @@ def as_pairs(
 
 
 def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> Pair:
-    """Check what every metric of images asks of its arguments.
+    """Check the two images and the mask of a metric, and return them as a `Pair`.
 
     Args:
         render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.

@@ -49,7 +49,7 @@ def psnr(
     data_range: float | None = None,
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """PSNR of an image in dB.
+    """Return the PSNR of an image in dB.
 
     Args:
         render: (H, W) or (H, W, C), or as ``layout`` says; an array or a torch tensor on the CPU, of uint8, uint16,
@@ -74,7 +74,7 @@ def psnr(
 
 @dataclass(frozen=True)
 class PsnrSummary:
-    """PSNR of many images.
+    """The PSNR of many images: mean, pooled value and counts.
 
     Attributes:
         images: counts, and the mean of PSNR over images.
@@ -119,7 +119,7 @@ class Psnr:
         return of_layout(scores, layout)
 
     def merge(self, other: Psnr) -> None:
-        """Add what another accumulator has.
+        """Add the images of another accumulator.
 
         Raises:
             UsageError: its data range is another.
@@ -131,7 +131,7 @@ class Psnr:
         self._count += other._count
 
     def compute(self) -> PsnrSummary:
-        """The summary so far; it does not depend on the order of images."""
+        """Return the summary so far; it does not depend on the order of images."""
         pooled = _decibels(math.fsum(self._squares), self._count) if self.scores else summarise([]).mean
         return PsnrSummary(summarise(self.scores), pooled)
 

@@ -73,7 +73,7 @@ def ssim(
     precision: Precision = "float64",
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """SSIM of an image: the mean of its map over selected pixels and channels.
+    """Return the SSIM of an image: the mean of its map over selected pixels and channels.
 
     Args:
         render: (H, W) or (H, W, C), or as ``layout`` says; an array or a torch tensor on the CPU, of uint8, uint16,
@@ -110,7 +110,7 @@ def ssim_map(
     precision: Precision = "float64",
     layout: ImageLayout | None = None,
 ) -> AnyArray:
-    """The map of which `ssim` is the mean.
+    """Return the map of which `ssim` is the mean.
 
     Args:
         render: as of `ssim`.
@@ -180,7 +180,7 @@ class Ssim:
         return of_layout(scores, layout)
 
     def merge(self, other: Ssim) -> None:
-        """Add what another accumulator has.
+        """Add the images of another accumulator.
 
         Raises:
             UsageError: it has another SSIM.
@@ -191,7 +191,7 @@ class Ssim:
         self.scores.extend(other.scores)
 
     def compute(self) -> Summary:
-        """The summary so far."""
+        """Return the summary so far."""
         return summarise(self.scores)
 
 

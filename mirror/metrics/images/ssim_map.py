@@ -36,7 +36,7 @@ _TILE_ROWS: Final = 64
 
 @dataclass(frozen=True)
 class SsimSettings:
-    """What tells one SSIM from another.
+    """The settings that distinguish variants of SSIM.
 
     Attributes:
         window: shape of the window's weights.
@@ -81,7 +81,7 @@ def map_tiles(
     precision: Precision,
     data_range: float,
 ) -> Iterator[AnyArray]:
-    """Part of the map, 64 rows at a time: nothing as large as the image is made.
+    """Yield the part of the map, 64 rows at a time: nothing as large as the image is made.
 
     Args:
         render: (H, W, C) whole image.

@@ -88,7 +88,7 @@ def ms_structure(
     data_range: float | None = None,
     layout: Layout | None = None,
 ) -> Score | list[Score]:
-    """Mean share of the local structure of the truth's luma that the render explains, over four octaves.
+    """Return the mean share of the local structure of the truth's luma that the render explains, over four octaves.
 
     Args:
         render: (H, W) or (H, W, C) with C of 1 or 3, or as ``layout`` says; an array or a torch tensor on the CPU, of

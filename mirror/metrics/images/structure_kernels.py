@@ -21,7 +21,7 @@ def multiply_bands(
     true_squares: Float64,
     products: Float64,
 ) -> None:
-    """Subtract the windows' means of render and truth, and write the squares and the product of what is left.
+    """Subtract the windows' means of render and truth; write squares and the product of the rest.
 
     Args:
         render: (H, W) luma, 0 outside the mask.

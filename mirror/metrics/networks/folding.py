@@ -30,7 +30,7 @@ class NormalisedConvolution(nn.Module):
         self.bn: nn.Module = nn.BatchNorm2d(outputs, eps=1e-3)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, outputs, h', w')."""
+        """Map (n, inputs, h, w) to (n, outputs, h', w')."""
         normalised: Tensor = self.bn(self.conv(features))
         return normalised.relu_()
 

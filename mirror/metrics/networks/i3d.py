@@ -51,7 +51,7 @@ class Unit3d(nn.Module):
         self._kernel, self._stride = (size,) * 3, (stride,) * 3
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, t, h, w) to (n, outputs, t', h', w')."""
+        """Map (n, inputs, t, h, w) to (n, outputs, t', h', w')."""
         return self.bn(self.conv3d(_same(features, self._kernel, self._stride))).relu_()
 
 
@@ -68,7 +68,7 @@ class Mixed3d(nn.Module):
         self.b3b = Unit3d(inputs, widths[5])
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, t, h, w) to (n, sum of widths, t, h, w)."""
+        """Map (n, inputs, t, h, w) to (n, sum of widths, t, h, w)."""
         pooled = _max_pool(features, (3, 3, 3), (1, 1, 1))
         return torch.cat(
             [self.b0(features), self.b1b(self.b1a(features)), self.b2b(self.b2a(features)), self.b3b(pooled)], dim=1
@@ -99,7 +99,7 @@ class InflatedInception(nn.Module):
         self.logits = _Logits()
 
     def forward(self, clips: Tensor) -> Tensor:
-        """Logits, averaged over time.
+        """Return the logits, averaged over time.
 
         Args:
             clips: (n, 3, t, 224, 224), -1 to 1, t of 9 or more.

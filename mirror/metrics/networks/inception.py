@@ -35,7 +35,7 @@ class BlockA(nn.Module):
         self.branch_pool = Conv(inputs, pooled, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, 224 + pooled, h, w)."""
+        """Map (n, inputs, h, w) to (n, 224 + pooled, h, w)."""
         return torch.cat(
             [
                 self.branch1x1(features),
@@ -58,7 +58,7 @@ class BlockB(nn.Module):
         self.branch3x3dbl_3 = Conv(96, 96, 3, stride=2)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, inputs + 480, h', w')."""
+        """Map (n, inputs, h, w) to (n, inputs + 480, h', w')."""
         twice = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(features)))
         return torch.cat([self.branch3x3(features), twice, functional.max_pool2d(features, 3, stride=2)], dim=1)
 
@@ -81,7 +81,7 @@ class BlockC(nn.Module):
         self.branch_pool = Conv(inputs, 192, 1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, 768, h, w)."""
+        """Map (n, inputs, h, w) to (n, 768, h, w)."""
         once = self.branch7x7_3(self.branch7x7_2(self.branch7x7_1(features)))
         twice = self.branch7x7dbl_3(self.branch7x7dbl_2(self.branch7x7dbl_1(features)))
         twice = self.branch7x7dbl_5(self.branch7x7dbl_4(twice))
@@ -101,7 +101,7 @@ class BlockD(nn.Module):
         self.branch7x7x3_4 = Conv(192, 192, 3, stride=2)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, inputs + 512, h', w')."""
+        """Map (n, inputs, h, w) to (n, inputs + 512, h', w')."""
         long = self.branch7x7x3_4(self.branch7x7x3_3(self.branch7x7x3_2(self.branch7x7x3_1(features))))
         short = self.branch3x3_2(self.branch3x3_1(features))
         return torch.cat([short, long, functional.max_pool2d(features, 3, stride=2)], dim=1)
@@ -129,7 +129,7 @@ class BlockE(nn.Module):
         self._pool = _max_3x3 if by_maximum else _mean_3x3
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, 2048, h, w)."""
+        """Map (n, inputs, h, w) to (n, 2048, h, w)."""
         once = self.branch3x3_1(features)
         twice = self.branch3x3dbl_2(self.branch3x3dbl_1(features))
         return torch.cat(
@@ -169,7 +169,7 @@ class FidInception(nn.Module):
         self.fc = nn.Linear(2048, 1008)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Features of the last pooling.
+        """Return the features of the last pooling.
 
         Args:
             images: (n, 3, 299, 299), (grey - 128) / 128.

@@ -14,7 +14,9 @@ VideoCrop = Literal["direct224", "centre-crop"]
 
 
 def resize_clean(images: Tensor, size: int) -> Tensor:
-    """Bicubic with antialiasing, clamped: clean-fid's (Parmar et al., 2022), there by Pillow, channel by channel.
+    """Resize by bicubic interpolation with antialiasing, clamped.
+
+    It is clean-fid's (Parmar et al., 2022), there by Pillow, channel by channel.
 
     Args:
         images: (n, 3, h, w), 0 to 255, float.
@@ -25,7 +27,9 @@ def resize_clean(images: Tensor, size: int) -> Tensor:
 
 
 def resize_tf1(images: Tensor, size: int) -> Tensor:
-    """Bilinear without antialiasing, corner to corner and not centre to centre: TensorFlow 1's, as the first FID had.
+    """Resize bilinearly without antialiasing, corner to corner and not centre to centre.
+
+    It is TensorFlow 1's, as the first FID had.
 
     Args:
         images: (n, 3, h, w), float.
@@ -45,7 +49,7 @@ def _along(images: Tensor, axis: int, size: int) -> Tensor:
 
 
 def resize_video(frames: Tensor, crop: VideoCrop, size: int = 224) -> Tensor:
-    """Frames as I3D takes them.
+    """Return the frames as I3D takes them.
 
     Args:
         frames: (n, 3, h, w), float.

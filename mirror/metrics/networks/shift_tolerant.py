@@ -25,7 +25,7 @@ class BlurredSampling(nn.Module):
         self.register_buffer("filt", torch.outer(line, line).expand(channels, 1, 3, 3).clone())
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, c, h, w) to (n, c, (h + 3) // 2, (w + 3) // 2)."""
+        """Map (n, c, h, w) to (n, c, (h + 3) // 2, (w + 3) // 2)."""
         padded = functional.pad(features, (2, 2, 2, 2), mode="reflect")
         return functional.conv2d(padded, self.filt, stride=2, groups=features.shape[1])
 

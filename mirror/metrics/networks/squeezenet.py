@@ -18,7 +18,7 @@ class Fire(nn.Module):
         self.expand3x3 = nn.Conv2d(narrow, wide, 3, padding=1)
 
     def forward(self, features: Tensor) -> Tensor:
-        """(n, inputs, h, w) to (n, 2 wide, h, w)."""
+        """Map (n, inputs, h, w) to (n, 2 wide, h, w)."""
         narrow = self.squeeze(features).relu_()
         return torch.cat([self.expand1x1(narrow), self.expand3x3(narrow)], dim=1).relu_()
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Trunk(nn.Module):
-    """Layers with taps.
+    """A network of convolutions whose features are taken at several layers.
 
     Attributes:
         channels: of every tap.
@@ -26,7 +26,7 @@ class Trunk(nn.Module):
     features: nn.Sequential
 
     def taps(self, images: Tensor, band: int = 16) -> Iterator[tuple[int, Tensor]]:
-        """Features from the first tap to the last, some rows at a time.
+        """Yield the features from the first tap to the last, some rows at a time.
 
         The rows of a tap come from top to bottom. What a tap has given is no longer held when the next is taken.
 
@@ -60,7 +60,7 @@ class Trunk(nn.Module):
 
 
 def convolution(inputs: int, outputs: int, size: int, stride: int = 1, padding: int | None = None) -> list[nn.Module]:
-    """A convolution and its rectifier; padded to keep the size by default."""
+    """Return a convolution and its rectifier; padded to keep the size by default."""
     return [
         nn.Conv2d(inputs, outputs, size, stride, size // 2 if padding is None else padding),
         nn.ReLU(inplace=True),

@@ -62,7 +62,9 @@ def _contact_in_step(ego: Float64, agent: Float64, halves: Float64, row: int, ot
 
 @njit(cache=True, nogil=True)
 def first_contacts(times_s: Float64, states: Float64, halves: Float64, present: Bool) -> Float64:
-    """Times (N,) in seconds at which each agent first touches the ego; inf where it never does, and for the ego.
+    """Return the times (N,) in seconds at which each agent first touches the ego.
+
+    They are inf where it never does, and for the ego.
 
     Args:
         times_s: (T,) times of the stamps.

@@ -31,7 +31,7 @@ LEAST_STAMPS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Comfort:
-    """The ego's comfort.
+    """Whether a drive is comfortable for the ego, by nuPlan's bounds.
 
     Attributes:
         is_comfortable: all quantities stay within their bounds at all stamps.

@@ -10,7 +10,7 @@ from mirror.arrays import Float64
 
 @njit(cache=True, nogil=True)
 def local_derivatives(times: Float64, values: Float64, window: int, degree: int, order: int, scale: float) -> Float64:
-    """Derivatives (T, C) in units of ``scale`` of polynomials fitted to the samples around each time.
+    """Return the derivatives (T, C) in units of ``scale`` of polynomials fitted to the samples around each time.
 
     Args:
         times: (T,) increasing times.

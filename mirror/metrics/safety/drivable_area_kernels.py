@@ -59,7 +59,10 @@ def _square_from_origin(ax: float, ay: float, bx: float, by: float) -> tuple[flo
 
 @njit(cache=True, nogil=True)
 def signed_distances(points: Float64, begins: Float64, ends: Float64) -> Float64:
-    """Distance (P,) of points (P, 2) from segments (S, 2) to (S, 2): positive inside (even-odd rule), else negative."""
+    """Return the distances (P,) of points (P, 2) from segments (S, 2) to (S, 2).
+
+    They are positive inside (even-odd rule), else negative.
+    """
     bounds = _bounds(begins, ends)
     found = np.empty(len(points))
     for point in range(len(points)):
@@ -124,7 +127,9 @@ def _farthest(path: Float64, bounds: Float64, begins: Float64, ends: Float64) ->
 def least_margin(
     states: Float64, corners: Float64, margins: Float64, begins: Float64, ends: Float64, tolerance: float
 ) -> tuple[float, int, float]:
-    """Least signed distance of moving corners, the row of the step in which it occurs, and its share of the step.
+    """Return the least signed distance of moving corners.
+
+    The row of the step in which it occurs, and its share of the step, follow.
 
     Args:
         states: (T, 3) x, y and yaw, which change linearly between rows.

@@ -105,7 +105,7 @@ def combine_factors(
 
 
 def collision_factor(collisions: Sequence[Collision]) -> float:
-    """NC: 0 with an at-fault collision, 0.5 if all of them are with objects, else 1."""
+    """Return NAVSIM's no-collision factor (NC): 0 if at fault, 0.5 if with objects alone, else 1."""
     at_fault = [one for one in collisions if one.is_at_fault]
     if not at_fault:
         return 1.0
@@ -113,7 +113,7 @@ def collision_factor(collisions: Sequence[Collision]) -> float:
 
 
 def direction_factor(log: StateLog, off_route: Bool) -> float:
-    """DDC: the largest distance driven off the route's lanes within one second.
+    """Return the largest distance driven off the route's lanes within one second (NAVSIM's DDC).
 
     Args:
         log: states; only the ego is read.
@@ -130,7 +130,10 @@ def direction_factor(log: StateLog, off_route: Bool) -> float:
 
 
 def lane_keeping_factor(log: StateLog, progress: Progress, positions: LanePositions) -> float:
-    """LK: 0 if the ego is off the middle of its route for two seconds, else 1; stamps in junctions are left out."""
+    """Return NAVSIM's lane keeping (LK): 0 if the ego is off its route's middle for two seconds, else 1.
+
+    Stamps in junctions are left out.
+    """
     outside = np.flatnonzero(~positions.in_junction)
     far = np.abs(progress.offset_m[outside]) > LANE_KEEPING_M
     step = float(np.median(np.diff(log.times_s))) if len(log.stamps_ns) > 1 else LANE_KEEPING_S
@@ -143,7 +146,7 @@ def lane_keeping_factor(log: StateLog, progress: Progress, positions: LanePositi
 
 
 def progress_factor(progress_m: float, reference_m: float) -> float:
-    """EP: progress as a share of that of a reference, from 0 to 1."""
+    """Return the progress as a share of that of a reference, from 0 to 1 (NAVSIM's EP)."""
     if reference_m <= LEAST_REFERENCE_M:
         return 1.0
     return min(max(progress_m / reference_m, 0.0), 1.0)

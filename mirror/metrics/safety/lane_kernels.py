@@ -27,7 +27,7 @@ def _bounds(line: Float64, reach: float) -> Float64:
 
 @njit(cache=True, nogil=True)
 def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64) -> tuple[Float64, Float64, Float64]:
-    """Offsets, lengths and directions (P, L) of points on lanes; NaN where a point is not in a lane.
+    """Return the offsets, lengths and directions (P, L) of points on lanes; NaN where a point is not in a lane.
 
     A point is in a lane if the nearest point of the middle line lies between the line's ends, and is not farther than
     half of the width there.
@@ -87,7 +87,7 @@ def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64
 
 @njit(cache=True, nogil=True)
 def project_on_line(points: Float64, line: Float64) -> tuple[Float64, Float64]:
-    """Lengths and signed offsets (P,) of the feet of points (P, 2) on a line (K, 3) of x, y and length.
+    """Return the lengths and signed offsets (P,) of the feet of points (P, 2) on a line (K, 3) of x, y and length.
 
     The first point takes the nearest foot. Each later one takes the nearest foot that lies at most twice as far from
     the last foot as the points are apart, or 1 m, so that a line that crosses itself is followed, not jumped on.

@@ -81,7 +81,10 @@ def _lane_arrays(road_map: RoadMap) -> _LaneArrays:
 
 
 def ego_points(log: StateLog) -> Float64:
-    """(T, 6, 2) corners (front left, front right, rear right, rear left), centre and rear axle of the ego."""
+    """Return six points (T, 6, 2) of the ego.
+
+    They are its corners (front left, front right, rear right, rear left), its centre and its rear axle.
+    """
     cos, sin = np.cos(log.yaw_rad[:, 0]), np.sin(log.yaw_rad[:, 0])
     half_length, half_width = 0.5 * log.length_m[0], 0.5 * log.width_m[0]
     ahead = np.array([half_length, half_length, -half_length, -half_length, 0.0, -log.rear_axle_to_center_m])
@@ -129,7 +132,7 @@ def locate_on_lanes(log: StateLog, road_map: RoadMap) -> LanePositions:
 
 
 def lanes_of_route(route_m: Float64, road_map: RoadMap) -> Bool:
-    """(L,) which driving lanes of a map a route (K, 2) runs through, in their direction."""
+    """Mark the driving lanes (L,) of a map that a route (K, 2) runs through in their direction."""
     from mirror.metrics.safety.lane_kernels import project_on_lanes
 
     arrays = _lane_arrays(road_map)
@@ -141,12 +144,12 @@ def lanes_of_route(route_m: Float64, road_map: RoadMap) -> Bool:
 
 
 def driven_steps(log: StateLog) -> Float64:
-    """(T - 1,) distances that the ego's centre moves between stamps."""
+    """Return the distances (T - 1,) that the ego's centre moves between stamps."""
     return np.asarray(np.hypot(np.diff(log.x_m[:, 0]), np.diff(log.y_m[:, 0])))
 
 
 def driven_while(log: StateLog, holds: Bool) -> float:
-    """Distance driven while a condition (T,) holds; a step at one end of which it holds counts half."""
+    """Return the distance driven while a condition (T,) holds; a step at one end of which it holds counts half."""
     steps, weight = driven_steps(log), 0.5 * (holds[1:].astype(np.float64) + holds[:-1])
     return float((steps * weight).sum())
 

@@ -24,7 +24,7 @@ def _overlap(ego: Float64, agent: Float64, halves: Float64, other: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def overlaps_at_stamps(states: Float64, halves: Float64, present: Bool) -> Bool:
-    """(N, T) whether each agent touches the ego at each stamp; False for the ego."""
+    """Mark which of N actors touch the ego at each of T stamps: (N, T), False for the ego."""
     found = np.zeros(present.shape, np.bool_)
     for other in range(1, len(states)):
         for row in range(states.shape[1]):
@@ -35,7 +35,7 @@ def overlaps_at_stamps(states: Float64, halves: Float64, present: Bool) -> Bool:
 
 @njit(cache=True, nogil=True)
 def bearings(states: Float64, rear_axle_to_center: float) -> Float64:
-    """(N, T) angles, 0 to pi, between the ego's heading and the direction from its rear axle to each agent."""
+    """Return angles (N, T), 0 to pi, between the ego's heading and the direction from its rear axle to each agent."""
     found = np.zeros(states.shape[:2])
     for row in range(states.shape[1]):
         cos, sin = math.cos(states[0, row, 2]), math.sin(states[0, row, 2])
@@ -48,7 +48,7 @@ def bearings(states: Float64, rear_axle_to_center: float) -> Float64:
 
 @njit(cache=True, nogil=True)
 def forward_speed(states: Float64) -> Float64:
-    """(T,) magnitude of the ego's velocity along its heading: the speed of its rear axle."""
+    """Return the magnitude (T,) of the ego's velocity along its heading: the speed of its rear axle."""
     found = np.empty(states.shape[1])
     for row in range(states.shape[1]):
         yaw = states[0, row, 2]
@@ -60,7 +60,7 @@ def forward_speed(states: Float64) -> Float64:
 def nuplan_steps(
     states: Float64, halves: Float64, considered: Bool, speed: Float64, stopped: float, step: float, steps: int
 ) -> tuple[Int64, Int64]:
-    """Number of steps (T,) until the boxes first touch, 0: never, and the agent (T,) that is touched, -1: none.
+    """Return after how many steps (T,) the boxes first touch (0: never), and the touched agent (T,), -1: none.
 
     Both move along their headings at the magnitudes of their speeds.
 
@@ -122,7 +122,9 @@ def navsim_violation(
     cone: tuple[float, float],
     excluded: Bool,
 ) -> tuple[int, int]:
-    """First stamp, and the agent, at which the ego at constant velocity meets an agent's logged future; -1, -1: none.
+    """Find the first stamp, and the agent, at which the ego at constant velocity meets an agent's logged future.
+
+    Both are -1 if there is none.
 
     Args:
         times: (T,) times of the stamps.

@@ -38,7 +38,7 @@ NAVSIM_OFFSETS_S: Final = (0.0, 0.3, 0.6, 0.9)
 
 @dataclass(frozen=True, eq=False)
 class NuplanTimeToCollision:
-    """nuPlan's time to collision.
+    """The time to collision of a drive by nuPlan's definition.
 
     Attributes:
         value_s: (T,) value at each stamp; inf: none within the horizon. 0 at the stamp of an at-fault collision.

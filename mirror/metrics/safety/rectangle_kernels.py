@@ -15,7 +15,7 @@ NEVER = math.inf
 def signed_gap(
     dx: float, dy: float, yaw_a: float, yaw_b: float, length_a: float, width_a: float, length_b: float, width_b: float
 ) -> float:
-    """Largest separation of two rectangles along the axes of either (separating axis theorem).
+    """Return the largest separation of two rectangles along the axes of either (separating axis theorem).
 
     Positive: the rectangles are apart, and their distance is at least this. Zero or negative: they touch or overlap.
 
@@ -61,7 +61,7 @@ def contact_time(
     length_b: float,
     width_b: float,
 ) -> float:
-    """Time in [0, inf] until two rectangles that move without turning touch; 0: they do now, inf: never.
+    """Return the time in [0, inf] until two rectangles that move without turning touch; 0: they do now, inf: never.
 
     It is exact: two convex polygons that do not turn overlap while their shadows overlap on each axis of either.
 

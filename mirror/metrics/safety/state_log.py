@@ -123,11 +123,11 @@ class StateLog:
         return seconds
 
     def stamp_at(self, time_s: float) -> int:
-        """The stamp in nanoseconds of a time in seconds since the first stamp."""
+        """Return the stamp in nanoseconds of a time in seconds since the first stamp."""
         return int(self.stamps_ns[0]) + round(time_s * 1e9)
 
     def kernel_arrays(self) -> tuple[Float64, Float64, Bool]:
-        """Arrays for the compiled kernels, which must not be changed: they are computed once.
+        """Return the arrays for the compiled kernels, which must not be changed: they are computed once.
 
         Returns:
             (N, T, 5) x, y, yaw, vx, vy with the ego's first position as origin and continuous yaws, so that headings

@@ -19,7 +19,10 @@ _GOLDEN = 0.3819660112501051
 
 @inner_njit
 def time_to_collision_at(ego: Float64, agent: Float64, halves: Float64, row: int, other: int, share: float) -> float:
-    """Time to collision at a share of the step from ``row`` to the next, both with their velocities of that instant."""
+    """Return the time to collision at a share of the step from ``row`` to the next.
+
+    Both boxes keep their velocities of that instant.
+    """
     after = min(row + 1, len(ego) - 1)
     rest = 1.0 - share
     dx = rest * (agent[row, 0] - ego[row, 0]) + share * (agent[after, 0] - ego[after, 0])
@@ -126,7 +129,7 @@ def _least_in_step(
 def least_times_to_collision(
     times_s: Float64, states: Float64, halves: Float64, present: Bool, horizon_s: float
 ) -> tuple[Float64, Float64]:
-    """Least time to collision (N,) of the ego with each agent, and the times (N,) of these instants.
+    """Return the least time to collision (N,) of the ego with each agent, and the times (N,) of these instants.
 
     Both are inf where no value within the horizon exists, and for the ego. Arguments are those of `first_contacts`.
     """
@@ -157,7 +160,10 @@ def least_times_to_collision(
 
 @njit(cache=True, nogil=True)
 def times_to_collision(states: Float64, halves: Float64, present: Bool) -> Float64:
-    """Time to collision (T, N) of the ego with each agent at each stamp; inf: none, absent, or the ego itself."""
+    """Return the time to collision (T, N) of the ego with each agent at each stamp.
+
+    It is inf for none, for absent agents and for the ego itself.
+    """
     actors, stamps = present.shape
     found = np.full((stamps, actors), math.inf)
     for other in range(1, actors):

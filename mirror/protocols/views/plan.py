@@ -106,7 +106,7 @@ def plan_views(dataset: Dataset, protocol: Protocol, split: str) -> Plan:
 
 
 def render_path(group: str, traversal_id: str, camera: str, timestamp_ns: int) -> str:
-    """The path of a render in a submission.
+    """Return the path of a render in a submission.
 
     Raises:
         DatasetError: the traversal's or camera's name cannot be part of a path.

@@ -22,20 +22,20 @@ class LatentCodec(Protocol):
     stride: int
 
     def encode(self, images: Tensor) -> Tensor:
-        """Images (N, 3, height, width) from 0 to 1 to latents (N, channels, height / stride, width / stride)."""
+        """Map images (N, 3, height, width) from 0 to 1 to latents (N, channels, height / stride, width / stride)."""
         ...
 
     def decode(self, latents: Tensor) -> Tensor:
-        """Latents to images; values may leave 0 to 1 a little."""
+        """Map latents to images; values may leave 0 to 1 a little."""
         ...
 
 
 def to_tensor(images: UInt8) -> Tensor:
-    """Images (..., height, width, 3), 8 bits, to (..., 3, height, width) from 0 to 1, float32."""
+    """Map images (..., height, width, 3), 8 bits, to (..., 3, height, width) from 0 to 1, float32."""
     return torch.from_numpy(images).movedim(-1, -3).float() / 255.0
 
 
 def to_bytes(images: Tensor) -> UInt8:
-    """Images (..., 3, height, width) from 0 to 1 to (..., height, width, 3), 8 bits."""
+    """Map images (..., 3, height, width) from 0 to 1 to (..., height, width, 3), 8 bits."""
     rounded: UInt8 = (images.clamp(0.0, 1.0) * 255.0).round().to(torch.uint8).movedim(-3, -1).cpu().numpy()
     return rounded

@@ -42,14 +42,14 @@ class DiffusersAutoencoder:
         return self
 
     def encode(self, images: Tensor) -> Tensor:
-        """Images (N, 3, height, width) from 0 to 1 to latents: the mean of the posterior, shifted and scaled."""
+        """Map images (N, 3, height, width) from 0 to 1 to latents: the mean of the posterior, shifted and scaled."""
         encoded = self._model.encode(2.0 * images - 1.0)
         if not self._kl:
             return encoded.latents
         return (encoded.latent_dist.mean - self._shift) * self._scale
 
     def decode(self, latents: Tensor) -> Tensor:
-        """Latents to images (N, 3, height, width).
+        """Map latents to images (N, 3, height, width).
 
         Raises:
             UsageError: the latents have another number of channels.

@@ -72,7 +72,7 @@ class TinyAutoencoder(nn.Module):
         self.register_buffer("deviation", torch.ones(settings.channels))
 
     def encode(self, images: Tensor) -> Tensor:
-        """Images (N, 3, height, width) from 0 to 1 to normalised latents.
+        """Map images (N, 3, height, width) from 0 to 1 to normalised latents.
 
         Raises:
             UsageError: the images have another number of channels, or sides that are no multiples of the stride.
@@ -85,7 +85,7 @@ class TinyAutoencoder(nn.Module):
         return (self.encoder(images - 0.5) - self.mean[:, None, None]) / self.deviation[:, None, None]
 
     def decode(self, latents: Tensor) -> Tensor:
-        """Normalised latents to images (N, 3, height, width).
+        """Map normalised latents to images (N, 3, height, width).
 
         Raises:
             UsageError: the latents have another number of channels.

@@ -27,7 +27,7 @@ def frame_conditions(
     *,
     ring: bool = False,
 ) -> Conditions:
-    """The conditions of one frame.
+    """Return the conditions of one frame.
 
     Args:
         clip: the clip.

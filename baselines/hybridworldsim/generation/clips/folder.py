@@ -48,7 +48,7 @@ class ClipList(Document):
 
 
 def clip_path(folder: Path, clip_id: str) -> Path:
-    """The file of a clip."""
+    """Return the file of a clip."""
     return folder / f"{clip_id}{_SUFFIX}"
 
 

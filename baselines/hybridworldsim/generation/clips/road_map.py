@@ -17,7 +17,7 @@ _SPACING_M: Final = 2.0
 
 
 def lines_of_map(road_map: RoadMap, driven_m: Float64) -> tuple[MapLine, ...]:
-    """The borders of the drivable area and of lanes, and the crossings of a road map.
+    """Return the borders of the drivable area and of lanes, and the crossings of a road map.
 
     Areas and crossings have no heights: their points get the height of the nearest middle line of a lane.
 

@@ -11,7 +11,7 @@ from mirror.arrays import Bool, Float32, Float64, UInt8
 
 
 def draw_hulls(boxes: ClipBoxes, intrinsics: Float64, ego_SE3_camera: Float64, size_px: tuple[int, int]) -> Bool:
-    """Pixels (V, H, W) that show the inside of some box.
+    """Mark the pixels (V, H, W) that show the inside of some box.
 
     Args:
         boxes: boxes of one frame.
@@ -28,7 +28,9 @@ def draw_hulls(boxes: ClipBoxes, intrinsics: Float64, ego_SE3_camera: Float64, s
 
 
 def hull_shares(hulls: Bool, grow_px: int) -> Float32:
-    """Share (V, H, W) of a generated image in each pixel: 1 in hulls grown by some pixels, falling to 0 behind them.
+    """Return the share (V, H, W) of a generated image in each pixel.
+
+    It is 1 in hulls grown by some pixels, falling to 0 behind them.
 
     Args:
         hulls: (V, H, W), from `draw_hulls`.
@@ -44,7 +46,7 @@ def hull_shares(hulls: Bool, grow_px: int) -> Float32:
 
 
 def blend(images: UInt8, background: UInt8, shares: Float32) -> UInt8:
-    """Images (..., H, W, 3) where shares (..., H, W) are 1, the background where they are 0."""
+    """Return the images (..., H, W, 3) where shares (..., H, W) are 1, the background where they are 0."""
     share = shares[..., None]
     mixed: UInt8 = np.round(share * images + (1.0 - share) * background).astype(np.uint8)
     return mixed

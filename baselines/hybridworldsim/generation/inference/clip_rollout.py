@@ -27,7 +27,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class ClipRolloutOptions:
-    """What is generated of a clip.
+    """Settings of a rollout over a clip: sampler, seed, and what blends generated and empty views.
 
     Attributes:
         sampler: how a frame is sampled.
@@ -50,7 +50,7 @@ class ClipRolloutOptions:
 
 @dataclass(frozen=True, eq=False)
 class GeneratedFrame:
-    """One generated frame.
+    """One generated frame of a rollout.
 
     Attributes:
         frame: number of the frame in the clip.
@@ -142,7 +142,7 @@ def views_with_boxes(clip: Clip, frame: int) -> Bool:
 
 
 def clip_hulls(clip: Clip, frame: int) -> Bool:
-    """Pixels (V, H, W) of a frame that show the inside of some box."""
+    """Mark the pixels (V, H, W) of a frame that show the inside of some box."""
     return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px)
 
 

@@ -21,7 +21,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class SamplerSettings:
-    """How a frame is sampled.
+    """Settings of sampling a frame.
 
     Attributes:
         steps: number of steps.
@@ -67,7 +67,7 @@ def target_velocity(
     cache: bool = True,
     sliding: SlidingCache | None = None,
 ) -> Velocity:
-    """The velocity of a target frame, given its references.
+    """Return the velocity of a target frame, given its references.
 
     Args:
         network: the network.

@@ -33,7 +33,7 @@ class SlidingCache:
         self.encoded_frames = 0
 
     def begin(self, frame: int, views: Sequence[int], pose: Tensor) -> Tensor:
-        """Begin a frame; what is held is dropped if it does not belong to the frame before and the same views.
+        """Begin a frame; cached references of another frame or of other views are dropped.
 
         Args:
             frame: number of the frame.
@@ -55,7 +55,7 @@ class SlidingCache:
     def encode(
         self, network: Transformer, references: Tensor, timestep: Tensor, prepared: PreparedConditions
     ) -> ReferenceCache:
-        """Keys and values of the references of the frame that was begun.
+        """Return the keys and values of the references of the frame that was begun.
 
         Args:
             network: a causal network.

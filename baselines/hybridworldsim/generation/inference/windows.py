@@ -18,7 +18,7 @@ REFERENCES = 5
 
 
 def seed_frames(first: int, references: int = REFERENCES) -> range:
-    """The recorded frames that seed a rollout: those before its first frame, so that no seed is output.
+    """Return the recorded frames that seed a rollout: those before its first frame, so that no seed is output.
 
     For an edited window these frames show the vehicles before the edit begins: a seed within the window would show a
     vehicle where it was before it was moved.
@@ -41,7 +41,7 @@ def seed_frames(first: int, references: int = REFERENCES) -> range:
 def join_conditions(
     config: TransformerConfig, frames: Sequence[Conditions], origin: Tensor | None = None
 ) -> Conditions:
-    """The conditions of a window.
+    """Return the conditions of a window.
 
     Args:
         config: the network.
@@ -90,7 +90,7 @@ def join_conditions(
 
 
 def without_layout(conditions: Conditions, value: float = 0.0) -> Conditions:
-    """The conditions of a window without boxes and lanes in any of its frames, as `drop_layout` of training has them.
+    """Return the conditions of a window without boxes and lanes, as `drop_layout` of training has them.
 
     Args:
         conditions: of the window.

@@ -32,7 +32,7 @@ _OPENDWM_MARKS: Final = ((3, 4), (3, 1))
 
 @dataclass(frozen=True)
 class BoxStyle:
-    """How boxes are drawn.
+    """The style in which boxes are drawn.
 
     Attributes:
         marks: lines besides the twelve edges, as pairs of corners in the order of `mirror.geometry.boxes.corners`.
@@ -111,7 +111,7 @@ def draw_inverse_depth(
     size_px: tuple[int, int],
     depth_m: float,
 ) -> Float32:
-    """The inverse depth of the nearest solid box in each pixel.
+    """Return the inverse depth of the nearest solid box in each pixel.
 
     Args:
         camera_SE3_box: (N, 4, 4) poses.

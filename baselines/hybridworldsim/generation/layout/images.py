@@ -60,7 +60,7 @@ def takes_map(config: TransformerConfig, style: BoxStyle) -> bool:
 
 
 def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: TransformerConfig) -> Float32:
-    """The layout of one frame of a clip, as a network takes it.
+    """Return the layout of one frame of a clip, as a network takes it.
 
     Args:
         clip: the clip.
@@ -84,5 +84,5 @@ def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: Transform
 
 
 def draw_clip_layout(clip: Clip, style: BoxStyle, config: TransformerConfig) -> Float32:
-    """The layout of all frames of a clip, as a network takes it: (F, V, channels, height, width)."""
+    """Return the layout of all frames of a clip, as a network takes it: (F, V, channels, height, width)."""
     return np.stack([draw_frame_layout(clip, frame, style, config) for frame in range(len(clip))])

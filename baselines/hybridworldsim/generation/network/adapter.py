@@ -45,7 +45,7 @@ def _zero_convolution(channels: int, out: int) -> nn.Conv2d:
 
 
 class ImageAdapter(nn.Module):
-    """An adapter of images.
+    """An adapter that turns conditioning images into features.
 
     Args:
         config: channels, width and scales.
@@ -66,7 +66,7 @@ class ImageAdapter(nn.Module):
         self.zero_convs = nn.ModuleList(_zero_convolution(config.width, out) for _ in config.scales)
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Images (N, channels, height, width) to features (N, rows * columns, out), one for each block."""
+        """Map images (N, channels, height, width) to features (N, rows * columns, out), one for each block."""
         x = pixel_unshuffle(images, self.config.unshuffle)
         size = images.shape[-2] // self.token_px, images.shape[-1] // self.token_px
         features = []
@@ -80,13 +80,13 @@ class ImageAdapter(nn.Module):
 
 
 def add_features(first: list[Tensor], second: list[Tensor]) -> list[Tensor]:
-    """Sum of two lists of features; the longer one keeps its last features."""
+    """Return the sum of two lists of features; the longer one keeps its last features."""
     longer, shorter = (first, second) if len(first) >= len(second) else (second, first)
     return [feature + shorter[place] if place < len(shorter) else feature for place, feature in enumerate(longer)]
 
 
 def select_frames(features: list[Tensor], shape: tuple[int, int, int], frames: slice) -> list[Tensor]:
-    """Features of some frames of a sequence.
+    """Return the features of some frames of a sequence.
 
     Args:
         features: each (B * T * V, L, width).

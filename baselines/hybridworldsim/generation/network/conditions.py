@@ -53,7 +53,7 @@ class Conditions:
         return batch, frames, views
 
     def views(self, views: Sequence[int]) -> Conditions:
-        """Return the conditions of some of the views, which keep their numbers in the rig."""
+        """Select the conditions of views, which keep their numbers in the rig."""
         chosen = list(views)
         names = ("intrinsics", "camera_to_ego", "text", "pooled", "layout", "background", "present")
         tensors = {name: getattr(self, name) for name in names}
@@ -112,7 +112,7 @@ class PreparedConditions:
     view_index: Tensor
 
     def frames(self, frames: slice) -> PreparedConditions:
-        """Return the conditions of some of the frames."""
+        """Select the conditions of frames."""
         text, pooled = select_frames([self.text, self.pooled], self.shape, frames)
         count = len(range(self.shape[1])[frames])
         return PreparedConditions(

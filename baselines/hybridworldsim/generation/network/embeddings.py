@@ -45,7 +45,7 @@ class NumberEmbedding(nn.Module):
         self.linear_2 = nn.Linear(hidden, out)
 
     def forward(self, encoded: Tensor) -> Tensor:
-        """(..., channels) to (..., out)."""
+        """Map (..., channels) to (..., out)."""
         return self.linear_2(nn.functional.silu(self.linear_1(encoded)))
 
 
@@ -63,13 +63,13 @@ class StepTextEmbedding(nn.Module):
         self.text_embedder = NumberEmbedding(pooled_channels, width, width)
 
     def forward(self, timestep: Tensor, pooled: Tensor) -> Tensor:
-        """Time steps (N,) from 0 to 1000 and pooled texts (N, pooled_channels) to (N, width)."""
+        """Map time steps (N,) from 0 to 1000 and pooled texts (N, pooled_channels) to (N, width)."""
         encoded = encode_number(timestep, _STEP_CHANNELS).to(pooled.dtype)
         return self.timestep_embedder(encoded) + self.text_embedder(pooled)
 
 
 def position_table(width: int, grid: int, base: int) -> Tensor:
-    """Sines and cosines of the column and the row of each cell of a grid.
+    """Return the sines and cosines of the column and the row of each cell of a grid.
 
     Args:
         width: channels, a multiple of four.
@@ -109,7 +109,7 @@ class PatchEmbedding(nn.Module):
         self.register_buffer("pos_embed", position_table(width, grid, base))
 
     def forward(self, latents: Tensor) -> Tensor:
-        """(N, channels, H, W) to tokens (N, rows * columns, width), row by row."""
+        """Map (N, channels, H, W) to tokens (N, rows * columns, width), row by row."""
         tokens = self.proj(latents)
         rows, columns = tokens.shape[-2:]
         top, left = (self.grid - rows) // 2, (self.grid - columns) // 2
@@ -133,7 +133,7 @@ class RayEncoder(nn.Module):
         self.proj = nn.Linear(6 * (origin_octaves + direction_octaves), width, bias=False)
 
     def forward(self, origin: Tensor, direction: Tensor) -> Tensor:
-        """Origins (N, 3), metres, and unit directions (N, L, 3) to (N, L, width)."""
+        """Map origins (N, 3), metres, and unit directions (N, L, 3) to (N, L, width)."""
         origins = _octaves(origin, self.origin_octaves)[:, None].expand(-1, direction.shape[1], -1)
         encoded = torch.cat([origins, _octaves(direction, self.direction_octaves)], dim=-1)
         return self.proj(encoded.to(self.proj.weight.dtype))
@@ -147,7 +147,7 @@ def _octaves(values: Tensor, octaves: int) -> Tensor:
 
 
 def token_rays(intrinsics: Tensor, camera_to_ego: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
-    """The rays through the centres of tokens.
+    """Return the rays through the centres of tokens.
 
     Args:
         intrinsics: (N, 3, 3) of images with sides of length 1: focal lengths and principal point as shares of the
@@ -169,7 +169,7 @@ def token_rays(intrinsics: Tensor, camera_to_ego: Tensor, rows: int, columns: in
 
 
 def camera_numbers(rate_hz: Tensor, intrinsics: Tensor, camera_to_ego: Tensor, aspect: float) -> Tensor:
-    """The numbers of the implicit camera condition, as OpenDWM has them.
+    """Return the numbers of the implicit camera condition, as OpenDWM has them.
 
     Args:
         rate_hz: (N,) frames per second.

@@ -27,7 +27,7 @@ class FeedForward(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """(..., width) to (..., width)."""
+        """Map (..., width) to (..., width)."""
         return self.net[2](self.net[0](x))
 
 
@@ -58,17 +58,17 @@ class HeadNorm(nn.Module):
         self.weight = nn.Parameter(torch.ones(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(..., channels) to (..., channels)."""
+        """Map (..., channels) to (..., channels)."""
         return nn.functional.rms_norm(x, self.weight.shape, self.weight.to(x.dtype), self.epsilon)
 
 
 def split_heads(x: Tensor, heads: int) -> Tensor:
-    """(N, L, heads * channels) to (N, heads, L, channels)."""
+    """Map (N, L, heads * channels) to (N, heads, L, channels)."""
     return x.unflatten(-1, (heads, -1)).transpose(1, 2)
 
 
 def merge_heads(x: Tensor) -> Tensor:
-    """(N, heads, L, channels) to (N, L, heads * channels)."""
+    """Map (N, heads, L, channels) to (N, L, heads * channels)."""
     return x.transpose(1, 2).flatten(2)
 
 
@@ -97,7 +97,7 @@ class JointAttention(nn.Module):
             self.to_add_out = nn.Linear(width, width)
 
     def forward(self, image: Tensor, text: Tensor | None = None) -> tuple[Tensor, Tensor | None]:
-        """Image tokens (N, L, width) and text tokens (N, M, width) to those of the same shapes."""
+        """Map image tokens (N, L, width) and text tokens (N, M, width) to those of the same shapes."""
         query = self.norm_q(split_heads(self.to_q(image), self.heads))
         key = self.norm_k(split_heads(self.to_k(image), self.heads))
         value = split_heads(self.to_v(image), self.heads)
@@ -127,17 +127,17 @@ class Modulation(nn.Module):
         self.linear = nn.Linear(width, parts * width)
 
     def forward(self, condition: Tensor) -> tuple[Tensor, ...]:
-        """(N, width) to ``parts`` tensors (N, 1, width)."""
+        """Map (N, width) to ``parts`` tensors (N, 1, width)."""
         return self.linear(silu(condition))[:, None].chunk(self.parts, dim=-1)
 
 
 def normalise(x: Tensor) -> Tensor:
-    """Layer normalisation without parameters."""
+    """Normalise the last axis (layer normalisation without parameters)."""
     return layer_norm(x, x.shape[-1:], eps=EPSILON)
 
 
 class JointBlock(nn.Module):
-    """One joint block.
+    """One block of joint attention between image and text tokens.
 
     Args:
         width: channels of a token.
@@ -158,7 +158,7 @@ class JointBlock(nn.Module):
         self.ff_context = None if last else FeedForward(width)
 
     def forward(self, image: Tensor, text: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
-        """Image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width).
+        """Return image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width).
 
         Without text (M = 0) the text's half of the block is not computed: it has no effect on the image.
         """

@@ -17,7 +17,7 @@ def temporal_mask(
     pointwise: bool,
     device: torch.device,
 ) -> Tensor | None:
-    """The mask of a temporal block.
+    """Return the mask of a temporal block.
 
     Args:
         present: (B, T, V) which views exist; None: all.
@@ -58,7 +58,7 @@ def temporal_mask(
 def cross_view_mask(
     present: Tensor | None, adjacent: Tensor | None, *, shape: tuple[int, int, int], rows: int, columns: int
 ) -> Tensor | None:
-    """The mask of a cross-view block.
+    """Return the mask of a cross-view block.
 
     Args:
         present: (B, T, V) which views exist; None: all.

@@ -43,12 +43,15 @@ class MixingAttention(nn.Module):
         self.to_out = nn.ModuleList([nn.Linear(width, width)])
 
     def project(self, tokens: Tensor) -> KeysValues:
-        """Keys and values of tokens (N, L, width)."""
+        """Return the keys and values of tokens (N, L, width)."""
         keys = self.norm_k(split_heads(self.to_k(tokens), self.heads))
         return KeysValues(keys, split_heads(self.to_v(tokens), self.heads))
 
     def forward(self, tokens: Tensor, keys_values: KeysValues, mask: Tensor | None) -> Tensor:
-        """Tokens (N, L, width) attend to keys; ``mask`` is True where they may: it broadcasts to (N, heads, L, K)."""
+        """Let tokens (N, L, width) attend to keys.
+
+        ``mask`` is True where they may: it broadcasts to (N, heads, L, K).
+        """
         query = self.norm_q(split_heads(self.to_q(tokens), self.heads))
         mixed = scaled_dot_product_attention(query, keys_values.keys, keys_values.values, attn_mask=mask)
         return self.to_out[0](merge_heads(mixed))
@@ -70,7 +73,7 @@ class MixingBlock(nn.Module):
         self.attn1 = MixingAttention(width, heads, norm=norm)
 
     def enter(self, tokens: Tensor) -> tuple[Tensor, Tensor, KeysValues]:
-        """The part before the attention.
+        """Compute the part before the attention.
 
         Args:
             tokens: (N, L, width).
@@ -83,7 +86,7 @@ class MixingBlock(nn.Module):
         return tokens, normalised, self.attn1.project(normalised)
 
     def leave(self, tokens: Tensor, normalised: Tensor, keys_values: KeysValues, mask: Tensor | None) -> Tensor:
-        """The attention and the part behind it; arguments are those that `enter` returned."""
+        """Compute the attention and the part behind it; arguments are those that `enter` returned."""
         tokens = tokens + self.attn1(normalised, keys_values, mask)
         return tokens + self.ff(self.norm3(tokens))
 
@@ -96,6 +99,6 @@ class Mixer(nn.Module):
         self.mix_factor = nn.Parameter(torch.tensor([_MIX]))
 
     def forward(self, before: Tensor, after: Tensor) -> Tensor:
-        """``sigmoid(mix_factor) * before + (1 - sigmoid(mix_factor)) * after``."""
+        """Return ``sigmoid(mix_factor) * before + (1 - sigmoid(mix_factor)) * after``."""
         share = torch.sigmoid(self.mix_factor)
         return share * before + (1.0 - share) * after

@@ -85,7 +85,7 @@ class Transformer(nn.Module):
             self.background_adapter = ImageAdapter(config.background, config.token_px, width)
 
     def encode_images(self, conditions: Conditions) -> list[Tensor]:
-        """The adapters' features; those of a frame do not depend on the other frames.
+        """Return the adapters' features; those of a frame do not depend on the other frames.
 
         Returns:
             A feature (B * T * V, rows * columns, width) for each of the first layers.
@@ -96,11 +96,11 @@ class Transformer(nn.Module):
         return add_features(self.encode_layout(conditions), self.encode_background(conditions))
 
     def encode_layout(self, conditions: Conditions) -> list[Tensor]:
-        """The part of the layout in `encode_images`; empty where there is none."""
+        """Return the part of the layout in `encode_images`; empty where there is none."""
         return self._adapt("condition_image_adapter", conditions.layout)
 
     def encode_background(self, conditions: Conditions) -> list[Tensor]:
-        """The part of the background in `encode_images`; empty where there is none."""
+        """Return the part of the background in `encode_images`; empty where there is none."""
         return self._adapt("background_adapter", conditions.background)
 
     def _adapt(self, name: str, images: Tensor | None) -> list[Tensor]:
@@ -113,7 +113,7 @@ class Transformer(nn.Module):
         return adapter(images.flatten(0, 2))
 
     def prepare(self, conditions: Conditions, features: list[Tensor] | None = None) -> PreparedConditions:
-        """Compute what the steps of a frame share.
+        """Compute the part of a frame that does not depend on the step.
 
         Args:
             conditions: of B sequences of T frames of V views.
@@ -147,7 +147,7 @@ class Transformer(nn.Module):
         *,
         reference_timestep: Tensor | None = None,
     ) -> Tensor:
-        """The velocity, noise minus clean latents, of each frame.
+        """Return the velocity, noise minus clean latents, of each frame.
 
         Args:
             latents: (B, T, V, latent_channels + reference_channels, H, W).
@@ -173,7 +173,7 @@ class Transformer(nn.Module):
     def encode_references(
         self, latents: Tensor, timestep: Tensor, prepared: PreparedConditions, earlier: ReferenceCache | None = None
     ) -> ReferenceCache:
-        """Run the network once over reference frames and keep what later frames need of them.
+        """Run the network once over reference frames, and keep the keys and values for later frames.
 
         Arguments are those of `forward`, `earlier` its cache; what follows the last temporal block's keys and values is
         not computed. The result is of these frames only.

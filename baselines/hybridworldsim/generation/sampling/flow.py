@@ -26,7 +26,7 @@ _HIGH_SHARE: Final = 0.3
 
 
 def add_noise(clean: Tensor, noise: Tensor, level: Tensor) -> Tensor:
-    """Latents at a noise level.
+    """Return the latents at a noise level.
 
     Args:
         clean: (..., C, H, W).
@@ -38,17 +38,17 @@ def add_noise(clean: Tensor, noise: Tensor, level: Tensor) -> Tensor:
 
 
 def to_clean(noisy: Tensor, velocity: Tensor, level: Tensor) -> Tensor:
-    """The clean latents that a velocity implies; arguments as in `add_noise`."""
+    """Return the clean latents that a velocity implies; arguments as in `add_noise`."""
     return noisy - level[..., None, None, None] * velocity
 
 
 def to_noise(noisy: Tensor, velocity: Tensor, level: Tensor) -> Tensor:
-    """The noise that a velocity implies; arguments as in `add_noise`."""
+    """Return the noise that a velocity implies; arguments as in `add_noise`."""
     return noisy + (1.0 - level[..., None, None, None]) * velocity
 
 
 def loss_weight(level: Tensor, weighting: Weighting) -> Tensor:
-    """The factor that turns the square error of the velocity into that of another quantity.
+    """Return the factor that turns the square error of the velocity into that of another quantity.
 
     Args:
         level: (...) noise levels.
@@ -63,7 +63,7 @@ def loss_weight(level: Tensor, weighting: Weighting) -> Tensor:
 
 
 def draw_levels(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
-    """Noise levels for training: 70 % logit-normal (0.4, 1), 30 % high ones, logit-normal (1.8, 1).
+    """Return the noise levels for training: 70 % logit-normal (0.4, 1), 30 % high ones, logit-normal (1.8, 1).
 
     Only high levels decide what appears at all, so they are drawn more often than from one logit-normal distribution.
     """
@@ -75,7 +75,7 @@ def draw_levels(shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
 
 
 def noise_levels(steps: int, shift: float = 1.0) -> list[float]:
-    """The levels that a sampler visits, shifted towards noise once.
+    """Return the levels that a sampler visits, shifted towards noise once.
 
     Args:
         steps: number of steps.

@@ -38,7 +38,7 @@ def sample(velocity: Velocity, noise: Tensor, levels: Sequence[float]) -> Tensor
 
 
 def guide(conditional: Velocity, unconditional: Velocity, scale: float) -> Velocity:
-    """Classifier-free guidance (J. Ho, T. Salimans, 2022).
+    """Combine two velocities by classifier-free guidance (J. Ho, T. Salimans, 2022).
 
     Args:
         conditional: the network with its conditions.
@@ -54,7 +54,7 @@ def guide(conditional: Velocity, unconditional: Velocity, scale: float) -> Veloc
 
 
 def draw_noise(shape: Sequence[int], seeds: Sequence[int], *, device: torch.device | str = "cpu") -> Tensor:
-    """Noise that depends on the seeds only, on any device.
+    """Return the noise that depends on the seeds only, on any device.
 
     Args:
         shape: shape of the result.

@@ -22,7 +22,7 @@ from mirror.weights.resolve import file_sha256
 
 @dataclass(frozen=True)
 class GeneratorFiles:
-    """What a generator is read from.
+    """The files that a generator is read from.
 
     Attributes:
         generator: ``model.safetensors`` of a generator, or the state dict of a released model.
@@ -79,7 +79,9 @@ class GeneratorFiles:
         return read_references(self.generator) if self.base is None else self.base.references
 
     def trained_rates(self) -> tuple[float, float] | None:
-        """The lowest and highest rate of the training, frames per second; None: the generator's file states none.
+        """Return the lowest and highest rate of the training, frames per second.
+
+        None: the generator's file states none.
 
         Raises:
             DatasetError: the file is missing, broken, or no generator.
@@ -87,7 +89,7 @@ class GeneratorFiles:
         return trained_rates(self.generator) if self.base is None else (self.base.rate_hz, self.base.rate_hz)
 
     def hashes(self) -> dict[str, str]:
-        """The hashes of all files by name; the base and captions only where they are given."""
+        """Return the hashes of all files by name; the base and captions only where they are given."""
         hashes = {
             "generator": file_sha256(self.generator),
             "autoencoder": autoencoder_hash(self.autoencoder) if self.base else file_sha256(self.autoencoder),

@@ -30,7 +30,7 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class PlannedScenes:
-    """What the views of a plan are generated from.
+    """The scenes that the views of a plan are generated from.
 
     Attributes:
         dataset: the dataset; boxes and poses are read.

@@ -15,7 +15,7 @@ TOLERANCE: Final = 1.2
 
 
 def plan_rates(dataset: Dataset, plan: Plan) -> list[float]:
-    """The rate of each rollout of a plan's views, in frames per second; a single frame has none.
+    """Return the rate of each rollout of a plan's views, in frames per second; a single frame has none.
 
     Args:
         dataset: the dataset.
@@ -36,12 +36,12 @@ def plan_rates(dataset: Dataset, plan: Plan) -> list[float]:
 
 
 def rate_of(timestamps_ns: Sequence[int]) -> float:
-    """The rate of frames by the median of their distances, in frames per second."""
+    """Return the rate of frames by the median of their distances, in frames per second."""
     return 1e9 / float(np.median(np.diff(np.array(timestamps_ns, np.int64))))
 
 
 def rate_note(rates_hz: Sequence[float], trained_hz: tuple[float, float] | None) -> str:
-    """Say what a user must know of rates; empty if they are those of the training.
+    """Warn if a rate is outside those of the training; the text is empty if it is not.
 
     Args:
         rates_hz: rates at which frames are generated.

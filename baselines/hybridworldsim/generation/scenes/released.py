@@ -25,7 +25,7 @@ NO_BACKGROUND: Final = (
 
 @dataclass(frozen=True)
 class ReleasedModel:
-    """How a released model is used; the values are those of its released configuration.
+    """The settings of a released model, with the values of its released configuration.
 
     Attributes:
         name: its name.
@@ -66,7 +66,7 @@ RELEASED: Final = {
 
 
 def released_model(name: str) -> ReleasedModel:
-    """A released model by name.
+    """Return a released model by name.
 
     Raises:
         UsageError: there is none of this name.
@@ -79,7 +79,7 @@ def released_model(name: str) -> ReleasedModel:
 def open_released(
     model: ReleasedModel, checkpoint: Path, vae: Path, size_px: tuple[int, int], device: str = "cpu"
 ) -> Generator:
-    """Load a released model; what does not fit is refused before the weights of the network are read.
+    """Load a released model; unfitting settings are refused before the network's weights are read.
 
     Args:
         model: which one.
@@ -107,5 +107,5 @@ def open_released(
 
 
 def autoencoder_hash(vae: Path) -> str:
-    """The hashes of the files of an autoencoder's folder."""
+    """Return the hashes of the files of an autoencoder's folder."""
     return " ".join(file_sha256(vae / name) for name in (CONFIG, WEIGHTS))

@@ -65,12 +65,12 @@ class SceneRig:
         return np.stack([one.resized(width, height).intrinsic_matrix() for one in self.unscaled_lenses])
 
     def view_lens(self, row: int) -> Camera:
-        """The lens of a camera's background: twice the raster of the generator, at most the recorded one."""
+        """Return the lens of a camera's background: twice the raster of the generator, at most the recorded one."""
         full, (height, width) = self.unscaled_lenses[row], self.size_px
         return full.resized(min(full.width_px, 2 * width), min(full.height_px, 2 * height))
 
     def at_calibrations(self, frames: FrameSequence) -> SceneRig:
-        """The same rasters at the mountings and through the lenses of other calibrations of the traversal.
+        """Return the rig with other calibrations of the traversal, in the same rasters.
 
         Args:
             frames: the traversal's frames with these calibrations.
@@ -79,7 +79,7 @@ class SceneRig:
         return replace(self, ego_SE3_camera=other.ego_SE3_camera, recalibrated=other.lenses)
 
     def images(self, frame: Frame) -> tuple[UInt8, Bool]:
-        """Recorded images (V, H, W, 3) of a frame in the generator's raster, and their pixels (V, H, W) of the street.
+        """Return a frame's images (V, H, W, 3) in the generator's raster, and their pixels (V, H, W) of the street.
 
         Pixels outside the lens, on the recording vehicle, and of a missing image are not of the street.
         """
@@ -95,7 +95,7 @@ class SceneRig:
         return images, street
 
     def views(self, frame: Frame, world_SE3_ego: Poses, light: str, weather: str) -> list[RenderView]:
-        """The views of a frame from an ego pose (one), with the lens that images are undistorted to."""
+        """Return the views of a frame from an ego pose (one), with the lens that images are undistorted to."""
         views = []
         for row, camera in enumerate(self.cameras):
             lens = self.view_lens(row)
@@ -120,7 +120,7 @@ class SceneRig:
 def rig_of(
     frames: FrameSequence, cameras: tuple[str, ...] | None, size_px: tuple[int, int], pixels: Pixels
 ) -> SceneRig:
-    """The rig of a traversal.
+    """Return the rig of a traversal.
 
     Args:
         frames: the traversal's frames.

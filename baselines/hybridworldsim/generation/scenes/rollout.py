@@ -89,7 +89,7 @@ def require_codec(
 
 @dataclass(frozen=True, eq=False)
 class SequenceState:
-    """Where a sequence is: the number of the next frame, and the latents (1, T, V, C, H, W) of the T before it."""
+    """The state of a sequence: the next frame's number, and the latents (1, T, V, C, H, W) before it."""
 
     frame: int
     latents: torch.Tensor

@@ -45,7 +45,7 @@ _COUNTS: Final = ("generated_views", "kept_views")
 
 
 class GeneratedDocument(Document):
-    """``generated.json``: what a folder of generated frames holds and what it was made from.
+    """``generated.json``: the content and the source of a folder of generated frames.
 
     Attributes:
         format: always ``mirror-generated``.
@@ -80,7 +80,7 @@ class GeneratedDocument(Document):
 
 @dataclass(frozen=True)
 class SceneRequest:
-    """What is generated.
+    """The request to generate road users over a scene.
 
     Attributes:
         files: what the generator is read from.
@@ -292,7 +292,7 @@ def _read_state(out: Path) -> tuple[SequenceState | None, dict[str, int]]:
 
 
 def describe(document: GeneratedDocument) -> str:
-    """One line about a generated scene."""
+    """Return one line about a generated scene."""
     views = document.generated_views + document.kept_views
     return (
         f"{document.frames} frames of {len(document.cameras)} views at {document.rate_hz:.3g} Hz in"

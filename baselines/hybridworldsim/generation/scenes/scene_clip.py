@@ -49,7 +49,7 @@ class PlannedFrame:
 
 @dataclass(frozen=True)
 class SceneConditions:
-    """What all frames of a scene share.
+    """The conditions that all frames of a scene share.
 
     Attributes:
         rig: the cameras.
@@ -158,7 +158,7 @@ def require_valid_boxes(dataset: Dataset, frames: Iterable[Frame]) -> None:
 
 
 def boxes_of(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipBoxes:
-    """The boxes of all frames, in the ego frames of the trajectory."""
+    """Return the boxes of all frames, in the ego frames of the trajectory."""
     frame, track, category, poses, sizes = [], [], [], [np.zeros((0, 4, 4))], [np.zeros((0, 3))]
     for place, one in enumerate(frames):
         boxes = one.frame.boxes("world")

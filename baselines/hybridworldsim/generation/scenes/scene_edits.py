@@ -29,7 +29,7 @@ SIZES_M: Final[Mapping[str, tuple[float, float, float]]] = {
 
 @dataclass(frozen=True)
 class SceneEdit:
-    """One edit.
+    """One edit of a road user in a generated scene.
 
     Attributes:
         kind: what is done.

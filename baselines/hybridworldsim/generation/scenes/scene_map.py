@@ -16,7 +16,7 @@ from mirror.schema.road_map import encode_road_map
 
 @dataclass(frozen=True, eq=False)
 class SceneMap:
-    """What a generator is shown of the map of a scene.
+    """The lines of a scene's map that a generator is shown.
 
     Attributes:
         lines: lines in the scene's frame; None: no map is known, or the generator takes none.
@@ -28,7 +28,9 @@ class SceneMap:
 
 
 def open_scene_map(dataset: Dataset, scene: str, generator: Generator, progress: ProgressReporter) -> SceneMap:
-    """The recorded map of a scene, if the generator takes one; where there is none, that is said and nothing is drawn.
+    """Open the recorded map of a scene, if the generator takes one.
+
+    Where there is none, that is said and nothing is drawn.
 
     Args:
         dataset: the dataset.

@@ -27,7 +27,7 @@ from mirror.schema.folders import FolderKind, require_output_folder
 
 @dataclass(frozen=True)
 class SubmissionRequest:
-    """What is submitted.
+    """The request to generate a submission.
 
     Attributes:
         files: what the generator is read from.

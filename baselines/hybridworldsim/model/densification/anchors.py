@@ -106,7 +106,7 @@ class AnchorRefiner:
         self._opacity_sum, self._visit_count = torch.zeros(count), torch.zeros(count)
 
     def state(self) -> dict[str, Tensor]:
-        """The statistics as tensors, for a checkpoint."""
+        """Return the statistics as tensors, for a checkpoint."""
         return {
             "pull": self._gradient_sum,
             "drawn": self._render_count,

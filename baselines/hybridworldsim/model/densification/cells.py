@@ -10,7 +10,7 @@ _HALF = 1 << (_BITS - 1)
 
 
 def cell_keys(points: Tensor, size_m: float) -> Tensor:
-    """(N,) int64 keys of the cells of a cubic grid that points (N, 3) lie in.
+    """Return (N,) int64 keys of the cells of a cubic grid that points (N, 3) lie in.
 
     Points beyond a million cells from the origin share the outermost cells.
     """
@@ -19,7 +19,10 @@ def cell_keys(points: Tensor, size_m: float) -> Tensor:
 
 
 def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
-    """(M,) int64 rows: for each key the row of highest score, the first of equal ones; the best rows come first."""
+    """Return the row of highest score for each key (M,), the first of equal ones.
+
+    The best rows come first.
+    """
     ranked_rows = torch.argsort(scores, descending=True, stable=True)
     _, group = torch.unique(keys[ranked_rows], return_inverse=True)
     best_ranks = torch.full((int(group.max()) + 1 if len(group) else 0,), len(keys), dtype=torch.int64)

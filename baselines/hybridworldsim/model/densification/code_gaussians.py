@@ -86,7 +86,7 @@ class CodeRefiner:
         self._gradient_sum, self._render_count = torch.zeros(len(self._node)), torch.zeros(len(self._node))
 
     def state(self) -> dict[str, Tensor]:
-        """The statistics as tensors, for a checkpoint."""
+        """Return the statistics as tensors, for a checkpoint."""
         return {"pull": self._gradient_sum, "drawn": self._render_count, "first": torch.tensor(self._initial_count)}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:

@@ -6,11 +6,11 @@ from hybridworldsim.model.settings import Refinement
 
 
 def due_refinements(refinement: Refinement, progress: float) -> int:
-    """Number of refinements that are due at a progress from 0 to 1."""
+    """Return the number of refinements that are due at a progress from 0 to 1."""
     share = (progress - refinement.begin) / (refinement.end - refinement.begin)
     return min(max(int(share * refinement.times), 0), refinement.times)
 
 
 def target_count(refinement: Refinement, refinement_number: int, initial_count: int, max_count: int) -> int:
-    """Number of Gaussians after a refinement: it rises in equal steps from the initial to the largest number."""
+    """Return number of Gaussians after a refinement: it rises in equal steps from the initial to the largest number."""
     return initial_count + round((max_count - initial_count) * min(1.2 * refinement_number / refinement.times, 1.0))

@@ -81,12 +81,12 @@ class Anchors(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint, reach_m: Tensor | None = None) -> Tensor:
-        """(M,) int64 anchors that a viewpoint may see; `reach_m` is computed unless it is given."""
+        """Return (M,) int64 anchors that a viewpoint may see; `reach_m` is computed unless it is given."""
         return select_visible(viewpoint, self.means, self.reach_m() if reach_m is None else reach_m)
 
     @torch.no_grad()
     def reach_m(self) -> Tensor:
-        """(N,) radius of a sphere around each anchor that holds its Gaussians: three times its largest scale."""
+        """Return radius (N,) of a sphere around each anchor that holds its Gaussians: three times its largest scale."""
         return 3.0 * self.log_scales.amax(1).exp()
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:
@@ -119,7 +119,7 @@ class Anchors(nn.Module):
         )
 
     def read(self, rows: AnchorRows, viewpoint: Viewpoint, latent: Tensor, content: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs of the networks for anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
+        """Return the outputs of the networks for anchors: (M, k * 8) and (M, k * 3); see `anchors_to_gaussians`."""
         networks = (self.geometry, content), (self.colour, latent)
         geometry, colours = run_networks(rows.codes, rows.means, viewpoint.centre, self.radius_m, *networks)
         return geometry, colours

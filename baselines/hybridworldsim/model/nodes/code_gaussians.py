@@ -21,7 +21,7 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Seeds:
-    """Initial Gaussians.
+    """Initial Gaussians of a node.
 
     Attributes:
         means: (N, 3) in the block's frame, metres.
@@ -83,12 +83,12 @@ class CodeGaussians(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint, reach_m: Tensor | None = None) -> Tensor:
-        """(M,) int64 Gaussians that a viewpoint may see; `reach_m` is computed unless it is given."""
+        """Return (M,) int64 Gaussians that a viewpoint may see; `reach_m` is computed unless it is given."""
         return select_visible(viewpoint, self.means, self.reach_m() if reach_m is None else reach_m)
 
     @torch.no_grad()
     def reach_m(self) -> Tensor:
-        """(N,) radius of a sphere around each Gaussian that holds what is drawn of it."""
+        """Return the radius (N,) of a sphere around each Gaussian that holds its visible part."""
         return _SIGMAS * self.log_scales.amax(1).exp()
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> CodeRows:
@@ -116,6 +116,6 @@ class CodeGaussians(nn.Module):
         )
 
     def colours(self, rows: CodeRows, viewpoint: Viewpoint, latent: Tensor) -> Tensor:
-        """Colours (M, 3) of Gaussians for a viewpoint."""
+        """Return the colours (M, 3) of Gaussians for a viewpoint."""
         (tints,) = run_networks(rows.codes, rows.means, viewpoint.centre, None, (self.colour, latent))
         return tints.sigmoid()

@@ -28,7 +28,10 @@ _BLOCK: Final = 2 * WIDTH
 def run_fused(
     codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | None, *networks: tuple[ModulatedMLP, Tensor]
 ) -> tuple[Tensor, ...]:
-    """Do what `run_networks` does, without gradients. The result of a row does not depend on the other rows."""
+    """Run several networks as `run_networks` does, without gradients.
+
+    The result of a row does not depend on the other rows.
+    """
     tables = _array(codes), _array(means), _array(eye)
     inverse_radius = np.float32(0.0 if radius_m is None else 1.0 / radius_m)
     return tuple(

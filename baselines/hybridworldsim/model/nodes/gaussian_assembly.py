@@ -58,7 +58,7 @@ def anchors_to_gaussians(
 
 
 def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
-    """(G,) indices among all Gaussians of a node, of the slots (G,) among those of the anchors ``ids`` (M,)."""
+    """Return indices (G,) among all Gaussians of a node, of the slots (G,) among those of the anchors ``ids`` (M,)."""
     rows: AnyArray = empty_aligned(len(slots), np.int64)
     write_rows(slots.numpy(), ids.numpy(), k, rows)
     return torch.from_numpy(rows)

@@ -22,7 +22,7 @@ _MULTIPLE: Final = 4
 def select_rows(
     node: nn.Module, names: Sequence[str], ids: Tensor, gathered: Mapping[str, Tensor]
 ) -> dict[str, Tensor]:
-    """Rows (M, ...) of tables of a node, by name; tables that are already gathered are returned unchanged."""
+    """Return rows (M, ...) of tables of a node, by name; tables that are already gathered are returned unchanged."""
     return {
         name: gathered[name] if name in gathered else node.get_parameter(name).index_select(0, ids) for name in names
     }

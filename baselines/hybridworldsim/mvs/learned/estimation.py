@@ -37,7 +37,7 @@ class InputFormat:
 
 @dataclass(frozen=True)
 class MemoryLimit:
-    """How much memory an estimate needs at most, and how much it may take.
+    """The memory that an estimate needs at most, and the memory that it may take.
 
     Attributes:
         name: of the network, for the message.

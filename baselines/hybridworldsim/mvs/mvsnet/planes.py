@@ -36,5 +36,5 @@ class DepthPlanes:
         return (1.0 / self.near_m + share * (1.0 / self.far_m - 1.0 / self.near_m)).reciprocal()
 
     def depths_m(self) -> Tensor:
-        """The depths (count,) of all planes, computed in float64."""
+        """Return the depths (count,) of all planes, computed in float64."""
         return self.depth_at(torch.arange(self.count, dtype=torch.float64)).float()

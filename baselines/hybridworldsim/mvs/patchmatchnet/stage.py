@@ -79,7 +79,7 @@ class StageEstimate:
 
 
 class PatchmatchStage(nn.Module):
-    """Patchmatch at one level.
+    """Patchmatch at one level of the pyramid.
 
     Args:
         level: the settings.

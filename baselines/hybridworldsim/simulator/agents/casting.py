@@ -55,7 +55,7 @@ _TRIES: Final = 200
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What casting needs to know.
+    """The street and the ego's plan, which the casting of agents needs.
 
     Attributes:
         street: the street.

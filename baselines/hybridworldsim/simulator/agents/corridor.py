@@ -29,7 +29,9 @@ _STRIDE: Final = 2
 def place_on_way(
     points: Float64, first: int, last: int, low_m: float, high_m: float, x: float, y: float
 ) -> tuple[float, float, float, bool]:
-    """Length along a way, offset to the left and direction of the place nearest to a point; whether it is inside.
+    """Find the place on a way that is nearest to a point.
+
+    Its length along the way, offset to the left and direction are returned, and whether it is inside.
 
     Args:
         points: (P, 2) points of all ways, every `STEP_M`.
@@ -76,7 +78,9 @@ def gap_on_way(
     sight_m: float,
     box: Float64,
 ) -> tuple[float, float]:
-    """Gap ahead of a user of a way to a box, and the box's speed along the way; (inf, 0) if it is not in its corridor.
+    """Return the gap of a user of a way to a box ahead, and the box's speed along the way.
+
+    The result is (inf, 0) if the box is not in the corridor.
 
     Args:
         points: (P, 2) points of all ways.
@@ -166,7 +170,7 @@ def follow(
 def poses_on_ways(
     points: Float64, first: Int64, way: Int64, length_m: Float64, state: Float64
 ) -> tuple[Float64, Float64]:
-    """Poses (N, 3) of the middles of users of ways, and velocities (N, 2).
+    """Return the poses (N, 3) of the middles of users of ways, and velocities (N, 2).
 
     The axles, 0.3 lengths before and behind the middle, are on the line, which continues straight beyond its ends.
 

@@ -86,7 +86,7 @@ def draw_manner(category: str, agent_id: str, seed: int) -> Manner:
 
 
 class AgentsOnWays:
-    """All agents on ways.
+    """All agents that follow ways.
 
     Args:
         agents: the agents.

@@ -16,7 +16,7 @@ _HALF_STEP_S = 0.05
 
 @dataclass(frozen=True, eq=False)
 class RecordedTrack:
-    """A recorded road user.
+    """The recorded track of a road user.
 
     Attributes:
         agent: its id, category and size.
@@ -42,7 +42,7 @@ class RecordedTrack:
 
 
 class ReplayedAgents:
-    """Replays recorded tracks.
+    """Agents that replay recorded tracks.
 
     Args:
         tracks: the tracks.

@@ -18,7 +18,7 @@ PEDESTRIAN: Final = "pedestrian"
 
 @dataclass(frozen=True)
 class Agent:
-    """What stays the same of a road user.
+    """The constant attributes of a road user: id, category and size.
 
     Attributes:
         agent_id: id, unique in a rollout.
@@ -64,7 +64,7 @@ class AgentStates:
 
     @classmethod
     def absent(cls, count: int) -> AgentStates:
-        """States of agents that do not exist yet."""
+        """Return the states of agents that do not exist yet."""
         x, y, yaw, vx, vy, along = np.zeros((6, count))
         return cls(x, y, yaw, vx, vy, along, np.zeros(count, np.bool_))
 

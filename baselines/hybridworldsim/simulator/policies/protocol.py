@@ -34,7 +34,7 @@ class CameraSpec:
 
 @dataclass(frozen=True, eq=False)
 class ObservationSpec:
-    """What stays the same during a rollout.
+    """The constant facts of a rollout, which a policy gets at its start.
 
     Attributes:
         cameras: the cameras, by name.
@@ -74,7 +74,7 @@ class PrivilegedState:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a policy observes at one instant.
+    """An observation of a policy at one instant: images, ego state and route.
 
     Attributes:
         stamp_ns: Unix time.
@@ -155,5 +155,5 @@ class Policy(Protocol):
         ...
 
     def close(self) -> None:
-        """Release what the policy holds."""
+        """Release the policy's processes and devices."""
         ...

@@ -36,7 +36,7 @@ class _Reference:
 
 
 class ConstantVelocity(_Reference):
-    """Keeps speed and curvature."""
+    """A policy that keeps speed and curvature."""
 
     privileged = False
 
@@ -46,7 +46,7 @@ class ConstantVelocity(_Reference):
 
 
 class Stop(_Reference):
-    """Brakes to a stop on a straight line."""
+    """A policy that brakes to a stop on a straight line."""
 
     privileged = False
     deceleration_mps2: Final = 4.0
@@ -57,7 +57,7 @@ class Stop(_Reference):
 
 
 class Log(_Reference):
-    """Follows the recorded trajectory."""
+    """A policy that follows the recorded trajectory."""
 
     def act(self, observation: Observation) -> Action:
         """Return the controls that track the recording."""

@@ -17,7 +17,7 @@ FRONT_WIDE: Final = "camera_front_wide_120fov"
 
 
 class DriverFile(Document):
-    """What a remote policy gets, and how long it may take.
+    """The inputs of a remote policy, and its time limit.
 
     Attributes:
         cameras: by name of a camera of the rig, its name on the wire; no other camera is rendered or sent.

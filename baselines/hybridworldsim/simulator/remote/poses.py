@@ -31,7 +31,7 @@ def to_flat_pose(x_m: float, y_m: float, yaw_rad: float) -> Any:
 
 
 def vector(x: float, y: float, z: float) -> Any:
-    """Return a vector as a message."""
+    """Convert a vector to a message."""
     return wire().Vec3(x=x, y=y, z=z)
 
 

@@ -43,7 +43,7 @@ class TooManyError(MirrorError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What the service renders at most.
+    """Limits of what the sensor service renders.
 
     Attributes:
         side_px: width or height of one image.

@@ -33,7 +33,7 @@ _EDGES: Final = ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4),
 
 
 class BoxesRenderer(Renderer):
-    """Draws wireframes.
+    """A renderer that draws agents as wireframes.
 
     Args:
         street: the street.

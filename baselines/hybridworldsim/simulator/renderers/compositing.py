@@ -64,7 +64,7 @@ def free_space(rings: Sequence[Float64], middle_m: tuple[float, float], radius_m
 
 
 def hiding_depth(agents: AgentImage) -> Float32:
-    """The camera z (H, W) before which the street hides the agents; 0 or less: nothing can."""
+    """Return the camera z (H, W) before which the street hides the agents; 0 or less: nothing can."""
     own = np.where(agents.alpha > 0.0, agents.depth_m, 0.0)
     return ((own - TOLERANCE_M) / (1.0 + TOLERANCE_SHARE)).astype(np.float32)
 

@@ -52,7 +52,7 @@ _PACKAGES: Final = ("numpy", "scipy", "numba")
 
 @dataclass(frozen=True, eq=False)
 class RolloutRequest:
-    """What is driven.
+    """The request to drive a scenario.
 
     Attributes:
         street: the street.
@@ -87,7 +87,7 @@ class RolloutRequest:
 
 @dataclass(frozen=True, eq=False)
 class RolloutResult:
-    """What a rollout gave.
+    """The result of a rollout.
 
     Attributes:
         folder: its folder.

@@ -53,7 +53,7 @@ def check_free(street: Street, agent_id: str, category: str, box: Float64) -> No
 
 
 def wall_at(street: Street, points: Float64) -> str | None:
-    """Name of the fixed object that stands over one of the points (N, 2), up to the height of a person."""
+    """Return the name of the fixed object that stands over one of the points (N, 2), up to the height of a person."""
     from mirror.synth import Label, cast_rays
 
     if street.drive is None:

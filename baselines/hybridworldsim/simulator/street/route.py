@@ -28,7 +28,7 @@ _AIMS: Final[dict[Turn, float]] = {"straight": 0.0, "left": 0.5 * math.pi, "righ
 
 @dataclass(frozen=True, eq=False)
 class RoutePlan:
-    """The ego's route.
+    """The ego's planned route.
 
     Attributes:
         way: its line, from the beginning of its first lane.

@@ -19,7 +19,7 @@ _MOST_VIEWS: Final = 12
 
 
 def measure_costs(trained: TrainedModel) -> dict[str, Any]:
-    """Times of 8-bit renders of held-out views, and the size of the model."""
+    """Return the times of 8-bit renders of held-out views, and the size of the model."""
     chosen = [_wide(view) for view in evenly_chosen(trained.views("novel"), _MOST_VIEWS)]
     renderer = trained.open()
     _, wall_ms = time_views(renderer, chosen)

@@ -23,7 +23,7 @@ _OPAQUE: Final = 0.5
 
 
 def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
-    """Errors of depth and of the ground's height, on views of training and of held-out traversals."""
+    """Return the errors of depth and of the ground's height, on views of training and of held-out traversals."""
     renderer, street = trained.open(), trained.street
     depth, ground = [], []
     for group in [one.name for one in trained.plan.protocol.groups]:
@@ -46,12 +46,14 @@ def measure_geometry(trained: TrainedModel) -> dict[str, Any]:
 
 
 def relative_error(depth_m: Float64, true_m: Float64) -> Float64:
-    """``|depth - true| / true`` (N,)."""
+    """Return ``|depth - true| / true`` (N,)."""
     return np.abs(depth_m - true_m) / true_m
 
 
 def by_distance(errors: Float64, true_m: Float64, edges_m: Sequence[float] = EDGES_M) -> list[dict[str, float]]:
-    """Median and 90th percentile of errors (N,) for each range of true depths (N,), from an edge to below the next.
+    """Compute the median and 90th percentile of errors (N,) for each range of true depths (N,).
+
+    A range is from an edge to below the next.
 
     A range without a pixel has NaN.
     """
@@ -64,7 +66,7 @@ def by_distance(errors: Float64, true_m: Float64, edges_m: Sequence[float] = EDG
 
 
 def height_errors(errors_m: Float64) -> dict[str, float]:
-    """Median of signed errors (N,), median and 90th percentile of their magnitudes; NaN without errors."""
+    """Return the median of signed errors (N,), median and 90th percentile of their magnitudes; NaN without errors."""
     if not len(errors_m):
         return {"bias_m": np.nan, "median_m": np.nan, "p90_m": np.nan, "count": 0}
     middle, most = np.quantile(np.abs(errors_m), (0.5, 0.9))

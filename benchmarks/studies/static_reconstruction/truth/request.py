@@ -27,13 +27,13 @@ class TruthRequest:
     street: StreetTruth
 
     def views(self, group: str) -> list[RenderView]:
-        """All scored views of a group."""
+        """Return all scored views of a group."""
         return [view for view in self.plan.views if view.group == group]
 
 
 @lru_cache(4)
 def request_truth(folder: Path, declaration: Declaration, scene: str, split: str, width_px: int) -> TruthRequest:
-    """The views and truth of a scene; the same object for all models of a scene, split and width."""
+    """Return the views and truth of a scene; the same object for all models of a scene, split and width."""
     dataset = open_scenes(folder)
     plan = plan_views(dataset.where(scene=scene), protocol_at(declaration, width_px), split)
     return TruthRequest(plan, StreetTruth(dataset, plan, declaration.preset, declaration.scenes_seed))

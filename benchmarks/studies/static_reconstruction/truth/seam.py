@@ -20,7 +20,7 @@ _MOST_VIEWS: Final = 8
 
 
 def measure_seams(trained: TrainedModel) -> list[dict[str, Any]]:
-    """Rows of `seam_rows` for each two neighbouring blocks; none for a model of one block, or without blocks."""
+    """Return rows of `seam_rows` for each two neighbouring blocks; none for a model of one block, or without blocks."""
     street = trained.open()
     if not isinstance(street, StreetRenderer):
         return []

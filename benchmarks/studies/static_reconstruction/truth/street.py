@@ -47,14 +47,14 @@ class TrueView:
 
 
 def camera_z(distance_m: npt.ArrayLike, lens: Camera) -> Float64:
-    """Camera z (H, W) of distances (H, W) along the rays of a lens's pixel centres; infinite where those are."""
+    """Return camera z (H, W) of distances (H, W) along the rays of a lens's pixel centres; infinite where those are."""
     direction = lens.rays().direction
     z: Float64 = np.asarray(distance_m, np.float64) * direction[..., 2] / np.linalg.norm(direction, axis=-1)
     return z
 
 
 def world_points(depth_m: npt.ArrayLike, view: RenderView) -> Float64:
-    """World points (H, W, 3) that pixels with camera z (H, W) show."""
+    """Return the world points (H, W, 3) that pixels with camera z (H, W) show."""
     direction = view.lens.rays().direction
     local = np.asarray(depth_m, np.float64)[..., None] * direction / direction[..., 2:]
     points: Float64 = local @ view.pose.matrix()[0, :3, :3].T + view.pose.translation[0]
@@ -84,7 +84,7 @@ class StreetTruth:
         self._relit: dict[tuple[str, str, bool], UInt8] = {}
 
     def true_view(self, view: RenderView) -> TrueView:
-        """Depth and labels from the pose and lens of a view; kept for the next model.
+        """Return the depth and labels from the pose and lens of a view; kept for the next model.
 
         Raises:
             DatasetError: the recordings are of another street.
@@ -94,7 +94,7 @@ class StreetTruth:
         return self._views[view.path]
 
     def relit(self, view: RenderView, traversal_id: str, *, as_recorded: bool = False) -> UInt8:
-        """The view's image (H, W, 3), RGB, with the light, weather, leaves and camera response of a traversal.
+        """Return the view's image (H, W, 3), RGB, with the light, weather, leaves and camera response of a traversal.
 
         Lens, road users and headlights are those of the view's own traversal. The image is rendered and resampled as
         recorded images are, and kept.
@@ -114,7 +114,7 @@ class StreetTruth:
         return self._relit[key]
 
     def height_m(self, view: RenderView, points_m: Float64) -> Float64:
-        """Heights (...,) of the ground under or above points (..., 3) of a view's scene."""
+        """Return the heights (...,) of the ground under or above points (..., 3) of a view's scene."""
         x, y = (np.clip(points_m[..., axis], -_GROUND_M, _GROUND_M) for axis in (0, 1))
         return self._drive(view.traversal_id).drive.world.height_m(x, y)
 

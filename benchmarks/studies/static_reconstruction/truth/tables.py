@@ -16,19 +16,19 @@ _MOVED: Final = "moved_m"
 
 
 def select_truth(truth: Sequence[Document], group: Group) -> list[Document]:
-    """Records of models that a group shows, in the order of its rows."""
+    """Return the records of models that a group shows, in the order of its rows."""
     found = [one for one in truth if group.has(Job(**one["job"]))]
     return sorted(found, key=lambda one: group.shown.index(one["job"]["entry"]))
 
 
 def all_tables(found: Sequence[Document]) -> str:
-    """All tables under their titles; empty without records."""
+    """Format all tables under their titles; the text is empty without records."""
     parts = ((_TITLES[name], table(found)) for name, table in TABLES.items())
     return "\n\n".join(f"### {title}\n\n{text}" for title, text in parts if text)
 
 
 def depth_table(found: Sequence[Document]) -> str:
-    """A row for each entry and group of views, a column for each range of true depths."""
+    """Return a row for each entry and group of views, a column for each range of true depths."""
     stretches = {(row["from_m"], row["to_m"]): None for one in found for row in one["depth"]}
     keys = {(one["job"]["entry"], row["group"]): None for one in found for row in one["depth"]}
 
@@ -43,7 +43,7 @@ def depth_table(found: Sequence[Document]) -> str:
 
 
 def ground_table(found: Sequence[Document]) -> str:
-    """A row for each entry and surface."""
+    """Return a row for each entry and surface."""
     names = ("bias_m", "median_m", "p90_m")
     rows = _rows(
         found, "ground", "surface", names, lambda name, value: f"{value:+.3f}" if name == "bias_m" else f"{value:.3f}"
@@ -52,7 +52,7 @@ def ground_table(found: Sequence[Document]) -> str:
 
 
 def exact_street_table(found: Sequence[Document], group: Group) -> str:
-    """A row for each scene of a group, kind of views, light and kind of poses, and means over several scenes."""
+    """Return a row for each scene of a group, kind of views, light and kind of poses, and means over several scenes."""
     by_kind: dict[tuple[str, str, str], list[tuple[str, Document]]] = {}
     for one in found:
         if one["scene"] in group.scenes and one["width_px"] == group.width_px:
@@ -69,7 +69,7 @@ def exact_street_table(found: Sequence[Document], group: Group) -> str:
 
 
 def light_table(found: Sequence[Document]) -> str:
-    """A row for each entry and edit: scores with and without the edit, and of images recorded in that light."""
+    """Return a row for each entry and edit: scores with and without the edit, and of images recorded in that light."""
     flat = [
         {"job": one["job"], "lighting": [_flat_edit(row) for row in one["lighting"]]} for one in found
     ]  # fmt: skip
@@ -86,7 +86,7 @@ def light_table(found: Sequence[Document]) -> str:
 
 
 def seam_table(found: Sequence[Document]) -> str:
-    """A row for each figure of each model."""
+    """Return a row for each figure of each model."""
     rows = [
         [one["job"]["entry"], one["job"]["scene"], str(one["job"]["seed"]), row["name"], row["size"],
          f"{row['ms']:.2f}",
@@ -97,7 +97,7 @@ def seam_table(found: Sequence[Document]) -> str:
 
 
 def cost_table(found: Sequence[Document]) -> str:
-    """A row for each entry, and the paper's."""
+    """Return a row for each entry, and the paper's."""
     names = ("fps", "wall_ms", "core_ms", "mb_per_100_m", "threads")
     rows = []
     for entry in {one["job"]["entry"]: None for one in found}:

@@ -24,7 +24,7 @@ class Declaration:
         scoring: how rollouts are scored.
         bars: the figures to reach.
         budget: processor time.
-        cut: parts of the issue that are not run, with the reason.
+        cut: parts of the study that are not run, with the reason.
         hash: SHA-256 of all values.
     """
 

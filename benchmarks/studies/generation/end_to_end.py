@@ -1,4 +1,4 @@
-"""The part `end_to_end` of the issue, as an addition with its own declaration: backgrounds of `mirror reconstruct`."""
+"""The part `end_to_end`, an addition to the study with its own declaration: backgrounds of `mirror reconstruct`."""
 
 from __future__ import annotations
 

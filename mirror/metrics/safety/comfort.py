@@ -31,7 +31,7 @@ LEAST_STAMPS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Comfort:
-    """Whether a drive is comfortable for the ego, by nuPlan's bounds.
+    """The comfort of a drive by nuPlan's bounds, with its worst quantities.
 
     Attributes:
         is_comfortable: all quantities stay within their bounds at all stamps.

@@ -160,7 +160,7 @@ def ray_grid(side: int) -> Float32:
 
 
 def view_rows(world: World, views: int) -> Iterator[Row]:
-    """Yield time and error by light and image size."""
+    """Yield the time and the error by light and image size."""
     for light, weather in (("day", "clear"), ("night", "rain")):
         for width in (960, 480):
             times, errors, others = [], [], {1: ([], []), 16: ([], [])}  # type: ignore[var-annotated]

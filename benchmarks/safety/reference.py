@@ -99,7 +99,7 @@ def drivable_margin(log: StateLog, road_map: RoadMap) -> Float64:
 
 
 def lane_offsets(log: StateLog, road_map: RoadMap) -> Float64:
-    """Return distance (T, L) of the ego's centre from the middle of each driving lane that it is in; NaN: in none."""
+    """Return the distances (T, L) of the ego's centre from the middles of driving lanes; NaN outside a lane."""
     centers = shapely.points(np.stack([log.x_m[:, 0], log.y_m[:, 0]], axis=1))
     columns = []
     for lane in road_map.lanes_of():

@@ -17,7 +17,7 @@ from hybridworldsim.training.viewpoint import Viewpoint
 
 
 def run_mlp(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:
-    """Return (N, outputs) of codes (N, code) with their other inputs, under an appearance."""
+    """Apply a network to codes (N, code) with their other inputs, under an appearance: (N, outputs)."""
     matrix: Tensor = network.own
     if network.bend is not None:
         bend = (network.bend @ latent).view(-1, network.code)

@@ -41,7 +41,7 @@ def face_weights() -> Path:
 
 
 def face_rows(images: Sequence[CrowdImage], detector: Detector, light: str) -> Iterator[Row]:
-    """Yield recall of faces by height, and precision."""
+    """Yield the recall of faces by height, and the precision."""
     result = evaluate_detections([(detector.boxes(image.bgr), image.faces) for image in images], 1, _FACE_SEEN)
     yield from _recalls(f"faces, {light}", result, FACE_EDGES_PX)
     clear = result.size_px >= CLEAR_PX
@@ -51,7 +51,7 @@ def face_rows(images: Sequence[CrowdImage], detector: Detector, light: str) -> I
 
 
 def plate_rows(images: Sequence[CrowdImage], detector: Detector, light: str) -> Iterator[Row]:
-    """Yield recall of plates by width, and precision."""
+    """Yield the recall of plates by width, and the precision."""
     result = evaluate_detections([(detector.boxes(image.bgr), image.plates) for image in images], 0, _PLATE_SEEN)
     yield from _recalls(f"plates, {light}", result, PLATE_EDGES_PX)
 

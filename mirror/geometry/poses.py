@@ -155,7 +155,7 @@ class Poses:
         return self.unchecked(np.atleast_2d(self.rotation[index]), np.atleast_2d(self.translation[index]))
 
     def compose(self, other: Poses) -> Poses:
-        """Return ``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
+        """Compose motions: ``a_SE3_b.compose(b_SE3_c)`` is ``a_SE3_c``; also written ``a_SE3_b @ b_SE3_c``.
 
         Args:
             other: as many poses, or one; one here goes with all of ``other``.
@@ -177,7 +177,7 @@ class Poses:
     __matmul__ = compose
 
     def inverse(self) -> Poses:
-        """Return ``a_SE3_b.inverse()`` is ``b_SE3_a``."""
+        """Invert the motions: ``a_SE3_b.inverse()`` is ``b_SE3_a``."""
         rotation = invert_unit(self.rotation)
         return self.unchecked(rotation, -rotate_unit(rotation, self.translation))
 

@@ -97,7 +97,7 @@ def quaternion_inverse(quaternion: npt.ArrayLike) -> Float64:
 
 
 def rotate(quaternion: npt.ArrayLike, points: npt.ArrayLike) -> Float64:
-    """Turn points.
+    """Rotate points.
 
     Args:
         quaternion: (..., 4) unit quaternions.

@@ -63,7 +63,7 @@ class TableRows:
         return self._integers[name]
 
     def is_known(self, name: str) -> Bool:
-        """Mask (N,) of the rows in which a column is not null."""
+        """Mark the rows (N,) in which a column is not null."""
         return is_valid(self.data.column(name))
 
     def text_codes(self, name: str) -> tuple[Int64, list[str]]:

@@ -13,7 +13,7 @@ class Attention(nn.Module):
         self.attn = nn.MultiheadAttention(dim, heads, dropout, batch_first=True)
 
     def forward(self, x: Tensor, position: Tensor, keys: Tensor, key_position: Tensor) -> Tensor:
-        """Return (B, Q, C) queries and (B, K, C) keys to (B, Q, C)."""
+        """Let queries (B, Q, C) attend to keys (B, K, C); return (B, Q, C)."""
         attended: Tensor = self.attn(x + position, keys + key_position, keys, need_weights=False)[0]
         return x + attended
 

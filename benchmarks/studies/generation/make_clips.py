@@ -56,7 +56,10 @@ class PlannedDrive:
 
 
 def planned_drives() -> list[PlannedDrive]:
-    """Test drives first, then training drives; seeds change within worlds, so that early results mix all routes."""
+    """List test drives, then training drives.
+
+    Seeds change within worlds, so that early results mix all routes.
+    """
     drives = [PlannedDrive(route, seed, True) for seed in TEST_SEEDS for route in ROUTES]
     return drives + [PlannedDrive(route, seed, False) for seed in TRAINING_SEEDS for route in ROUTES]
 

@@ -17,7 +17,10 @@ from benchmarks.studies.static_reconstruction.tables import JobResult
 
 
 def grid_table(trials: Sequence[JobResult], grid: Tuning) -> str:
-    """Return training PSNR and held-out PSNR* of each cell of the grid and method; the best sum of a method is bold."""
+    """Format training PSNR and held-out PSNR* of each cell of the grid and method.
+
+    The best sum of a method is bold.
+    """
     methods = [OURS, *(baseline_name(package) for package in BASELINES)]
     cells = [(rates, sizes) for rates in grid.rates for sizes in grid.sizes]
     cells += dict.fromkeys(cell for wider in WIDER.values() for cell in wider)

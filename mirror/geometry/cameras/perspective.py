@@ -102,7 +102,7 @@ class Perspective:
         return x, y, reachable & solved
 
     def undistort_carefully(self, u: AnyArray, v: AnyArray, radius: AnyArray) -> tuple[AnyArray, AnyArray, Bool]:
-        """Return Newton's method for the few points that need care: steps are shortened and stay within the limit."""
+        """Undistort the few points that need care, by shortened steps of Newton's method within the limit."""
         scale = self._table.careful(radius) / np.where(radius == 0.0, 1.0, radius)
         x, y = u * scale, v * scale
         solved = np.zeros(x.shape, dtype=np.bool_)

@@ -50,7 +50,7 @@ class NumberEmbedding(nn.Module):
 
 
 class StepTextEmbedding(nn.Module):
-    """The modulation of the joint blocks: time step plus pooled text.
+    """The embedding of time step and pooled text, which modulates the joint blocks.
 
     Args:
         width: channels of a token.

@@ -158,7 +158,7 @@ class JointBlock(nn.Module):
         self.ff_context = None if last else FeedForward(width)
 
     def forward(self, image: Tensor, text: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
-        """Return image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width).
+        """Map image tokens (N, L, width) and text tokens (N, M, width), modulated by (N, width), to the same shapes.
 
         Without text (M = 0) the text's half of the block is not computed: it has no effect on the image.
         """

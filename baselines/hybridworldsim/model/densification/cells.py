@@ -10,7 +10,7 @@ _HALF = 1 << (_BITS - 1)
 
 
 def cell_keys(points: Tensor, size_m: float) -> Tensor:
-    """Return (N,) int64 keys of the cells of a cubic grid that points (N, 3) lie in.
+    """Return the keys (N,) of the cells of a cubic grid that points (N, 3) lie in, int64.
 
     Points beyond a million cells from the origin share the outermost cells.
     """

@@ -12,5 +12,8 @@ def due_refinements(refinement: Refinement, progress: float) -> int:
 
 
 def target_count(refinement: Refinement, refinement_number: int, initial_count: int, max_count: int) -> int:
-    """Return number of Gaussians after a refinement: it rises in equal steps from the initial to the largest number."""
+    """Return the number of Gaussians after a refinement.
+
+    It rises in equal steps from the initial to the largest number.
+    """
     return initial_count + round((max_count - initial_count) * min(1.2 * refinement_number / refinement.times, 1.0))

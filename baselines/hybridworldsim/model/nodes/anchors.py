@@ -81,12 +81,15 @@ class Anchors(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint, reach_m: Tensor | None = None) -> Tensor:
-        """Return (M,) int64 anchors that a viewpoint may see; `reach_m` is computed unless it is given."""
+        """Return the anchors (M,) that a viewpoint may see, int64; `reach_m` is computed unless it is given."""
         return select_visible(viewpoint, self.means, self.reach_m() if reach_m is None else reach_m)
 
     @torch.no_grad()
     def reach_m(self) -> Tensor:
-        """Return radius (N,) of a sphere around each anchor that holds its Gaussians: three times its largest scale."""
+        """Return the radius (N,) of a sphere around each anchor that holds its Gaussians.
+
+        It is three times the anchor's largest scale.
+        """
         return 3.0 * self.log_scales.amax(1).exp()
 
     def rows(self, ids: Tensor, learnt: Mapping[str, Tensor] | None = None) -> AnchorRows:

@@ -83,7 +83,7 @@ class CodeGaussians(nn.Module):
         return len(self.means)
 
     def visible_ids(self, viewpoint: Viewpoint, reach_m: Tensor | None = None) -> Tensor:
-        """Return (M,) int64 Gaussians that a viewpoint may see; `reach_m` is computed unless it is given."""
+        """Return the Gaussians (M,) that a viewpoint may see, int64; `reach_m` is computed unless it is given."""
         return select_visible(viewpoint, self.means, self.reach_m() if reach_m is None else reach_m)
 
     @torch.no_grad()

@@ -304,7 +304,7 @@ def _document(request: RolloutRequest, simulation: Simulation, drive: _Drive, ou
 
 
 def describe_map(source: MapSource | None) -> str:
-    """Return where the road map of a rollout is from, in words."""
+    """Describe the source of a rollout's road map."""
     words: dict[MapSource | None, str] = {
         None: "of a source that is not stated",
         "synthetic": "the exact one of the synthetic street",

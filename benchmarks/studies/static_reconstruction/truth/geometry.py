@@ -76,7 +76,7 @@ def height_errors(errors_m: Float64) -> dict[str, float]:
 
 
 def nearby_road(truth: TrueView, view: RenderView) -> Bool:
-    """Mask (H, W) of pixels that show road within `GROUND_M` of the camera."""
+    """Mark the pixels (H, W) that show road within `GROUND_M` of the camera."""
     points = world_points(np.where(truth.static, truth.depth_m, 0.0), view)
     away = np.linalg.norm(points - view.pose.translation[0], axis=-1)
     return (truth.label == Label.ROAD) & truth.static & (away <= GROUND_M)

@@ -47,7 +47,7 @@ class TrueView:
 
 
 def camera_z(distance_m: npt.ArrayLike, lens: Camera) -> Float64:
-    """Return camera z (H, W) of distances (H, W) along the rays of a lens's pixel centres; infinite where those are."""
+    """Convert distances (H, W) along the rays of a lens's pixel centres to camera z; infinite stays so."""
     direction = lens.rays().direction
     z: Float64 = np.asarray(distance_m, np.float64) * direction[..., 2] / np.linalg.norm(direction, axis=-1)
     return z

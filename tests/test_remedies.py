@@ -30,7 +30,7 @@ OF_OTHER_PROGRAMS: Final = {
     "mirror/installation.py": {"--upgrade"},
     "mirror/weights/resolve.py": {"--no-deps"},
     "mirror/weights/wheels.py": {"--no-deps", "--dest"},
-    "baselines/hybridworldsim/generation/training/processes.py": {"--nproc-per-node"},
+    "baselines/hybridworldsim/training/run/processes.py": {"--nproc-per-node"},
     "baselines/hybridworldsim/generation/clips/folder.py": {"--out"},
     "baselines/hybridworldsim/generation/training/windows.py": {"--map"},
 }

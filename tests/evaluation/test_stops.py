@@ -102,7 +102,7 @@ def test_a_checkpoint_may_take_longer_than_a_command_is_given_to_end(tmp_path: P
     held = (
         "import sys, time\n"
         "from pathlib import Path\n"
-        "from hybridworldsim.training.interruption import interruptible\n"
+        "from hybridworldsim.training.run.interruption import interruptible\n"
         "from mirror.command import run_command\n"
         "from mirror.stops import run_process\n"
         "def work():\n"

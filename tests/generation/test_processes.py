@@ -17,8 +17,8 @@ from hybridworldsim.generation.model_files import read_generator, write_autoenco
 from hybridworldsim.generation.training.distillation import DistillationSettings
 from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
+from hybridworldsim.training.run.processes import Processes, join_processes
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.builders import make_network

@@ -25,7 +25,7 @@ from hybridworldsim.generation.training.generator_trainer import GeneratorSettin
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from tests.generation.clips import make_clip, write_clips

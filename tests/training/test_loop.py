@@ -23,13 +23,13 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
-from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.loop import REPORTS, Options, train
+from hybridworldsim.training.parameters import read_parameters, set_parameters, write_parameters
+from hybridworldsim.training.previews import Preview
+from hybridworldsim.training.run.budget import Budget, Clock
 from hybridworldsim.training.run.checkpoint import FORMAT, read_checkpoint
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome, is_occupied, read_run
-from hybridworldsim.training.run.parameters import read_parameters, set_parameters, write_parameters
-from hybridworldsim.training.run.previews import Preview
 from hybridworldsim.training.trainable_method import StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError, SchemaError, UsageError

@@ -20,8 +20,8 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition, Decoded
 from hybridworldsim.model.street import Street
 from hybridworldsim.training.driven_lines import DrivenLines
+from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import TrainedCamera
-from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import UInt8
 from mirror.methods.interactive import TrainedAppearance

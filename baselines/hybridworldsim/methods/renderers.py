@@ -14,9 +14,9 @@ from hybridworldsim.methods.overrides import settings_adapter
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, AppearanceSelector
 from hybridworldsim.training.driven_lines import DrivenLines
+from hybridworldsim.training.parameters import read_parameters, set_parameters
+from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
-from hybridworldsim.training.run.parameters import read_parameters, set_parameters
-from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import CoverTrainableMethod, Rendering, TrainableMethod
 from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.arrays import Float32, Float64, UInt8

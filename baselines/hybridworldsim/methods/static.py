@@ -18,11 +18,11 @@ from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry
 from hybridworldsim.training.appearance import trained_cameras
-from hybridworldsim.training.budget import Budget
 from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
 from hybridworldsim.training.loop import Options, train
+from hybridworldsim.training.parameters import write_parameters
+from hybridworldsim.training.run.budget import Budget
 from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome
-from hybridworldsim.training.run.parameters import write_parameters
 from hybridworldsim.training.trainable_method import TrainableMethod
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError

@@ -25,8 +25,8 @@ from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
 from hybridworldsim.training.driven_lines import DrivenLines
+from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL, Run, read_run
-from hybridworldsim.training.run.previews import pixels
 from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError

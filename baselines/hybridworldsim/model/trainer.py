@@ -18,7 +18,7 @@ from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
 from hybridworldsim.model.street import NodeRows, RenderOutput, Street
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint

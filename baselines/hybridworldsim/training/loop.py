@@ -12,12 +12,12 @@ from typing import Final
 
 from torch import Tensor
 
-from hybridworldsim.training.budget import Budget, Clock
 from hybridworldsim.training.data_loader import TrainingImageCache, stream_images
-from hybridworldsim.training.interruption import interruptible
+from hybridworldsim.training.previews import Preview, write_previews
+from hybridworldsim.training.run.budget import Budget, Clock
 from hybridworldsim.training.run.checkpoint import Position, Sums
 from hybridworldsim.training.run.folder import RunFolder, TrainingOutcome
-from hybridworldsim.training.run.previews import Preview, write_previews
+from hybridworldsim.training.run.interruption import interruptible
 from hybridworldsim.training.trainable_method import StepReport, TrainableMethod
 from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError

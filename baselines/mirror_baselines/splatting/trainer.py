@@ -12,7 +12,7 @@ from torch.optim import SGD, Optimizer
 
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from hybridworldsim.training.trainable_method import Rendering, StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.viewpoint import Viewpoint

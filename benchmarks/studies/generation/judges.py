@@ -14,7 +14,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, conv2d, cross_
 from benchmarks.studies.generation.judge_data import LEAST_PX
 from hybridworldsim.generation.autoencoder.codec import to_tensor
 from hybridworldsim.generation.clips.clip import CATEGORIES
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from mirror.arrays import Bool, Float64, Int64, UInt8
 
 _BATCH: Final = 64

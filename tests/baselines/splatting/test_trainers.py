@@ -74,7 +74,7 @@ def test_resumed_training_is_identical(method):
 
 @methods
 def test_loaded_model_renders_as_the_trained_one(method):
-    from hybridworldsim.training.state import load
+    from hybridworldsim.training.run.state import load
 
     trainer, shown = _made(method), images()
     _train(trainer, shown, 0, 30, 30)

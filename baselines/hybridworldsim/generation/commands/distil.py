@@ -73,7 +73,7 @@ def run_distil(argv: Sequence[str]) -> int:
     from hybridworldsim.generation.training.distillation import DistillationSettings
     from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips
     from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-    from hybridworldsim.generation.training.processes import leads_process
+    from hybridworldsim.training.run.processes import leads_process
     from mirror.progress import progress_bar
 
     generator, autoencoder = find_model_files(arguments.generator, arguments.autoencoder)

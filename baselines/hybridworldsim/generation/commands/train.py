@@ -110,8 +110,8 @@ def run_train(argv: Sequence[str]) -> int:
     """Train a generator on a folder of clips."""
     arguments = parse_arguments(Train, argv, "mirror generate train", examples=_EXAMPLES)
 
-    from hybridworldsim.generation.training.processes import leads_process
     from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
+    from hybridworldsim.training.run.processes import leads_process
     from mirror.progress import progress_bar
 
     options = TrainingOptions(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from hybridworldsim.generation.autoencoder.codec import to_tensor
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from mirror.arrays import UInt8
 
 _CLIP = 1.0

@@ -21,11 +21,11 @@ from hybridworldsim.generation.model_files import captioned_config, read_autoenc
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
 from hybridworldsim.generation.training.loop import train_together
-from hybridworldsim.generation.training.processes import join_processes
 from hybridworldsim.generation.training.run import captions_document, hash_clips, rates_of, read_clip_captions
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.processes import join_processes
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256

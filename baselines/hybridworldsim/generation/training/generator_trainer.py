@@ -27,7 +27,7 @@ from hybridworldsim.generation.sampling.flow import (
 )
 from hybridworldsim.generation.training.self_rollout import draw_self_rollout, roll_out_references
 from hybridworldsim.generation.training.windows import ClipWindows, WindowBatch
-from hybridworldsim.training.state import dump, load
+from hybridworldsim.training.run.state import dump, load
 from mirror.errors import UsageError
 
 _EMA = "ema."

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from hybridworldsim.generation.training.processes import ALONE, Processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRunFolder, Trainer
-from hybridworldsim.training.budget import Clock
-from hybridworldsim.training.interruption import interruptible
+from hybridworldsim.training.run.budget import Clock
 from hybridworldsim.training.run.checkpoint import Position, Sums
+from hybridworldsim.training.run.interruption import interruptible
+from hybridworldsim.training.run.processes import ALONE, Processes
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 

@@ -33,10 +33,10 @@ from hybridworldsim.generation.training.autoencoder_trainer import (
 )
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
 from hybridworldsim.generation.training.loop import run_steps, train_together
-from hybridworldsim.generation.training.processes import Processes, join_processes
 from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.processes import Processes, join_processes
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter

@@ -18,11 +18,11 @@ from hybridworldsim.petr.tiny.model_file import write_model
 from hybridworldsim.petr.tiny.samples import Sample, read_sample
 from hybridworldsim.petr.tiny.settings import NetworkSettings, TrainingSettings, document, training_settings
 from hybridworldsim.petr.tiny.trainer import TinyTrainer
-from hybridworldsim.training.budget import Budget, Clock
-from hybridworldsim.training.interruption import interruptible
+from hybridworldsim.training.run.budget import Budget, Clock
 from hybridworldsim.training.run.checkpoint import Position, Sums, read_checkpoint, write_checkpoint
 from hybridworldsim.training.run.curves import Row, read_curves, write_curves
 from hybridworldsim.training.run.folder import MODEL, OUTCOME, begin_run, lock_run
+from hybridworldsim.training.run.interruption import interruptible
 from mirror.annotation.protocol import TrainingReport, TrainingTask
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError

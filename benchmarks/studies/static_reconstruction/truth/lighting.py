@@ -8,7 +8,7 @@ from benchmarks.studies.static_reconstruction.declaration import TRAINING
 from benchmarks.studies.static_reconstruction.scoring import average_scores, score_image
 from benchmarks.studies.static_reconstruction.truth.trained import TrainedModel
 from hybridworldsim.training.appearance import AppearanceSelector
-from hybridworldsim.training.run.previews import pixels
+from hybridworldsim.training.previews import pixels
 from mirror.protocols.views.view import RenderView
 
 EDITS: Final = (("day", "night"), ("night", "day"))

@@ -42,7 +42,7 @@ ALLOWED = {
         "tests/benchmarks/studies/static_reconstruction/test_tables.py",
         # Folders of a board and of a run.
         "leaderboard/mirror_leaderboard/entry.py",
-        "baselines/hybridworldsim/training/run/folder.py",
+        "baselines/hybridworldsim/training/documents.py",
         "mirror/cli/reconstruct.py",
         "tests/cli/test_reconstruct.py",
         "tests/training/test_loop.py",

@@ -24,7 +24,7 @@ from hybridworldsim.methods.layers import Layers, layer_source, layers_for
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.training.data_loader import TrainingImageCache
-from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.folder import lock_run
 from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
@@ -680,7 +680,7 @@ def test_a_block_of_which_all_is_masked_is_left_out_and_the_rest_is_whole(
 
     def rmtree(folder: Path) -> None:
         # Nobody else may train there meanwhile: it would be another's run that is removed.
-        with pytest.raises(DatasetError, match="another process"), RunFolder(folder).lock():
+        with pytest.raises(DatasetError, match="another process"), lock_run(folder):
             pass
         removed.append(folder.name)
         shutil.rmtree(folder)

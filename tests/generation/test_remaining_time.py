@@ -10,12 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from hybridworldsim.generation.training import loop
-from hybridworldsim.generation.training.loop import run_steps
-from hybridworldsim.generation.training.run_folder import GenerationRunFolder
+from hybridworldsim.generation.training.documents import GenerationOutcome
+from hybridworldsim.generation.training.numbered import numbered_training
+from hybridworldsim.training.run import budget, loop
+from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.loop import train
+from hybridworldsim.training.run.training import Training
 from mirror.progress import NullProgress
 
-STEP_S = 90.0
+STEP_S = 80.0
 
 
 class Clock:
@@ -26,9 +29,12 @@ class Clock:
     def monotonic(self) -> float:
         return self.now
 
+    def process_time(self) -> float:
+        return self.now
+
 
 class Steps:
-    """Something that is trained: a number that counts its steps, each of which takes 90 s."""
+    """Something that is trained: a number that counts its steps, each of which takes 80 s."""
 
     def __init__(self, clock: Clock, stop: int | None = None) -> None:
         self._clock, self._stop, self._count = clock, stop, torch.zeros(1)
@@ -57,6 +63,12 @@ class Lines(NullProgress):
         self.lines.append(text)
 
 
+def training(steps: Steps) -> Training[GenerationOutcome]:
+    return numbered_training(
+        steps, 10, lambda file: file.write_bytes(b"model"), phase="test", loss="square", checkpoint_s=0.0
+    )
+
+
 def minutes_left(lines: list[str]) -> dict[int, int]:
     """By number of steps."""
     found = [re.search(r"step (\d+)  .*, (\d+) minutes left", line) for line in lines]
@@ -67,12 +79,12 @@ def test_the_time_left_is_that_of_the_steps_left_also_after_a_pause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, lines = Clock(), Lines()
-    monkeypatch.setattr(loop, "time", clock)
-    folder = GenerationRunFolder(tmp_path / "run")
-    folder.path.mkdir()
+    for module in (loop, budget):
+        monkeypatch.setattr(module, "time", clock)
+    (tmp_path / "run").mkdir()
     with pytest.raises(RuntimeError, match="went down"):
-        run_steps(Steps(clock, stop=4), 10, folder, lines, phase="test", checkpoint_s=0.0)
+        train(training(Steps(clock, stop=4)), RunFolder(tmp_path / "run", GenerationOutcome), lines)
     # A night between the two calls is no part of the training.
     clock.now += 30_000.0
-    run_steps(Steps(clock), 10, GenerationRunFolder(tmp_path / "run"), lines, phase="test")
-    assert minutes_left(lines.lines) == {step: round((10 - step) * 1.5) for step in range(1, 11)}
+    train(training(Steps(clock)), RunFolder(tmp_path / "run", GenerationOutcome), lines)
+    assert minutes_left(lines.lines) == {step: round((10 - step) * STEP_S / 60.0) for step in range(1, 11)}

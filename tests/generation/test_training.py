@@ -79,7 +79,7 @@ def test_the_run_holds_models_and_curves(trained: Path) -> None:
     assert references == T
     assert trained_rates(trained / "generator/model.safetensors") == (5.0, 5.0)
     rows = (trained / "generator/curves.csv").read_text().splitlines()
-    assert rows[0] == "step,core_s,wall_s,velocity"
+    assert rows[0] == "step,progress,core_s,wall_s,velocity"
     assert len(rows) == 1 + OPTIONS.steps
     assert read_autoencoder(trained / "autoencoder/model.safetensors").settings == CODEC
 

@@ -23,13 +23,16 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
-from hybridworldsim.training.loop import REPORTS, Options, train
+from hybridworldsim.training.block_training import Options, train_block
+from hybridworldsim.training.documents import Run, TrainingOutcome, read_run
 from hybridworldsim.training.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.previews import Preview
 from hybridworldsim.training.run.budget import Budget, Clock
 from hybridworldsim.training.run.checkpoint import FORMAT, read_checkpoint
 from hybridworldsim.training.run.curves import read_curves
-from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome, is_occupied, read_run
+from hybridworldsim.training.run.document import is_occupied
+from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.loop import REPORTS
 from hybridworldsim.training.trainable_method import StepReport
 from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError, SchemaError, UsageError
@@ -69,14 +72,18 @@ def _one_thread():
     torch.set_num_threads(threads)
 
 
+def block_folder(path: Path) -> RunFolder[TrainingOutcome]:
+    return RunFolder(path, TrainingOutcome)
+
+
 def run(
     path: Path, steps: int = 60, images: Painted | None = None, options: Options | None = None, **more
 ) -> TrainingOutcome:
-    folder = RunFolder(path)
+    folder = block_folder(path)
     folder.begin(RUN)
     trained = more.pop("trainer", None) or trainer()
     half = more.pop("half", False)
-    return train(
+    return train_block(
         trained,
         images or Painted(),
         more.pop("views", views()),
@@ -150,18 +157,18 @@ def test_temporary_files_of_a_killed_process_are_ignored(tmp_path: Path) -> None
     left = tmp_path / f".run.json.7{TEMPORARY}"
     left.touch()
     assert not is_occupied(tmp_path) and not is_occupied(tmp_path / "new") and is_occupied(left)
-    folder = RunFolder(tmp_path)
+    folder = block_folder(tmp_path)
     assert folder.begin(RUN) is None and left.exists() and is_occupied(tmp_path)
-    with folder.lock():
+    with folder.claim(RUN):
         assert not left.exists() and (tmp_path / "run.json").exists()
 
 
 def test_lock_refusal_keeps_files_of_the_other_process(tmp_path: Path) -> None:
     run(tmp_path, steps=2)
-    folder, writing = RunFolder(tmp_path), tmp_path / f".checkpoint.safetensors.7{TEMPORARY}"
-    with folder.lock():
+    folder, writing = block_folder(tmp_path), tmp_path / f".checkpoint.safetensors.7{TEMPORARY}"
+    with folder.claim(RUN):
         writing.touch()
-        with pytest.raises(DatasetError, match="another process is training"), RunFolder(tmp_path).lock():
+        with pytest.raises(DatasetError, match="another process is training"), block_folder(tmp_path).claim(RUN):
             pass
         assert writing.exists()
 
@@ -175,7 +182,7 @@ def test_incomplete_checkpoint_is_refused(tmp_path: Path) -> None:
             super().restore({name: table for name, table in state.items() if name != "progress"})
 
     with pytest.raises(DatasetError, match="without 'progress'"):
-        RunFolder(tmp_path).resume(Older(trained.street, SETTINGS))
+        block_folder(tmp_path).resume(Older(trained.street, SETTINGS))
 
 
 def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
@@ -191,7 +198,7 @@ import os, sys, time, torch
 from pathlib import Path
 from tests.training.test_loop import run
 from tests.training.street import Painted
-from hybridworldsim.training.loop import Options
+from hybridworldsim.training.block_training import Options
 class Stuck(Painted):
     def __call__(self, one):
         if self.opened == 60:
@@ -271,22 +278,23 @@ def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
 
 def test_finished_run_is_returned_and_another_is_refused(tmp_path: Path) -> None:
     run(tmp_path / "run")
-    folder = RunFolder(tmp_path / "run")
+    folder = block_folder(tmp_path / "run")
     assert folder.begin(RUN) == folder.outcome is not None
     with pytest.raises(UsageError, match=r"settings\.latent 16, now 8; steps 60, now 90"):
         folder.begin(RUN.model_copy(update={"steps": 90, "settings": {"latent": 8}}))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(UsageError, match="not the folder of a run"):
-        RunFolder(tmp_path / "other").begin(RUN)
+        block_folder(tmp_path / "other").begin(RUN)
 
 
 def test_lock_allows_one_process(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run")
+    folder = block_folder(tmp_path / "run")
     folder.begin(RUN)
-    with folder.lock(), pytest.raises(DatasetError, match="another process"), RunFolder(tmp_path / "run").lock():
+    other = block_folder(tmp_path / "run")
+    with folder.claim(RUN), pytest.raises(DatasetError, match="another process"), other.claim(RUN):
         pass
-    with folder.lock():
+    with folder.claim(RUN):
         pass
 
 
@@ -460,17 +468,17 @@ def test_budget_excludes_kernel_compilation(tmp_path: Path) -> None:
 
 def test_untrained_run_may_be_replaced_by_other_settings(tmp_path: Path) -> None:
     """A run that failed before its first checkpoint does not reserve the folder."""
-    folder, other = RunFolder(tmp_path / "run"), RUN.model_copy(update={"seed": 1})
+    folder, other = block_folder(tmp_path / "run"), RUN.model_copy(update={"seed": 1})
     folder.begin(other)
     assert folder.begin(RUN) is None
     # The folder keeps the document of the other run until training begins.
     assert read_run(tmp_path / "run") == other
-    with folder.lock():
-        folder.claim(RUN)
+    with folder.claim(RUN):
+        pass
     assert read_run(tmp_path / "run") == RUN
     run(tmp_path / "run", 2)
-    with folder.lock(), pytest.raises(UsageError, match="a run of other settings began here"):
-        folder.claim(other)
+    with pytest.raises(UsageError, match="a run of other settings began here"), folder.claim(other):
+        pass
     with pytest.raises(UsageError, match="a run of other settings began here: seed 0, now 1"):
         folder.begin(other)
     (tmp_path / "run" / "outcome.json").unlink()

@@ -12,7 +12,7 @@ from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.street import Street
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import TrainingImageCache
-from hybridworldsim.training.run.folder import Run, TrainedCamera
+from hybridworldsim.training.documents import Run, TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy

@@ -15,8 +15,8 @@ from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import SceneGeometry, driven_m, read_scene_geometry
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import TrainingImageCache
+from hybridworldsim.training.documents import Run
 from hybridworldsim.training.previews import Preview
-from hybridworldsim.training.run.folder import Run
 from hybridworldsim.training.viewpoint import Source
 from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64

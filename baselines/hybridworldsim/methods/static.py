@@ -18,11 +18,12 @@ from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry
 from hybridworldsim.training.appearance import trained_cameras
+from hybridworldsim.training.block_training import Options, train_block
 from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
-from hybridworldsim.training.loop import Options, train
+from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
-from hybridworldsim.training.run.folder import Run, RunFolder, TrainingOutcome
+from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.trainable_method import TrainableMethod
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
@@ -103,7 +104,7 @@ class StaticMethod:
         no_supervision: NoSupervisionError | None = None
         is_finished = read_reconstruction(out).done is not None
         for place, (block, views) in enumerate(scene.blocks):
-            folder = RunFolder(out / block.name)
+            folder = RunFolder(out / block.name, TrainingOutcome)
             # In a finished model, a block without a folder was left out.
             if is_finished and not folder.path.exists():
                 continue
@@ -126,7 +127,11 @@ class StaticMethod:
         return outcomes
 
     def _train(
-        self, training: BlockTraining, task: ReconstructionTask, folder: RunFolder, reporter: ProgressReporter
+        self,
+        training: BlockTraining,
+        task: ReconstructionTask,
+        folder: RunFolder[TrainingOutcome],
+        reporter: ProgressReporter,
     ) -> TrainingOutcome:
         run = self._run(training, task)
         finished = folder.begin(run)
@@ -139,10 +144,9 @@ class StaticMethod:
         reads_depth = trainer.reads_depth or self.sky
         depth_traversals = training.layers.traversals_with("depth") if reads_depth else frozenset()
         plan = training.training.plan
-        with folder.lock():
-            folder.claim(run)
+        with folder.claim(run):
             try:
-                return train(
+                return train_block(
                     trainer,
                     TrainingImageCache(training.layers.dataset, plan, origin, depth_traversals, sky=self.sky),
                     training.views,
@@ -227,7 +231,7 @@ def block_folders(model: Path) -> list[Path]:
     """
     done = read_reconstruction(model).done
     folders = sorted(path.parent for path in model.glob("*/run.json"))
-    undone = [path for path in folders if RunFolder(path).outcome is None]
+    undone = [path for path in folders if RunFolder(path, TrainingOutcome).outcome is None]
     if undone or done is None:
         raise DatasetError(
             f"{len(undone) or 'some'} blocks are not trained to the end", file=model,

@@ -24,9 +24,10 @@ from hybridworldsim.model.street import Street
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
+from hybridworldsim.training.documents import Run, read_run
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.previews import pixels
-from hybridworldsim.training.run.folder import MODEL, Run, read_run
+from hybridworldsim.training.run.folder import MODEL
 from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError

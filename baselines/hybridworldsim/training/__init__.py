@@ -1,1 +1,1 @@
-"""Training shared by all methods of static reconstruction: images, budget, loop, checkpoints and run folder."""
+"""Training: ``run`` is the loop and the folder of all that is trained; beside it stands what trains streets."""

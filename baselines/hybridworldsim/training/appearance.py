@@ -15,8 +15,8 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from hybridworldsim.training.documents import TrainedCamera
 from hybridworldsim.training.driven_lines import DrivenLines
-from hybridworldsim.training.run.folder import TrainedCamera
 from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.errors import UsageError

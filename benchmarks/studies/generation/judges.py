@@ -64,7 +64,7 @@ class Classifier(nn.Module):
 
 
 class JudgeTrainer:
-    """A judge in training, for `run_steps`.
+    """A judge in training; a `hybridworldsim.generation.training.numbered.NumberedTrainer`.
 
     Args:
         network: the judge.

@@ -16,6 +16,7 @@ from benchmarks.studies.generation.make_clips import BUSTLE, PRESET
 from benchmarks.studies.generation.recordings import write_recording, write_region
 from benchmarks.studies.generation.street_clips import StreetRig, busy_drive
 from hybridworldsim.generation.clips.clip import Clip
+from hybridworldsim.training.documents import TrainingOutcome
 from hybridworldsim.training.run.folder import RunFolder
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
@@ -104,7 +105,8 @@ class RoadModel:
              "--method", options["method"], "--minutes", str(options["minutes"]), "--width", str(options["width"]),
              "--initialise", options["initialise"], "--seed", str(options["seed"]), "--threads", "1")  # fmt: skip
         costs = read_reconstruction(self.model).done
-        blocks = [outcome for path in sorted(self.model.glob("block_*")) if (outcome := RunFolder(path).outcome)]
+        folders = [RunFolder(path, TrainingOutcome) for path in sorted(self.model.glob("block_*"))]
+        blocks = [outcome for folder in folders if (outcome := folder.outcome)]
         return {
             "training_core_s": None if costs is None else costs.core_s,
             "blocks": len(blocks),

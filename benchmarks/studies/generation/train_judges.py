@@ -26,8 +26,10 @@ from benchmarks.studies.generation.judges import (
 )
 from hybridworldsim.generation.clips.clip import CATEGORIES
 from hybridworldsim.generation.clips.folder import read_clips, read_list
-from hybridworldsim.generation.training.loop import run_steps
-from hybridworldsim.generation.training.run_folder import GenerationRun, GenerationRunFolder
+from hybridworldsim.generation.training.documents import GenerationOutcome, GenerationRun
+from hybridworldsim.generation.training.numbered import numbered_training
+from hybridworldsim.training.run.folder import MODEL, RunFolder
+from hybridworldsim.training.run.loop import train
 from mirror.progress import ProgressReporter
 from mirror.schema.files import write_bytes
 from mirror.weights.resolve import file_sha256
@@ -88,7 +90,7 @@ def load_judges(out: Path) -> tuple[Segmenter, Classifier]:
     """The trained judges."""
     judges = Segmenter(), Classifier()
     for name, network in zip(("segmenter", "classifier"), judges):
-        network.load_state_dict(load_file(GenerationRunFolder(out / name).model))
+        network.load_state_dict(load_file(out / name / MODEL))
         network.eval().requires_grad_(False)
     return judges
 
@@ -102,22 +104,21 @@ def _train(
     clips_hash: str,
     progress: ProgressReporter,
 ) -> None:
-    folder = GenerationRunFolder(out / name)
+    folder = RunFolder(out / name, GenerationOutcome)
     run = GenerationRun(
         part=name, settings={}, seed=0, steps=steps[name], threads=1, processes=1, clips_hash=clips_hash,
         autoencoder_hash=None,
     )  # fmt: skip
+
+    def write(path: Path) -> int:
+        data = save(network.state_dict())
+        write_bytes(path, data)
+        return len(data)
+
     if folder.begin(run) is None:
-        with folder.lock():
+        with folder.claim(run):
             trainer = JudgeTrainer(network, loss, steps[name])
-            position = run_steps(trainer, steps[name], folder, progress, phase=name)
-
-            def write(path: Path) -> int:
-                data = save(network.state_dict())
-                write_bytes(path, data)
-                return len(data)
-
-            folder.finish(write, position, "loss")
+            train(numbered_training(trainer, steps[name], write, phase=name, loss="loss"), folder, progress)
     network.load_state_dict(load_file(folder.model))
     network.eval().requires_grad_(False)
 

@@ -11,7 +11,7 @@ import torch
 from hybridworldsim.methods.renderers import OpenBlock, render_nearest
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.training.appearance import trained_cameras
-from hybridworldsim.training.run.folder import Run
+from hybridworldsim.training.documents import Run
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from mirror.errors import UsageError
 
 if TYPE_CHECKING:
-    from hybridworldsim.generation.training.run_folder import GenerationOutcome
+    from hybridworldsim.generation.training.documents import GenerationOutcome
 
 
 def find_model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, Path]:

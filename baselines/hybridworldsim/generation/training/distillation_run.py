@@ -19,12 +19,14 @@ from hybridworldsim.generation.devices import (
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import captioned_config, read_autoencoder, read_generator, write_generator
 from hybridworldsim.generation.training.distillation import DistillationSettings, DistillationTrainer
+from hybridworldsim.generation.training.documents import GenerationOutcome, GenerationRun
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings
-from hybridworldsim.generation.training.loop import train_together
+from hybridworldsim.generation.training.numbered import numbered_training
 from hybridworldsim.generation.training.run import captions_document, hash_clips, rates_of, read_clip_captions
-from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import join_processes
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
@@ -112,7 +114,7 @@ def distil_on_clips(
         join_processes(options.device) as processes,
     ):
         settings.require_shares(processes.count)
-        folder = GenerationRunFolder(out)
+        folder = RunFolder(out, GenerationOutcome, processes)
         document = {
             **settings.document,
             "distillation": options.distillation.document,
@@ -123,8 +125,7 @@ def distil_on_clips(
             part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
             processes=processes.count, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
         )  # fmt: skip
-        with processes.leader_first():
-            outcome = folder.begin(run)
+        outcome = folder.begin(run)
         if outcome is not None:
             return folder.model, outcome
         windows = ClipWindows(loaded, codec, teacher.config, OWN_STYLE, references, captions)
@@ -135,15 +136,16 @@ def distil_on_clips(
 
         def sample(step: int) -> None:
             write_samples(
-                folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device,
+                out / "samples", f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device,
                 steps=options.distillation.segments,
             )  # fmt: skip
 
-        done = train_together(
-            trainer, options.steps, folder, reporter, processes,
+        training = numbered_training(
+            trainer, options.steps,
             lambda file: write_generator(
                 file, trainer.averaged_network(), references, rates_hz=rates_of(loaded), captions=captions is not None
             ),
             phase="distillation", loss=_LOSS, checkpoint_s=options.checkpoint_s, sample=sample,
         )  # fmt: skip
-    return folder.model, done
+        with folder.claim(run):
+            return folder.model, train(training, folder, reporter)

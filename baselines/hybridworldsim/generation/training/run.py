@@ -31,11 +31,13 @@ from hybridworldsim.generation.training.autoencoder_trainer import (
     AutoencoderTrainer,
     reconstruction_psnr_db,
 )
+from hybridworldsim.generation.training.documents import GenerationOutcome, GenerationRun
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
-from hybridworldsim.generation.training.loop import run_steps, train_together
-from hybridworldsim.generation.training.run_folder import GenerationOutcome, GenerationRun, GenerationRunFolder
+from hybridworldsim.generation.training.numbered import numbered_training
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
@@ -144,25 +146,23 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
 def _train_autoencoder(
     clips: list[Clip], clips_hash: str, path: Path, options: TrainingOptions, reporter: ProgressReporter
 ) -> tuple[Path, GenerationOutcome]:
-    folder, settings = GenerationRunFolder(path), options.autoencoder_settings
+    folder, settings = RunFolder(path, GenerationOutcome), options.autoencoder_settings
     run = GenerationRun(
         part="autoencoder", settings=settings.document, seed=options.seed, steps=options.autoencoder_steps,
         threads=options.threads, processes=1, clips_hash=clips_hash, autoencoder_hash=None,
     )  # fmt: skip
     outcome = folder.begin(run)
     if outcome is None:
-        with folder.lock():
-            folder.begin(run)
+        with folder.claim(run):
             # The backgrounds too: a view without road users must come back as well.
             images = np.concatenate([part for clip in clips for part in (_flat(clip.images), _flat(clip.background))])
             trainer = AutoencoderTrainer(settings, images, options.autoencoder_steps, seed=options.seed)
-            position = run_steps(
-                trainer, options.autoencoder_steps, folder, reporter,
-                phase="autoencoder", checkpoint_s=options.checkpoint_s,
+            training = numbered_training(
+                trainer, options.autoencoder_steps, lambda file: write_autoencoder(file, trainer.finish()),
+                phase="autoencoder", loss="square", checkpoint_s=options.checkpoint_s,
+                psnr_db=lambda: reconstruction_psnr_db(trainer.model, images[:: max(1, len(images) // 256)]),
             )  # fmt: skip
-            model = trainer.finish()
-            psnr_db = reconstruction_psnr_db(model, images[:: max(1, len(images) // 256)])
-            outcome = folder.finish(lambda file: write_autoencoder(file, model), position, "square", psnr_db)
+            outcome = train(training, folder, reporter)
     reporter.message(f"autoencoder: {outcome.psnr_db:.2f} dB on its training images")
     return folder.model, outcome
 
@@ -177,14 +177,13 @@ def _train_generator(
     processes: Processes,
     reporter: ProgressReporter,
 ) -> tuple[Path, GenerationOutcome]:
-    folder, settings = GenerationRunFolder(path), options.settings
+    folder, settings = RunFolder(path, GenerationOutcome, processes), options.settings
     run = GenerationRun(
         part="generator", settings={**settings.document, **captions_document(options.captions)}, seed=options.seed,
         steps=options.steps, threads=options.threads, processes=processes.count, clips_hash=clips_hash,
         autoencoder_hash=file_sha256(autoencoder),
     )  # fmt: skip
-    with processes.leader_first():
-        outcome = folder.begin(run)
+    outcome = folder.begin(run)
     if outcome is not None:
         return folder.model, outcome
     codec: LatentCodec = read_autoencoder(autoencoder)
@@ -195,10 +194,12 @@ def _train_generator(
     )  # fmt: skip
 
     def sample(step: int) -> None:
-        write_samples(folder.samples, f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device)
+        write_samples(
+            path / "samples", f"{step:08d}", trainer.averaged_network, windows, codec, device=processes.device
+        )
 
-    done = train_together(
-        trainer, options.steps, folder, reporter, processes,
+    training = numbered_training(
+        trainer, options.steps,
         lambda file: write_generator(
             file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout,
             rates_hz=rates_of(clips),
@@ -206,7 +207,8 @@ def _train_generator(
         ),
         phase="generator", loss=settings.weighting, checkpoint_s=options.checkpoint_s, sample=sample,
     )  # fmt: skip
-    return folder.model, done
+    with folder.claim(run):
+        return folder.model, train(training, folder, reporter)
 
 
 def _flat(images: UInt8) -> UInt8:

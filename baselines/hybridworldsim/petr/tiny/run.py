@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import math
-import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -18,25 +15,19 @@ from hybridworldsim.petr.tiny.model_file import write_model
 from hybridworldsim.petr.tiny.samples import Sample, read_sample
 from hybridworldsim.petr.tiny.settings import NetworkSettings, TrainingSettings, document, training_settings
 from hybridworldsim.petr.tiny.trainer import TinyTrainer
-from hybridworldsim.training.run.budget import Budget, Clock
-from hybridworldsim.training.run.checkpoint import Position, Sums, read_checkpoint, write_checkpoint
-from hybridworldsim.training.run.curves import Row, read_curves, write_curves
-from hybridworldsim.training.run.folder import MODEL, OUTCOME, begin_run, lock_run
-from hybridworldsim.training.run.interruption import interruptible
+from hybridworldsim.training.run.budget import Budget
+from hybridworldsim.training.run.folder import RunFolder
+from hybridworldsim.training.run.loop import train
+from hybridworldsim.training.run.position import Position, Step
+from hybridworldsim.training.run.training import Ending, Training
 from mirror.annotation.protocol import TrainingReport, TrainingTask
 from mirror.dataset.dataset import Dataset
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import UsageError
 from mirror.progress import ProgressReporter
 from mirror.schema.documents import Document
-from mirror.schema.files import read_json, write_json
 from mirror.weights.resolve import file_sha256
 
-_CHECKPOINT: Final = "checkpoint.safetensors"
-_CURVES: Final = "curves.csv"
-_REPORTS: Final = 40
-_TICKS: Final = 1000
 _TRAINED_ON: Final = "datasets given to `mirror annotate train`"
-_CHECKPOINT_S: Final = 60.0
 
 
 class AnnotatorRun(Document):
@@ -140,93 +131,44 @@ def train_on_samples(
         steps=task.steps, core_minutes=task.core_minutes, threads=task.threads, frames=len(samples),
         boxes=sum(len(sample.boxes.label) for sample in samples), samples_hash=_hash(samples),
     )  # fmt: skip
-    outcome = _outcome(out)
-    untrained = outcome is None and not any((out / name).exists() for name in (_CHECKPOINT, _CURVES))
-    begin_run(out, run, finished=outcome is not None, untrained=untrained)
+    folder = RunFolder(out, AnnotatorOutcome)
+    outcome = folder.begin(run)
     if outcome is None:
-        with lock_run(out):
-            write_json(out / "run.json", run)
+        with folder.claim(run):
             trainer = TinyTrainer(samples, network, training, task.seed)
-            position, rows = _train(trainer, budget, out, progress)
-            size = write_model(out / MODEL, trainer.averaged)
-            outcome = AnnotatorOutcome(
-                steps=position.steps, core_s=position.spent_s, wall_s=position.wall_s, loss=rows[-1]["loss"],
-                model_bytes=size, sha256=file_sha256(out / MODEL),
-            )  # fmt: skip
-            images = np.concatenate([sample.cameras.images for sample in samples])
-            write_inputs(out / NAME, fit_inputs(images, outcome.sha256, _TRAINED_ON))
-            write_json(out / OUTCOME, outcome)
+            outcome = train(_training(trainer, samples, budget, folder), folder, progress)
     return TrainingReport(
-        str(out / MODEL), run.frames, run.boxes, outcome.steps, outcome.core_s, outcome.wall_s, outcome.loss,
+        str(folder.model), run.frames, run.boxes, outcome.steps, outcome.core_s, outcome.wall_s, outcome.loss,
         outcome.model_bytes, outcome.sha256,
     )  # fmt: skip
 
 
-def _outcome(out: Path) -> AnnotatorOutcome | None:
-    path = out / OUTCOME
-    return read_json(path, AnnotatorOutcome) if path.exists() else None
+def _training(
+    trainer: TinyTrainer, samples: Sequence[Sample], budget: Budget, folder: RunFolder[AnnotatorOutcome]
+) -> Training[AnnotatorOutcome]:
+    def step(position: Position, progress: float) -> Step:
+        return Step(trainer.step(position.steps, progress))
 
+    def outcome(ending: Ending) -> AnnotatorOutcome:
+        position, sha256 = ending.position, file_sha256(folder.model)
+        images = np.concatenate([sample.cameras.images for sample in samples])
+        write_inputs(folder.path / NAME, fit_inputs(images, sha256, _TRAINED_ON))
+        return AnnotatorOutcome(
+            steps=position.steps, core_s=position.spent_s, wall_s=position.wall_s, loss=ending.row["loss"],
+            model_bytes=ending.model_bytes, sha256=sha256,
+        )  # fmt: skip
 
-def _train(trainer: TinyTrainer, budget: Budget, out: Path, progress: ProgressReporter) -> tuple[Position, list[Row]]:
-    position = Position()
-    if (out / _CHECKPOINT).exists():
-        state, position = read_checkpoint(out / _CHECKPOINT)
-        trainer.restore(state)
-    rows = read_curves(out / _CURVES, position.rows)
-    clock, started_s, earlier_s = Clock(position.spent_s), time.monotonic(), position.wall_s
-    saved_s, begun = started_s, position.steps
-    share = budget.progress(position.steps, position.spent_s)
-    progress.start("training", _TICKS)
-    progress.advance(int(share * _TICKS))
-    with interruptible() as interrupted:
-        while share < 1.0:
-            losses = trainer.step(position.steps, share)
-            for name, loss in losses.items():
-                if not math.isfinite(loss):
-                    raise DatasetError(
-                        f"the loss {name} is {loss} at step {position.steps}", file=out, expected="a finite loss",
-                        remedy="train again in another folder with --set learning_rate=0.0005",
-                    )  # fmt: skip
-            position = replace(
-                position, steps=position.steps + 1, sums=_add(position.sums, losses), spent_s=clock.spent_s,
-                wall_s=earlier_s + time.monotonic() - started_s,
-            )  # fmt: skip
-            before, share = share, budget.progress(position.steps, position.spent_s)
-            progress.advance(int(share * _TICKS) - int(before * _TICKS))
-            if int(share * _REPORTS) > position.reports:
-                position = _report(position, share, begun, time.monotonic() - started_s, rows, out, progress)
-            if interrupted.is_set() or time.monotonic() - saved_s > _CHECKPOINT_S:
-                write_checkpoint(out / _CHECKPOINT, trainer.state(), position)
-                saved_s = time.monotonic()
-            if interrupted.is_set():
-                progress.message(f"interrupted at step {position.steps}: the checkpoint is in {out}")
-                raise KeyboardInterrupt
-    write_checkpoint(out / _CHECKPOINT, trainer.state(), position)
-    return position, rows
-
-
-def _report(
-    position: Position, share: float, begun: int, here_s: float, rows: list[Row], out: Path, progress: ProgressReporter
-) -> Position:
-    means = {name: total / count for name, (total, count) in position.sums.losses.items()}
-    rows.append(
-        {"step": position.steps, "progress": share, "core_s": position.spent_s, "wall_s": position.wall_s, **means}
+    return Training(
+        phase="training",
+        budget=budget,
+        trained=trainer,
+        step=step,
+        learned=lambda: trainer.state().items(),
+        describe=lambda row: f"loss {row['loss']:.3f}",
+        write=lambda file: write_model(file, trainer.averaged),
+        outcome=outcome,
+        remedy="train again in another folder with --set learning_rate=0.0005",
     )
-    write_curves(out / _CURVES, rows)
-    left_s = here_s / max(position.steps - begun, 1) * position.steps * (1.0 - share) / share
-    progress.report(
-        f"{share:4.0%}  step {position.steps}  {position.spent_s / 60.0:.1f} core-minutes, "
-        f"{left_s / 60.0:.0f} minutes left  loss {means['loss']:.3f}"
-    )
-    return replace(position, reports=int(share * _REPORTS), rows=len(rows), sums=Sums())
-
-
-def _add(sums: Sums, losses: dict[str, float]) -> Sums:
-    added = dict(sums.losses)
-    for name, value in losses.items():
-        total, count = added.get(name, (0.0, 0))
-        added[name] = (total + value, count + 1)
-    return Sums(sums.steps + 1, sums.psnr_db, added)
 
 
 def _hash(samples: Sequence[Sample]) -> str:

@@ -1,1 +1,1 @@
-"""The folder of a run: its settings, its progress and its state."""
+"""One run of a training, whatever is trained: loop, folder, budget, checkpoints, curves, interruption, processes."""

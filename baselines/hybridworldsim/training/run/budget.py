@@ -1,4 +1,4 @@
-"""How long a method trains: a number of steps, or processor time, which does not depend on other load."""
+"""How long a training lasts: a number of steps, or processor time, which does not depend on other load."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Budget:
     """A number of steps or processor time; schedules run from progress 0 to 1 under either.
 
     Attributes:
-        steps: number of training images. Results repeat exactly with the same number of threads.
+        steps: number of steps. Results repeat exactly with the same number of threads.
         core_minutes: processor time of all threads of the process, spent on training. Reading ahead counts; rendering
-            for reports and the compilation of kernels, which happens once on a machine, do not. With this budget,
-            methods are compared at equal cost on a machine with other load.
+            for reports, checkpoints and the compilation of kernels, which happens once on a machine, do not. With this
+            budget, methods are compared at equal cost on a machine with other load.
     """
 
     steps: int | None = None
@@ -77,25 +77,31 @@ def _processor_time_s() -> float:
 
 
 class Clock:
-    """Measures processor time of this process without compilation; it can be paused.
+    """Measures processor time of this process without compilation, and wall time; it can be paused.
 
     Args:
-        spent_s: initial value: time that an earlier run spent.
+        spent_s: initial processor time: that of an earlier run.
+        wall_s: initial wall time.
     """
 
-    def __init__(self, spent_s: float = 0.0) -> None:
-        self._earlier_s, self._started_s = spent_s, _processor_time_s()
-        self._paused = False
+    def __init__(self, spent_s: float = 0.0, wall_s: float = 0.0) -> None:
+        self._earlier_s, self._earlier_wall_s = spent_s, wall_s
+        self.resume()
 
     @property
     def spent_s(self) -> float:
-        """Time so far."""
+        """Processor time so far."""
         return self._earlier_s + (0.0 if self._paused else _processor_time_s() - self._started_s)
+
+    @property
+    def wall_s(self) -> float:
+        """Wall time so far."""
+        return self._earlier_wall_s + (0.0 if self._paused else time.monotonic() - self._started_wall_s)
 
     def pause(self) -> None:
         """Stop counting."""
-        self._earlier_s, self._paused = self.spent_s, True
+        self._earlier_s, self._earlier_wall_s, self._paused = self.spent_s, self.wall_s, True
 
     def resume(self) -> None:
         """Count again."""
-        self._started_s, self._paused = _processor_time_s(), False
+        self._started_s, self._started_wall_s, self._paused = _processor_time_s(), time.monotonic(), False

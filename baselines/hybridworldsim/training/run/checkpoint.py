@@ -4,60 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from pydantic import RootModel
 from torch import Tensor
 
+from hybridworldsim.training.run.position import CheckpointPosition, Position
 from mirror.errors import DatasetError
 from mirror.schema.files import parse_json, write_bytes
 
 FORMAT: Final = "mirror-checkpoint/1"
-_REMEDY: Final = "remove the file to train the block from the beginning"
-
-
-@dataclass(frozen=True)
-class Sums:
-    """Sums over the steps since the last report.
-
-    Attributes:
-        steps: number of steps.
-        psnr_db: sum of their PSNR.
-        losses: by name, the sum and the number of steps in which the loss was computed.
-    """
-
-    steps: int = 0
-    psnr_db: float = 0.0
-    losses: Mapping[str, tuple[float, int]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Position:
-    """The progress of a run.
-
-    Attributes:
-        steps: number of images trained on.
-        shown: number of images read, including those without a scored pixel.
-        spent_s: processor time of training.
-        wall_s: wall time of training.
-        reports: number of equal steps of progress that have been reported.
-        rows: number of rows of the curves written so far.
-        sums: sums over the steps since then.
-    """
-
-    steps: int = 0
-    shown: int = 0
-    spent_s: float = 0.0
-    wall_s: float = 0.0
-    reports: int = 0
-    rows: int = 0
-    sums: Sums = Sums()
-
-
-class CheckpointPosition(RootModel[Position]):
-    """The position as JSON."""
+_REMEDY: Final = "remove the file to train from the beginning"
 
 
 def write_checkpoint(path: Path, state: Mapping[str, Tensor], position: Position) -> None:

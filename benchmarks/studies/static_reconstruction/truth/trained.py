@@ -18,7 +18,8 @@ from benchmarks.studies.static_reconstruction.truth.request import TruthRequest,
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
 from hybridworldsim.methods.renderers import Renderer
 from hybridworldsim.methods.static import block_folders
-from hybridworldsim.training.run.folder import MODEL, TrainedCamera, read_run
+from hybridworldsim.training.documents import TrainedCamera, read_run
+from hybridworldsim.training.run.folder import MODEL
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model_document import Costs, read_reconstruction

@@ -17,7 +17,7 @@ from mirror.protocols import GroundTruth, decode_render, plan_views
 
 
 def edge_error(render: Any, truth: Any, scored: Any) -> float:
-    """Mean absolute difference of the horizontal gradients of the luma, over the scored pixels, in grey levels.
+    """Return the mean absolute difference of horizontal luma gradients over the scored pixels, in grey levels.
 
     Args:
         render: (H, W, 3) uint8.

@@ -18,7 +18,7 @@ class Careful:
         """Prepare for a new rollout: nothing is kept from one observation to the next."""
 
     def act(self, observation: Observation) -> Controls:
-        """Steer along the arc through a point of the route ahead (pure pursuit), and keep a speed."""
+        """Return the steer along the arc through a point of the route ahead (pure pursuit), and keep a speed."""
         limit_mps = 6.0 if observation.images["front_wide"].mean() > 80.0 else 3.0
         x_m, y_m = observation.route[4]
         curvature = 2.0 * y_m / max(x_m**2 + y_m**2, 1.0)

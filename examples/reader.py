@@ -29,21 +29,21 @@ class Walk:
         return DriveInfo(self.path.stem, vehicle_id="walker", vehicle_type="unknown", time_base="Unix seconds")
 
     def files(self) -> Sequence[tuple[str, Path | str]]:
-        """The files of the recording, for its fingerprint."""
+        """Return the files of the recording, for its fingerprint."""
         return [(self.path.name, self.path)]
 
     def track(self) -> Track:
-        """All poses."""
+        """Return all poses."""
         rows = [json.loads(line) for line in self.path.read_text().splitlines()]
         seconds, longitude, latitude = np.array([[row[key] for key in ("t", "lon", "lat")] for row in rows]).T
         return Track((seconds * 1e9).astype(np.int64), longitude, latitude, file=self.path)
 
     def calibrations(self) -> Any:
-        """No calibrations."""
+        """Return no calibrations."""
         return CALIBRATIONS.schema.empty_table()
 
     def images(self) -> Mapping[str, FileStream]:
-        """No images."""
+        """Return no images."""
         return {}
 
     def boxes(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def count_of(number: int, noun: str) -> str:
-    """A number with its noun: ``1 image``, ``2,000 images``.
+    """Return a number with its noun: ``1 image``, ``2,000 images``.
 
     Args:
         number: how many there are.

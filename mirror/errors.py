@@ -60,7 +60,7 @@ class MirrorError(Exception):
         return (_rebuild, (type(self), self.problem, self.file, self.place, self.expected, self.remedy))
 
     def to_dict(self) -> dict[str, str | None]:
-        """The parts of the error, for ``--json``."""
+        """Return the parts of the error, for ``--json``."""
         return {
             "error": type(self).__name__,
             "problem": self.problem,

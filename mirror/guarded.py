@@ -21,7 +21,7 @@ _STARTING_S = 120.0
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an item has no result.
+    """The reason why an item of parallel work has no result.
 
     Attributes:
         status: `failed`: an error was raised; `crashed`: the process ended; `hung`: it took longer than allowed.

@@ -18,7 +18,7 @@ NAME: Final = "mirror-dataset"
 
 
 def install_command(extra: str) -> str:
-    """The command that adds an extra's packages.
+    """Return the command that adds an extra's packages.
 
     Args:
         extra: its name, such as ``view``.
@@ -27,7 +27,7 @@ def install_command(extra: str) -> str:
 
 
 def upgrade_command() -> str:
-    """The command that installs the newest version."""
+    """Return the command that installs the newest version."""
     checkout = checkout_folder()
     if checkout is not None:
         return f"git -C {shlex.quote(str(checkout))} pull && {_command('pip install --upgrade', '')}"
@@ -44,7 +44,7 @@ def _command(words: str, extra: str) -> str:
 
 
 def checkout_folder() -> Path | None:
-    """The folder of the repository that this module is imported from; None: it was installed."""
+    """Return the folder of the repository that this module is imported from; None: it was installed."""
     root = Path(__file__).resolve().parents[1]
     try:
         return root if f'name = "{NAME}"' in (root / "pyproject.toml").read_text() else None

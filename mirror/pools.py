@@ -26,7 +26,7 @@ _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREAD
 
 @contextmanager
 def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
-    """Threads; where the block ends with an error, what they have not begun is dropped.
+    """Open a pool of threads; where the block ends with an error, tasks that have not begun are dropped.
 
     Args:
         threads: how many.
@@ -41,7 +41,7 @@ def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
 
 
 class ProcessPool:
-    """See `process_pool`."""
+    """A pool of worker processes; `process_pool` opens it."""
 
     def __init__(self, pool: ProcessPoolExecutor) -> None:
         self._pool = pool
@@ -49,7 +49,7 @@ class ProcessPool:
     def submit(
         self, work: Callable[_Arguments, _Result], *args: _Arguments.args, **kwargs: _Arguments.kwargs
     ) -> Future[_Result]:
-        """As `concurrent.futures.Executor.submit`; it starts processes as they are needed."""
+        """Submit a call as `concurrent.futures.Executor.submit` does; processes start as they are needed."""
         with undisturbed():
             return self._pool.submit(work, *args, **kwargs)
 
@@ -58,7 +58,7 @@ class ProcessPool:
 def process_pool(
     workers: int, begin: Callable[_Arguments, None], *args: _Arguments.args, **kwargs: _Arguments.kwargs
 ) -> Iterator[ProcessPool]:
-    """Worker processes with one thread a library each, as there are to be as many processes as cores.
+    """Open a pool of worker processes with one thread a library each, for as many processes as cores.
 
     They never hear Ctrl-C, which a terminal sends to all processes of a command, and they end when this process does,
     however it ends. Where the block ends with an error they are killed.
@@ -99,7 +99,7 @@ def end_with_parent() -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ctrl-C is heard after the block; processes that are started within never hear it.
+    """Keep Ctrl-C from the block, and from the processes that it starts; it is heard afterwards.
 
     A process that starts inherits which signals are held back, from before its first instruction on. One whose parent
     is interrupted while it hands over the worker's arguments would print an error.
@@ -138,7 +138,7 @@ def _held_back() -> Iterator[None]:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Processes that are started within have one thread a library."""
+    """Give the libraries of processes that the block starts one thread each."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:

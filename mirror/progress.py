@@ -38,7 +38,7 @@ class ProgressReporter(Protocol):
 
 
 class NullProgress:
-    """Reports nothing."""
+    """A progress reporter that reports nothing."""
 
     def start(self, phase: str, total: int) -> None:
         """Do nothing."""

@@ -39,7 +39,7 @@ def interrupted(command: str) -> str:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """SIGTERM is heard as Ctrl-C while the block runs; only in the main thread, as no other hears signals."""
+    """Treat SIGTERM as Ctrl-C while the block runs; only in the main thread, as no other hears signals."""
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -62,7 +62,7 @@ _finishing = threading.Event()
 
 @contextmanager
 def finishing() -> Iterator[None]:
-    """In this block the first signal does not end the process after a few seconds, however long the block takes.
+    """Keep the first signal from ending the process after a few seconds, however long the block takes.
 
     For work that hears signals itself and ends as soon as it has saved what is worth it. A second signal ends the
     process within seconds.

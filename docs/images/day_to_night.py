@@ -25,7 +25,7 @@ TITLES = ("recorded by day", "reconstructed, 2 m to the left", "the same at nigh
 
 
 def frames_of(video: Path) -> list[UInt8]:
-    """All frames of a video, RGB."""
+    """Return all frames of a video, RGB."""
     capture, frames = cv2.VideoCapture(str(video)), []
     while True:
         ok, frame = capture.read()

@@ -164,7 +164,7 @@ def write(name: str, page: UInt8) -> None:
 
 
 def conditions() -> UInt8:
-    """Four kinds of scene, each from one position in six conditions."""
+    """Return the four kinds of scene, each from one position in six conditions."""
     cells = []
     for first in drives("benchmark", 640):
         if first.drive_id not in NO_BONNET:
@@ -180,7 +180,7 @@ def conditions() -> UInt8:
 
 
 def cameras() -> UInt8:
-    """Seven types of vehicle, each in another scene and light, with seven cameras each."""
+    """Return the seven types of vehicle, each in another scene and light, with seven cameras each."""
     everyone, chosen = drives("paper", 640), dict[str, SynthDrive]()
     for scene, kind in enumerate(VEHICLE_TYPES):
         there = [drive for drive in everyone if drive.scene == scene and drive.vehicle.kind.name == kind]
@@ -210,22 +210,22 @@ def _all_cameras(preset: str) -> UInt8:
 
 
 def tiny() -> UInt8:
-    """Every drive of the preset with all cameras."""
+    """Return every drive of the preset with all cameras."""
     return _all_cameras("tiny")
 
 
 def quick() -> UInt8:
-    """Every drive of the preset with all cameras."""
+    """Return every drive of the preset with all cameras."""
     return _all_cameras("quick")
 
 
 def demo() -> UInt8:
-    """Every drive of the preset with all cameras."""
+    """Return every drive of the preset with all cameras."""
     return _all_cameras("demo")
 
 
 def benchmark() -> UInt8:
-    """All 32 traversals."""
+    """Return all 32 traversals."""
     cells = []
     for drive in drives("benchmark", 480):
         number = drive.drive_id.rpartition("-")[2]
@@ -240,7 +240,7 @@ def benchmark() -> UInt8:
 
 
 def paper() -> UInt8:
-    """All traversals, one row per scene."""
+    """Return all traversals, one row per scene."""
     rows: dict[int, list[Cell]] = {}
     for drive in drives("paper", 320):
         rows.setdefault(drive.scene, []).append(Cell(drive.render(FRONT, at_share(drive, 0.4)).bgr))
@@ -252,7 +252,7 @@ def paper() -> UInt8:
 
 
 def effects() -> UInt8:
-    """One position on an autumn day and on a rainy night, with each visible effect switched off."""
+    """Return one position on an autumn day and on a rainy night, with each visible effect switched off."""
     first = drives("benchmark", 640)[1]
     day, place = in_condition(first, SEASONS["autumn"], "day", "clear", visit=1), None
     night = in_condition(first, DATES["night"], "night", "rain", visit=1)
@@ -269,7 +269,7 @@ def effects() -> UInt8:
 
 
 def truth() -> UInt8:
-    """An image and its ground truth."""
+    """Return an image and its ground truth."""
     drive = drives("benchmark", 960)[0]
     at = moment_ns(drive)
     shown, lens = drive.render(FRONT, at), drive.vehicle.cameras[FRONT]
@@ -324,7 +324,7 @@ def _flow(flow_px: AnyArray) -> UInt8:
 
 
 def seasons() -> UInt8:
-    """The same view in four seasons, and on two more visits of the summer."""
+    """Return the same view in four seasons, and on two more visits of the summer."""
     drive = drives("benchmark", 960)[0]
     pose: Poses = drive.world_SE3_camera(FRONT, np.array([moment_ns(drive)]))
     wanted = [(name, date, 1) for name, date in SEASONS.items()] + [("summer", SEASONS["summer"], v) for v in (2, 3)]

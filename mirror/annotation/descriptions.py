@@ -36,7 +36,7 @@ _LEAST_SCORE: Final = 0.3
 
 @dataclass(frozen=True)
 class Description:
-    """What can be said of a frame.
+    """The description of a frame: what the sun, the recording and its boxes say of it.
 
     Attributes:
         text: a caption; it may be empty.
@@ -60,7 +60,7 @@ class Description:
 
 
 class Describer(Protocol):
-    """Describes frames.
+    """A plug-in that describes frames.
 
     Attributes:
         fingerprint: identifies all that its results depend on apart from the frames.
@@ -76,7 +76,7 @@ class Describer(Protocol):
         """
 
     def close(self) -> None:
-        """Release what the describer holds."""
+        """Release the describer's processes and devices."""
 
 
 class InstalledDescriber(Protocol):
@@ -89,7 +89,7 @@ class InstalledDescriber(Protocol):
 
 
 class RecordedDescriber:
-    """Says what the sun and the recording say: light, weather, the kind of scene, and the chosen boxes.
+    """A describer that states light, weather, the kind of scene and the chosen boxes from the recording.
 
     Args:
         dataset: the dataset, or the view, to be described.
@@ -120,7 +120,7 @@ class RecordedDescriber:
         return Description(", ".join(filter(None, parts)), row["light"], weather)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: nothing is held."""
 
 
 def _count_boxes(frame: Frame) -> str:
@@ -130,7 +130,7 @@ def _count_boxes(frame: Frame) -> str:
 
 
 class ProgramDescriber:
-    """Asks a program in another environment.
+    """A describer that asks a program in another environment.
 
     Args:
         command: words of the command.
@@ -192,7 +192,7 @@ def installed_describer(name: str) -> InstalledDescriber:
 
 @dataclass
 class DescriptionReport:
-    """What a run did.
+    """The counts of a run that described frames.
 
     Attributes:
         path: the file.
@@ -275,7 +275,7 @@ def _describe(
 
 
 def read_descriptions(path: Path) -> dict[tuple[str, int], Description]:
-    """Descriptions by traversal and number of the frame.
+    """Return the descriptions by traversal and number of the frame.
 
     Raises:
         DatasetError: the file is missing, broken or of another format.

@@ -67,7 +67,7 @@ class Detections:
 
     @classmethod
     def empty(cls, timestamp_ns: int) -> Detections:
-        """No boxes."""
+        """Make an empty set of boxes."""
         nothing = np.empty((0, 3))
         return cls(timestamp_ns, Poses.unchecked(np.empty((0, 4)), nothing), nothing, nothing, (), np.empty(0))
 
@@ -83,7 +83,7 @@ class Detections:
         score: Float64,
         track_id: Sequence[str] = (),
     ) -> Detections:
-        """Boxes of arrays: centres (N, 3) and unit quaternions (N, 4), scalar first.
+        """Return the boxes of arrays: centres (N, 3) and unit quaternions (N, 4), scalar first.
 
         Raises:
             AnnotationError: a number is not finite or out of range; its row is named.
@@ -113,7 +113,7 @@ class Detections:
         )
 
     def to_rows(self) -> list[dict[str, Any]]:
-        """The boxes as JSON values: the columns of the ``boxes`` table without times and source."""
+        """Return the boxes as JSON values: the columns of the ``boxes`` table without times and source."""
         columns: Mapping[str, Any] = {
             "track_id": self.track_id or [None] * len(self),
             "category": self.category,

@@ -11,7 +11,7 @@ NAME: Final = "training_data.json"
 
 
 class TrainingData(Document):
-    """``training_data.json`` of a layer of boxes whose annotator states what it was trained on.
+    """``training_data.json`` of a layer of boxes: the data that its annotator was trained on.
 
     Attributes:
         format: always ``mirror-annotator-training-data``.
@@ -28,12 +28,12 @@ class TrainingData(Document):
     unfamiliar_ns: tuple[int, ...]
 
     def encode(self) -> bytes:
-        """The bytes of the document."""
+        """Return the bytes of the document."""
         return (self.model_dump_json(indent=1) + "\n").encode()
 
 
 def read_training_data(dataset: Dataset, layer: str) -> dict[str, TrainingData]:
-    """Read what the annotator of a layer states, by traversal; empty where it states nothing.
+    """Read the training data that the annotator of a layer states, by traversal; empty if it states none.
 
     Args:
         dataset: a view; traversals without the layer are left out.
@@ -52,7 +52,7 @@ def read_training_data(dataset: Dataset, layer: str) -> dict[str, TrainingData]:
 
 
 def describe_training_data(name: str, trained_on: str, unfamiliar: int, frames: int) -> str:
-    """Describe what an annotator was trained on, and how many frames do not look like it."""
+    """Describe the training data of an annotator, and count the frames that do not look like it."""
     text = f"{name} was trained on {trained_on}"
     if not unfamiliar:
         return f"{text}; all {frames} frames look like that"

@@ -34,7 +34,7 @@ _DESCRIBED = "the same boxes, options, poses, calibrations and recorded images"
 
 @dataclass(frozen=True)
 class MaskOptions:
-    """How boxes become masks.
+    """Settings of the masks that are made of boxes.
 
     Attributes:
         margin: growth of each box's length, width and height, as a share, for boxes that are not exact.
@@ -56,7 +56,7 @@ class MaskOptions:
 
 @dataclass(frozen=True)
 class MaskReport:
-    """What was written.
+    """The counts of written masks.
 
     Attributes:
         layer: ``source@version`` of the masks.
@@ -164,7 +164,7 @@ def mask_layer(
 
 
 def frame_masks(frame: Frame, options: MaskOptions) -> dict[str, UInt8]:
-    """The masks (H, W) of the images of a frame, by camera; all images have one, also without boxes.
+    """Return the masks (H, W) of the images of a frame, by camera; all images have one, also without boxes.
 
     Raises:
         DatasetError: an instance mask is missing, broken, or of another size than its image.

@@ -31,7 +31,7 @@ _META: Final = {
 
 
 def sample_token(traversal_id: str, timestamp_ns: int) -> str:
-    """The token of a frame."""
+    """Return the token of a frame."""
     return f"{traversal_id}.{timestamp_ns}"
 
 
@@ -132,7 +132,7 @@ def write_results(path: Path, results: Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 def frame_token(frame: Frame) -> str:
-    """The sample token of a frame."""
+    """Return the sample token of a frame."""
     return sample_token(frame.traversal_id, frame.timestamp_ns)
 
 

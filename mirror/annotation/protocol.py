@@ -40,7 +40,7 @@ class Annotator(Protocol):
         """
 
     def close(self) -> None:
-        """Release what the annotator holds: processes, devices."""
+        """Release the annotator's processes and devices."""
 
 
 class InstalledAnnotator(Protocol):
@@ -64,7 +64,7 @@ class InstalledAnnotator(Protocol):
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """How long and how an annotator is trained.
+    """The task of training an annotator: its length, seed, threads and settings.
 
     Attributes:
         steps: number of steps; the result repeats exactly with the same number of threads. Excludes `core_minutes`.
@@ -83,7 +83,7 @@ class TrainingTask:
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """What a finished training did.
+    """The result of a finished training of an annotator.
 
     Attributes:
         model: file of the trained model.
@@ -145,7 +145,7 @@ def require_settings(name: str, given: Mapping[str, str], known: Mapping[str, st
 
 
 def share_setting(settings: Mapping[str, str], name: str, default: float) -> float:
-    """The value of a setting that is a number from 0 to below 1.
+    """Return the value of a setting that is a number from 0 to below 1.
 
     Raises:
         UsageError: it is another value.

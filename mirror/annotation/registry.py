@@ -15,7 +15,7 @@ ANNOTATORS: Final = PluginKind("annotator", "mirror.annotators", "--annotator", 
 
 
 def annotator_names() -> list[str]:
-    """Names of the installed annotators, sorted."""
+    """Return the names of the installed annotators, sorted."""
     return ANNOTATORS.names()
 
 

@@ -23,7 +23,7 @@ _SETTINGS: Final = {
 
 
 class SubprocessAnnotator:
-    """Runs a program, which is started at the first frame.
+    """An annotator that runs a program, which is started at the first frame.
 
     Args:
         command: words of the command.

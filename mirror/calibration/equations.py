@@ -303,7 +303,7 @@ class Solution:
         return len(self.problem.rig.time_s)
 
     def distances_m(self) -> Float64:
-        """(M,) distances of the tracked points, from the angle between their two rays; infinite without an angle."""
+        """Return the distances (M,) of the tracked points; infinite without an angle between the two rays."""
         problem = self.problem
         ego_R_camera, ego_t_camera, turns, places = problem._poses(self.start, self.unknowns)
         ways, at = [], []
@@ -362,5 +362,5 @@ def rays_at_scales(camera: Camera, uv_px: Float64) -> tuple[Float64, Float64]:
 
 
 def exp_rotations(vectors: Float64) -> Float64:
-    """Rotation matrices (N, 3, 3) of rotation vectors (N, 3)."""
+    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3)."""
     return matrix_from_quaternion(Poses.exp(np.concatenate([vectors, np.zeros_like(vectors)], axis=1)).rotation)

@@ -13,7 +13,7 @@ from mirror.geometry import Poses, matrix_from_quaternion
 
 @dataclass(frozen=True)
 class FrameChoice:
-    """How frames are chosen: a stretch of the traversal that turns as much as possible, with even steps.
+    """The rule that chooses frames: a stretch that turns as much as possible, with even steps.
 
     A step of 1 is ``step_m`` of driving or ``step_deg`` of turning, or a mixture (root of the sum of squares). Longer
     steps average the errors of the recorded positions over a longer way; shorter ones are easier to track.
@@ -34,7 +34,7 @@ class FrameChoice:
 
 
 def choose_stretch(poses: Poses, choice: FrameChoice) -> Float64:
-    """Positions of the frames on a finely sampled way.
+    """Return the positions of the frames on a finely sampled way.
 
     Args:
         poses: (N,) poses of the vehicle along the way, N >= 2, in order of time.
@@ -65,7 +65,7 @@ def choose_stretch(poses: Poses, choice: FrameChoice) -> Float64:
 
 
 def nearest_distinct(wanted_ns: Float64, stamps_ns: Int64) -> Int64:
-    """Indices (M,) of the stamps nearest to wanted times, ascending, each once."""
+    """Return the indices (M,) of the stamps nearest to wanted times, ascending, each once."""
     after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(len(stamps_ns) - 1, 1))
     before = after - 1
     if len(stamps_ns) < 2:

@@ -15,7 +15,9 @@ PAPER_PERCENT: Final = 0.3
 
 
 def compute_drift(poses: Poses, reference: Poses, length_m: float, every: int = 10) -> Float64:
-    """Drift over stretches of a length, as in KITTI's odometry benchmark (A. Geiger et al. 2012), without alignment.
+    """Compute the drift over stretches of a length.
+
+    As in KITTI's odometry benchmark (A. Geiger et al. 2012), without alignment.
 
     Args:
         poses: N poses to judge.

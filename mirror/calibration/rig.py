@@ -41,7 +41,7 @@ class PosePrior:
                 raise UsageError(f"{value}", place=name, expected="a finite number above 0")
 
     def position_information(self, time_s: Float64, offset_m: float = 0.0) -> Float64:
-        """Inverse covariance (F, F) of the position errors of frames at times (F,), along one axis.
+        """Return the inverse covariance (F, F) of the position errors of frames at times (F,), along one axis.
 
         Args:
             time_s: the times.

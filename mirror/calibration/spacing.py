@@ -71,7 +71,7 @@ class ImageSpacing:
         return cls(*np.median(pairs[moving] if moving.any() else pairs, axis=0).tolist())
 
     def steps(self, choice: FrameChoice) -> float:
-        """The spacing in steps of a choice of frames."""
+        """Return the spacing in steps of a choice of frames."""
         return float(np.hypot(self.distance_m / choice.step_m, self.turn_deg / choice.step_deg))
 
     @property
@@ -83,7 +83,7 @@ class ImageSpacing:
         return f"{self.distance_m:.1f} m and {self.turn_deg:.0f} degrees ({self.interval_s:.2g} s)"
 
     def needed(self) -> str:
-        """The rate of images at this speed that tracking needs."""
+        """Return the rate of images at this speed that tracking needs."""
         usual = FrameChoice()
         rate = self.steps(usual) / self.interval_s
         apart = f"{usual.step_m:g} m or {usual.step_deg:g} degrees apart"
@@ -93,7 +93,7 @@ class ImageSpacing:
 def untracked_error(
     attempts: Sequence[PairAttempt], least: int, chosen: ImageSpacing, recorded: ImageSpacing
 ) -> UsageError:
-    """The error of a drive of which no two images have enough tracks.
+    """Return the error of a drive of which no two images have enough tracks.
 
     Args:
         attempts: what tracking found in each pair of neighbouring images; may be empty.

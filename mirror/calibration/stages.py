@@ -94,7 +94,7 @@ def compare_stages(dataset: Dataset) -> StageHistory:
 
 
 def compare_rows(one: Mapping[str, Any], other: Mapping[str, Any]) -> StageDifference:
-    """The difference of two rows of the calibrations table, the second relative to the first."""
+    """Return the difference of two rows of the calibrations table, the second relative to the first."""
     first, second = (pose_of_row(row) for row in (one, other))
     turn = Poses((second @ first.inverse()).rotation, np.zeros((1, 3))).log()[0, :3]
     axes = np.degrees(turn)
@@ -112,12 +112,12 @@ def compare_rows(one: Mapping[str, Any], other: Mapping[str, Any]) -> StageDiffe
 
 
 def pose_of_row(row: Mapping[str, Any]) -> Poses:
-    """The mounting ``ego_SE3_camera`` of a row of the calibrations table, one pose."""
+    """Return the mounting ``ego_SE3_camera`` of a row of the calibrations table, one pose."""
     return Poses.from_columns({name: [row[name]] for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")})
 
 
 def rotation_of_row(row: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The rotation (3, 3) of a row's mounting."""
+    """Return the rotation (3, 3) of a row's mounting."""
     return np.asarray(matrix_from_quaternion(pose_of_row(row).rotation)[0], np.float64)
 
 

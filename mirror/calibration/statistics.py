@@ -73,7 +73,7 @@ def require_scipy() -> None:
 
 
 def clopper_pearson(successes: int, samples: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """One-sided lower and upper bounds of a share (C. Clopper, E. Pearson 1934).
+    """Return the one-sided lower and upper bounds of a share (C. Clopper, E. Pearson 1934).
 
     Args:
         successes: number of successes, at most ``samples``.
@@ -93,14 +93,14 @@ def clopper_pearson(successes: int, samples: int, confidence: float = CONFIDENCE
 
 
 def samples_needed(share: float = SHARE, confidence: float = CONFIDENCE) -> int:
-    """Independent samples, none of them a failure, that are needed to state a share."""
+    """Return how many independent samples, none of them a failure, are needed to state a share."""
     return int(np.ceil(np.log(1.0 - confidence) / np.log(share)))
 
 
 def compute_fleet_statistics(
     traversal: Sequence[str], vehicle: Sequence[str], angle_deg: npt.ArrayLike, sigma_deg: npt.ArrayLike
 ) -> FleetStatistics:
-    """Statistics of N estimates.
+    """Return the statistics of N estimates.
 
     Args:
         traversal: N ids: the independent samples.

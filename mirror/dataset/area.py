@@ -20,7 +20,7 @@ _RADIUS_FACTOR: Final = math.sqrt((2 * math.pi / _VERTICES) / math.sin(2 * math.
 
 
 def covered_area_m2(scenes: Sequence[Roi]) -> float:
-    """Area of the union of circles on the ellipsoid, or in the planes of local metric frames, in square metres.
+    """Compute the area in m² of the union of circles, on the ellipsoid or in the planes of local metric frames.
 
     A circle without overlap counts as ``pi r^2``; curvature of the ellipsoid reduces it by 2e-9 at a radius of 1 km
     and by 8e-7 at 20 km. Overlapping circles are united as polygons with 720 corners in an equal-area projection

@@ -64,7 +64,7 @@ class ContentHashes:
         return digest
 
     def frame(self, frame: Frame, conditions: str, *, images: bool = True) -> str:
-        """Hash a frame: what it is read with, and its images; an image that cannot be read has no hash.
+        """Hash a frame: its images, and the tables that it is read with; an unreadable image has no hash.
 
         Args:
             frame: the frame.
@@ -129,7 +129,7 @@ class ContentHashes:
         return hashes | {f"{name}:{traversal_id}": self.folder(f"{folder}/layers/{name}") for name in layers}
 
     def view(self, view: Dataset) -> str:
-        """Hash what a view of one traversal reads beside its images: recorded tables, chosen layers, and the rig.
+        """Hash the tables that a view of one traversal reads: recorded tables, chosen layers, and the rig.
 
         Raises:
             DatasetError: a file cannot be read.

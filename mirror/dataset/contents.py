@@ -90,7 +90,7 @@ def resolve_contents(
 
 
 def raster_shapes(dataset: Dataset, contents: SampleContents) -> dict[str, tuple[int, int]]:
-    """Height and width of the tensors that fit all images of a traversal, after resizing, by traversal id."""
+    """Return the height and width of tensors that fit all images of a traversal, by traversal id."""
     view = _whole_traversals(dataset).where(camera=contents.cameras)
     table = view.table("images", ["traversal_id", "height_px", "width_px"])
     rows = table.group_by(["traversal_id", "height_px", "width_px"]).aggregate([]).to_pylist()

@@ -97,19 +97,19 @@ class Dataset:
         return (_reopen, (self.root, self.index_sha256, self.filters, self.layers))
 
     def scenes(self) -> list[str]:
-        """Ids of the scenes in the view, sorted."""
+        """Return the ids of the scenes in the view, sorted."""
         return self._column("scenes", "scene_id")
 
     def traversals(self) -> list[str]:
-        """Ids of the traversals in the view, sorted by scene and id."""
+        """Return the ids of the traversals in the view, sorted by scene and id."""
         return self._column("traversals", "traversal_id")
 
     def drives(self) -> list[str]:
-        """Ids of the drives with a traversal in the view, sorted."""
+        """Return the ids of the drives with a traversal in the view, sorted."""
         return sorted(set(self._column("traversals", "drive_id")))
 
     def roles(self, split: str) -> list[str]:
-        """Roles of the view's traversals in a split, sorted.
+        """Return the roles of the view's traversals in a split, sorted.
 
         Raises:
             DatasetError: the split does not exist.
@@ -119,14 +119,14 @@ class Dataset:
         return sorted({assignments[key] for key in self.traversals() if key in assignments})
 
     def cameras(self) -> list[str]:
-        """Names of the cameras with images in the view: the canonical ones first, then the others, sorted."""
+        """Return the names of cameras with images in the view: canonical ones first, then the others, sorted."""
         names = {name for cameras in self._column("traversals", "cameras") for name in cameras}
         chosen = names if self.filters.camera is None else names & self.filters.camera
         canonical = [name for name in CANONICAL_CAMERAS if name in chosen]
         return [*canonical, *sorted(chosen - set(canonical))]
 
     def passes(self) -> pa.Table:
-        """The ledger: every pass, accepted or refused, with the rule that decided."""
+        """Return the ledger: every pass, accepted or refused, with the rule that decided."""
         return self.table("passes")
 
     def where(
@@ -315,7 +315,7 @@ class Dataset:
         return read_points(self._catalog, self.filters, self.layers.points)
 
     def frames(self) -> FrameSequence:
-        """The frames in the view: synchronised images of all its cameras, in order of traversal and time.
+        """Return the frames in the view: synchronised images of all its cameras, in order of traversal and time.
 
         Example:
             >>> frames = mirror.open("dataset").frames()

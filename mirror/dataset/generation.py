@@ -106,7 +106,7 @@ class Generation:
             return False
 
     def locate(self, path: str) -> Path | None:
-        """The place to which a file of this generation was moved; None: it was not moved.
+        """Return the place to which a file of this generation was moved; None: it was not moved.
 
         Args:
             path: relative to the dataset's root.

@@ -43,35 +43,35 @@ class Layout:
         return self.root / "index"
 
     def rig(self, rig_id: str) -> Path:
-        """``rigs/<rig_id>.json``."""
+        """Return ``rigs/<rig_id>.json``."""
         return self.root / "rigs" / f"{rig_id}.json"
 
     def drive(self, drive_id: str) -> Path:
-        """The folder of one drive."""
+        """Return the folder of one drive."""
         return self.root / "drives" / drive_id
 
     def traversal(self, traversal_id: str) -> Path:
-        """The folder of one traversal."""
+        """Return the folder of one traversal."""
         return self.root / "traversals" / traversal_id
 
     def recorded(self, traversal_id: str) -> Path:
-        """The folder of a traversal's recorded files, which never change."""
+        """Return the folder of a traversal's recorded files, which never change."""
         return self.traversal(traversal_id) / "recorded"
 
     def layer(self, traversal_id: str, kind: str, source: str, version: str) -> Path:
-        """The folder of one layer; ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
+        """Return the folder of one layer; ``kind`` is poses, calibrations, boxes, masks, redaction, depth or points."""
         return self.traversal(traversal_id) / "layers" / kind / f"{source}@{version}"
 
     def split(self, name: str) -> Path:
-        """``splits/<name>.json``."""
+        """Return ``splits/<name>.json``."""
         return self.root / "splits" / f"{name}.json"
 
     def drive_ids(self) -> list[str]:
-        """Ids of the complete drives, sorted."""
+        """Return the ids of the complete drives, sorted."""
         return sorted(folder.name for folder in _complete(self.root / "drives"))
 
     def road_map(self, scene_id: str) -> Path:
-        """The folder of the recorded road map of a scene."""
+        """Return the folder of the recorded road map of a scene."""
         return self.root / MAPS / scene_id
 
     def layers(self, traversal_id: str) -> list[tuple[str, str, str]]:
@@ -167,5 +167,5 @@ def is_intact(folder: Path) -> bool:
 
 
 def manifest_sha256(folder: Path) -> str:
-    """SHA-256 of the manifest's bytes, which identifies the contents of a complete folder."""
+    """Return the SHA-256 of the manifest's bytes, which identifies the contents of a complete folder."""
     return hashlib.sha256((folder / MANIFEST).read_bytes()).hexdigest()

@@ -57,7 +57,7 @@ class Loader:
         return VideoDecoders(self.store)
 
     def traversal(self, row: int) -> tuple[str, Traversal]:
-        """Scene id and traversal for a row of the table of traversals."""
+        """Return the scene id and traversal for a row of the table of traversals."""
         with self._lock:
             if row not in self._traversals:
                 traversal_id = self._keys.column("traversal_id")[row].as_py()
@@ -68,7 +68,7 @@ class Loader:
             return self._keys.column("scene_id")[row].as_py(), self._traversals[row]
 
     def rig(self, row: int) -> Rig | None:
-        """The rig of a traversal; None: its drive has no cameras.
+        """Return the rig of a traversal; None: its drive has no cameras.
 
         Raises:
             DatasetError: the rig's file is missing.
@@ -88,7 +88,7 @@ class Loader:
         return [name for name in listed if self._cameras is None or name in self._cameras]
 
     def static_mask(self, row: int, camera: str) -> UInt8 | None:
-        """The rig's mask (H, W) of a camera; None: the rig has none.
+        """Return the rig's mask (H, W) of a camera; None: the rig has none.
 
         Raises:
             DatasetError: the file is missing or broken.

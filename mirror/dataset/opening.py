@@ -44,7 +44,7 @@ def read_index_manifest(store: Store) -> tuple[Manifest, str]:
 
 
 def hold_generation(store: Store) -> Store:
-    """A local store at its current generation, or the unchanged remote store.
+    """Return a local store at its current generation, or the unchanged remote store.
 
     Raises:
         DatasetError: the dataset has no index.
@@ -58,7 +58,7 @@ def hold_generation(store: Store) -> Store:
 
 
 def find_staleness(store: Store, manifest: Manifest) -> MirrorError | None:
-    """The reason why an index is stale; None: it is current."""
+    """Return the reason why an index is stale; None: it is current."""
     try:
         current = read_inputs(store).fingerprints
     except (DatasetError, SchemaError) as error:

@@ -102,7 +102,7 @@ class ImageRaster:
 
 @lru_cache(_CACHED_RASTERS)
 def image_raster(camera: Camera, undistort: bool, resize: Resize | None) -> ImageRaster:
-    """The raster of a camera. The rasters of the last 32 cameras are kept, with their maps.
+    """Return the raster of a camera. The rasters of the last 32 cameras are kept, with their maps.
 
     Args:
         camera: the calibrated camera.
@@ -118,7 +118,7 @@ def image_raster(camera: Camera, undistort: bool, resize: Resize | None) -> Imag
 
 
 def resized_shape(shape: tuple[int, int], resize: Resize | None) -> tuple[int, int]:
-    """Height and width of a resized image.
+    """Return the height and width of a resized image.
 
     Args:
         shape: (height, width) before.

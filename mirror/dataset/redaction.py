@@ -15,7 +15,7 @@ REDACTION: Final = "redaction"
 
 
 def newest_redaction(layers: Iterable[tuple[str, str, str]]) -> tuple[str, str] | None:
-    """The redaction layer that replaces the recorded images: that of the newest version; None: there is none.
+    """Return the redaction layer that replaces the recorded images: that of the newest version; None: there is none.
 
     Args:
         layers: kind, source and version of a traversal's layers.
@@ -28,7 +28,7 @@ def newest_redaction(layers: Iterable[tuple[str, str, str]]) -> tuple[str, str] 
 
 
 def current_redaction(layout: Layout, traversal_id: str) -> str | None:
-    """The hash of the contents of a traversal's newest redaction layer; None: it has none.
+    """Return the hash of the contents of a traversal's newest redaction layer; None: it has none.
 
     Raises:
         SchemaError: the layer's manifest is broken.

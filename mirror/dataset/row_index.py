@@ -26,7 +26,7 @@ class RowIndex:
         self._sorted = values[self._order]
 
     def rows(self, value: int) -> Int64:
-        """The rows (K,) of a value, ascending; none: (0,)."""
+        """Return the rows (K,) of a value in ascending order; (0,) if it does not occur."""
         first, end = np.searchsorted(self._sorted, value, "left"), np.searchsorted(self._sorted, value, "right")
         return self._order[first:end]
 
@@ -41,7 +41,7 @@ class RowIndex:
         return float(np.median(np.diff(self.distinct))) if len(self.distinct) > 1 else 0.0
 
     def nearest(self, value: int) -> int | None:
-        """The value that is nearest to another, the smaller of two; None: there is none."""
+        """Return the value that is nearest to another, the smaller of two; None if there is none."""
         place = int(np.searchsorted(self.distinct, value))
         near = self.distinct[max(place - 1, 0) : place + 1]
         return int(near[np.argmin(np.abs(near - value))]) if len(near) else None

@@ -72,7 +72,7 @@ def make_sample(frame: Frame, contents: SampleContents, shape: tuple[int, int]) 
 
 
 def camera_of(sample: Mapping[str, Any], *index: int) -> Camera:
-    """The lens of one image of a sample or batch, for `mirror.geometry`.
+    """Return the lens of one image of a sample or batch, for `mirror.geometry`.
 
     Args:
         sample: a sample, or a batch of collated samples.

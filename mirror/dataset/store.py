@@ -90,7 +90,7 @@ class Store:
         return f"{base}/{path}" if base else path
 
     def full_path(self, path: str) -> str:
-        """The full path or URL of a file, for messages; an absolute uri is returned unchanged."""
+        """Return the full path or URL of a file, for messages; an absolute uri is returned unchanged."""
         if "://" in path:
             return path
         return str(self.folder / path) if self.folder is not None else f"{self.root.rstrip('/')}/{path}"
@@ -174,11 +174,11 @@ class Store:
         return data
 
     def list_folders(self, path: str) -> list[str]:
-        """Names of the folders in a folder, sorted; empty if it does not exist."""
+        """Return the names of the folders in a folder, sorted; empty if it does not exist."""
         return self._names(path, folders=True)
 
     def list_files(self, path: str) -> list[str]:
-        """Names of the files in a folder, sorted; empty if it does not exist."""
+        """Return the names of the files in a folder, sorted; empty if it does not exist."""
         return self._names(path, folders=False)
 
     def _names(self, path: str, *, folders: bool) -> list[str]:
@@ -194,7 +194,10 @@ class Store:
         )
 
     def list_folders_of(self, paths: Sequence[str]) -> dict[str, list[str]]:
-        """Names of the folders in several folders, by path; see `list_folders`. Remote requests run in parallel."""
+        """List the names of the folders in several folders, by path; see `list_folders`.
+
+        Remote requests run in parallel.
+        """
         if self.folder is not None or len(paths) < 2:
             return {path: self.list_folders(path) for path in paths}
         with ThreadPoolExecutor(_REMOTE_REQUESTS) as pool:
@@ -314,7 +317,7 @@ def store_at(root: str, sha256: str | None) -> Store:
 
 
 def unreadable_error(file: str, error: BaseException) -> SchemaError:
-    """The error for an unreadable Parquet file."""
+    """Return the error for an unreadable Parquet file."""
     return SchemaError(
         f"cannot be read ({str(error).splitlines()[0]})",
         file=file,

@@ -172,7 +172,7 @@ class FrameDataset(TorchDataset[Sample]):
         return make_sample(frame, self._contents, self._shape_of(frame.traversal_id))
 
     def shapes(self) -> Int64:
-        """Height and width (F, 2) of the image tensors that `unpadded` makes for each of F frames."""
+        """Return the height and width (F, 2) of the image tensors that `unpadded` makes for each of F frames."""
         parts = self.frames.parts
         traversals = self.dataset.catalog.traversal_ids
         of_parts = [self._shape_of(traversals[part.traversal].as_py()) for part in parts]
@@ -269,7 +269,7 @@ class IterableFrames(IterableDataset[Sample]):
             yield {**default_collate(self._load(batches[step])), "epoch": self._epoch, "step": step}
 
     def state_dict(self, batch: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """The state to load in order to continue after a batch.
+        """Return the state to load in order to continue after a batch.
 
         Args:
             batch: the last batch that was used; None: the state that was loaded or set.
@@ -355,7 +355,7 @@ class IterableFrames(IterableDataset[Sample]):
 
 
 def epoch_order(count: int, seed: int, epoch: int) -> Int64:
-    """A permutation (count,) of 0 .. count - 1 that depends only on seed and epoch.
+    """Return a permutation (count,) of 0 .. count - 1 that depends only on seed and epoch.
 
     Samples are sorted by a hash of seed, epoch and index: the finaliser of SplitMix64 (Steele et al. 2014). So no
     version of a library changes the order.

@@ -23,7 +23,7 @@ _FOLDERS: Final = (ANNOTATION, DEIDENTIFICATION, REFINEMENT, DEPTH)
 
 
 def work_folder(layout: Layout, verb: str, layer: str, inputs: str) -> Path:
-    """The folder of one run's unfinished work.
+    """Return the folder of one run's unfinished work.
 
     Args:
         layout: the dataset.

@@ -20,7 +20,7 @@ def read_withheld(store: Store) -> frozenset[str]:
 
 
 def image_remedy(store: Store, uri: str) -> str:
-    """Return what the user can do about an image that cannot be read."""
+    """Return the remedy for an image that cannot be read."""
     if uri in read_withheld(store):
         return "leave the image out: the dataset is a published one, and only its organiser has this image"
     return "restore the file, or `mirror ingest RECORDING... --replace` from the recording"

@@ -23,7 +23,9 @@ _MARK: Final = ".copy-of"
 
 
 def update_working_copy(root: Path, folder: Path, split: str, *, place: str) -> Dataset:
-    """Copy what one split reads of a dataset, or bring a copy up to date; layers that only the copy has stay.
+    """Copy the files of a dataset that one split reads, or bring a copy up to date.
+
+    Layers that only the copy has stay.
 
     Images of the split's traversals are hard links where possible, and no other images are copied. The dataset is not
     changed: no lock and no index is written there.

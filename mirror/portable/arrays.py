@@ -17,63 +17,63 @@ from mirror.portable import scalars
 
 
 def sin(x: ArrayLike) -> Any:
-    """The sine; see `scalars.sin`."""
+    """Return the sine; see `scalars.sin`."""
     return _fill(_sin, x)
 
 
 def cos(x: ArrayLike) -> Any:
-    """The cosine; see `scalars.cos`."""
+    """Return the cosine; see `scalars.cos`."""
     return _fill(_cos, x)
 
 
 def tan(x: ArrayLike) -> Any:
-    """The tangent; see `scalars.tan`."""
+    """Return the tangent; see `scalars.tan`."""
     return _fill(_tan, x)
 
 
 def arcsin(x: ArrayLike) -> Any:
-    """The arc sine; see `scalars.asin`."""
+    """Return the arc sine; see `scalars.asin`."""
     return _fill(_arcsin, x)
 
 
 def arccos(x: ArrayLike) -> Any:
-    """The arc cosine; see `scalars.acos`."""
+    """Return the arc cosine; see `scalars.acos`."""
     return _fill(_arccos, x)
 
 
 def exp(x: ArrayLike) -> Any:
-    """The exponential function; see `scalars.exp`."""
+    """Return the exponential function; see `scalars.exp`."""
     return _fill(_exp, x)
 
 
 def log(x: ArrayLike) -> Any:
-    """The natural logarithm; see `scalars.log`."""
+    """Return the natural logarithm; see `scalars.log`."""
     return _fill(_log, x)
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> Any:
-    """The angle of points (x, y); see `scalars.atan2`."""
+    """Return the angle of points (x, y); see `scalars.atan2`."""
     return _fill(_arctan2, y, x)
 
 
 def power(x: ArrayLike, y: ArrayLike) -> Any:
-    """Powers of numbers of at least 0; see `scalars.power`."""
+    """Return the powers of numbers of at least 0; see `scalars.power`."""
     return _fill(_power, x, y)
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> Any:
-    """The length of vectors (x, y); see `scalars.hypot`."""
+    """Return the length of vectors (x, y); see `scalars.hypot`."""
     return _fill(_hypot, x, y)
 
 
 def norm(vector: ArrayLike) -> float:
-    """The length of one vector (N,)."""
+    """Return the length of one vector (N,)."""
     given = np.asarray(vector, np.float64).ravel()
     return float(np.sqrt(np.add.reduce(given * given)))
 
 
 def matmul(a: ArrayLike, b: ArrayLike) -> Any:
-    """The matrix product of two arrays of one or more axes, with the shapes of `numpy.matmul`."""
+    """Return the matrix product of two arrays of one or more axes, with the shapes of `numpy.matmul`."""
     left, right = np.asarray(a), np.asarray(b)
     inner = "i" if left.ndim == 1 else "...ij"
     if left.ndim == 1:
@@ -84,7 +84,7 @@ def matmul(a: ArrayLike, b: ArrayLike) -> Any:
 
 
 def convolve(values: ArrayLike, window: ArrayLike) -> Float64:
-    """The values (N,) weighted by a window (M,) at each place where it fits: (N - M + 1,)."""
+    """Return the values (N,) weighted by a window (M,) at each place where it fits: (N - M + 1,)."""
     given, weights = np.asarray(values, np.float64), np.asarray(window, np.float64)
     count = len(given) - len(weights) + 1
     total = np.zeros(count)

@@ -91,7 +91,7 @@ def _reduce(x: float) -> tuple[float, float, int]:
 
 @_compiled
 def sin(x: float) -> float:
-    """The sine of an angle below 10^6 rad; NaN for others."""
+    """Return the sine of an angle below 10^6 rad; NaN for others."""
     x = float(x)
     if not abs(x) < 1e6:
         return math.nan
@@ -102,7 +102,7 @@ def sin(x: float) -> float:
 
 @_compiled
 def cos(x: float) -> float:
-    """The cosine of an angle below 10^6 rad; NaN for others."""
+    """Return the cosine of an angle below 10^6 rad; NaN for others."""
     x = float(x)
     if not abs(x) < 1e6:
         return math.nan
@@ -113,13 +113,13 @@ def cos(x: float) -> float:
 
 @_compiled
 def tan(x: float) -> float:
-    """The tangent of an angle below 10^6 rad; NaN for others."""
+    """Return the tangent of an angle below 10^6 rad; NaN for others."""
     return sin(x) / cos(x)
 
 
 @_compiled
 def atan(x: float) -> float:
-    """The arc tangent, in -pi/2..pi/2 rad."""
+    """Return the arc tangent, in -pi/2..pi/2 rad."""
     x = float(x)
     size = abs(x)
     if size == math.inf:
@@ -145,7 +145,7 @@ def atan(x: float) -> float:
 
 @_compiled
 def atan2(y: float, x: float) -> float:
-    """The angle of a point (x, y), in -pi..pi rad; 0 or pi with the sign of y for points on the x axis."""
+    """Return the angle of a point (x, y), in -pi..pi rad; 0 or pi with the sign of y for points on the x axis."""
     y, x = float(y), float(x)
     if x != x or y != y:
         return math.nan
@@ -163,21 +163,21 @@ def atan2(y: float, x: float) -> float:
 
 @_compiled
 def asin(x: float) -> float:
-    """The arc sine, in -pi/2..pi/2 rad; NaN outside -1..1."""
+    """Return the arc sine, in -pi/2..pi/2 rad; NaN outside -1..1."""
     x = float(x)
     return atan2(x, math.sqrt((1.0 - x) * (1.0 + x))) if abs(x) <= 1.0 else math.nan
 
 
 @_compiled
 def acos(x: float) -> float:
-    """The arc cosine, in 0..pi rad; NaN outside -1..1."""
+    """Return the arc cosine, in 0..pi rad; NaN outside -1..1."""
     x = float(x)
     return atan2(math.sqrt((1.0 - x) * (1.0 + x)), x) if abs(x) <= 1.0 else math.nan
 
 
 @_compiled
 def exp(x: float) -> float:
-    """The exponential function."""
+    """Return the exponential function."""
     x = float(x)
     if x != x:
         return x
@@ -208,7 +208,7 @@ def exp(x: float) -> float:
 
 @_compiled
 def log(x: float) -> float:
-    """The natural logarithm; -inf for 0, NaN for negative numbers."""
+    """Return the natural logarithm; -inf for 0, NaN for negative numbers."""
     x = float(x)
     if x != x or x < 0.0:
         return math.nan
@@ -240,7 +240,7 @@ def log(x: float) -> float:
 
 @_compiled
 def power(x: float, y: float) -> float:
-    """A power of a number of at least 0; NaN for negative numbers."""
+    """Return a power of a number of at least 0; NaN for negative numbers."""
     x, y = float(x), float(y)
     if y == 0.0:
         return 1.0
@@ -251,6 +251,6 @@ def power(x: float, y: float) -> float:
 
 @_compiled
 def hypot(x: float, y: float) -> float:
-    """The length of a vector of components between 1e-150 and 1e150, or 0."""
+    """Return the length of a vector of components between 1e-150 and 1e150, or 0."""
     x, y = float(x), float(y)
     return math.sqrt(x * x + y * y)

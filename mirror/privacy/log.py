@@ -37,7 +37,7 @@ class DetectorRecord(Document):
 
 
 class Review(Document):
-    """What a person said of an image.
+    """A person's answer about an image.
 
     Attributes:
         verdict: `ok`: nothing is missed; `miss`: something is; `false`: a region shows neither face nor plate.
@@ -95,7 +95,7 @@ class ImageRecord(Document):
 
 
 def encode_log(records: Iterable[ImageRecord]) -> bytes:
-    """The file of a log: a line an image, in the order of the images."""
+    """Return the file of a log: a line an image, in the order of the images."""
     lines = [record.model_dump_json() for record in sorted(records, key=lambda record: record.key)]
     return "".join(f"{line}\n" for line in lines).encode()
 

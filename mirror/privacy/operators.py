@@ -24,7 +24,7 @@ _SMALLEST_GROW, _LARGEST_GROW = 0.15, 1.0
 
 @dataclass(frozen=True)
 class Redaction:
-    """How regions are removed.
+    """The operators that remove regions, one for each kind.
 
     Attributes:
         face: operator of faces: `fill` with the mean colour, or `cells`: 4 x 4 means, smoothed.
@@ -56,7 +56,7 @@ class Redaction:
             )
 
     def operator(self, kind: Kind) -> Operator:
-        """The operator of a kind of region."""
+        """Return the operator of a kind of region."""
         return self.face if kind == "face" else self.plate
 
 

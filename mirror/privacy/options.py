@@ -15,7 +15,7 @@ from mirror.version import __version__
 
 @dataclass(frozen=True)
 class SkipRules:
-    """Where no detector searches. Every tile and image that a rule leaves out is counted in the log.
+    """Rules for places where no detector searches. Each skipped tile and image is counted in the log.
 
     Attributes:
         ego: tiles that show the recording vehicle only, by the rig's static mask.
@@ -49,7 +49,7 @@ class Propagation:
 
 @dataclass(frozen=True)
 class DeidentifyOptions:
-    """How a dataset is de-identified.
+    """Options of the de-identification of a dataset.
 
     Attributes:
         detectors: the detectors; several of a kind are joined.
@@ -76,12 +76,15 @@ class DeidentifyOptions:
 
 
 def detection_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
-    """The hash of what decides which regions the detectors find."""
+    """Hash the settings that decide which regions the detectors find."""
     return hash_document({"detectors": [one.model_dump() for one in detectors], "skip": asdict(options.skip)})
 
 
 def configuration_hash(detectors: Sequence[DetectorRecord], options: DeidentifyOptions) -> str:
-    """The hash of what decides the bytes of the layers and of their log; the number of workers does not."""
+    """Hash the settings that decide the bytes of the layers and their log.
+
+    The number of workers has no effect.
+    """
     return hash_document(
         {
             "detection": detection_hash(detectors, options),

@@ -63,14 +63,14 @@ class Region(Document):
         return 0.5 * (self.left_px + self.right_px), 0.5 * (self.top_px + self.bottom_px)
 
     def moved_to(self, box_px: Sequence[float], origin: Origin, *, score: float | None = None) -> Region:
-        """The same thing at another place."""
+        """Return the region of the same object at another place."""
         edges = dict(zip(("left_px", "top_px", "right_px", "bottom_px"), map(float, box_px)))
         given = self.score if score is None else score
         return Region(kind=self.kind, **edges, score=given, source=self.source, origin=origin)
 
 
 def region_at(box_px: Sequence[float], kind: Kind, *, score: float = 1.0, source: str = "") -> Region:
-    """A region from left, top, right and bottom."""
+    """Make a region from left, top, right and bottom."""
     left, top, right, bottom = map(float, box_px)
     return Region(
         kind=kind, left_px=left, top_px=top, right_px=right, bottom_px=bottom, score=float(score), source=source
@@ -78,7 +78,7 @@ def region_at(box_px: Sequence[float], kind: Kind, *, score: float = 1.0, source
 
 
 def grown_box(region: Region, share: float, width_px: int, height_px: int) -> tuple[int, int, int, int] | None:
-    """The whole pixels of a region that is enlarged by a share of its size, half on each side, within the raster.
+    """Enlarge a region by a share of its size, half on each side, to whole pixels within the raster.
 
     Returns:
         Left, top, right and bottom; None: the region lies outside the raster.
@@ -101,7 +101,7 @@ def region_mask(regions: Iterable[Region], grow: float, width_px: int, height_px
 
 
 def covered_share(box_px: Sequence[float], others: Sequence[Sequence[float]]) -> float:
-    """The share of a rectangle that the union of others covers, 0 to 1; exact.
+    """Return the share of a rectangle that the union of others covers, 0 to 1; exact.
 
     Args:
         box_px: left, top, right and bottom.
@@ -122,7 +122,9 @@ def covered_share(box_px: Sequence[float], others: Sequence[Sequence[float]]) ->
 
 
 def merged(regions: Iterable[Region], overlap: float = 0.9) -> list[Region]:
-    """Regions without those that a region of the same kind with a higher score covers, the highest score first.
+    """Leave out regions that a region of the same kind with a higher score covers.
+
+    The highest score comes first.
 
     Args:
         regions: of one image; those of several detectors are joined.

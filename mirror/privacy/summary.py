@@ -23,7 +23,7 @@ _LEAST_PX: Final = 64
 
 @dataclass(frozen=True)
 class RedactionSummary:
-    """What was removed.
+    """Counts of the regions that a redaction layer removed.
 
     Attributes:
         images: number of images that were searched.
@@ -37,7 +37,7 @@ class RedactionSummary:
 
 
 def summarize_redactions(dataset: Dataset) -> RedactionSummary | None:
-    """Count what the newest redaction of each traversal removed from the images of a view.
+    """Count the regions that the newest redaction of each traversal removed from a view's images.
 
     Returns:
         The counts; None: there is no log, or the dataset is not a local folder.

@@ -19,7 +19,7 @@ depend on the frame rate; m/s2 per root hertz."""
 
 
 def group_of(category: str) -> str:
-    """The group of a category: pedestrian, two_wheeler, static, or else vehicle.
+    """Return the group of a category: pedestrian, two_wheeler, static, or else vehicle.
 
     Annotators confuse categories of one group, so boxes are matched within groups; a track has the category of most of
     its boxes, weighted by score.
@@ -29,7 +29,7 @@ def group_of(category: str) -> str:
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """How boxes become tracks. Times are in seconds, so that the options do not depend on the frame rate.
+    """Settings of tracking. Times are in seconds, so that they do not depend on the frame rate.
 
     Attributes:
         sigma_m: standard deviation of a box's position at range 0.

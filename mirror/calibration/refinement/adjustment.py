@@ -37,7 +37,7 @@ _LARGEST_DAMPING: Final = 1e8
 
 @dataclass(frozen=True, eq=False)
 class RigState:
-    """Values of all unknowns.
+    """Values of all unknowns of a rig's adjustment.
 
     Attributes:
         frame_turns: (F, 3, 3) corrections of the rotations of the frames, about the vehicle's axes.
@@ -56,7 +56,7 @@ class RigState:
     points: Float64
 
     def moved(self, step: Float64, point_steps: Float64) -> RigState:
-        """The state after a step (N,) of frames and mountings, and steps (T, 3) of the points."""
+        """Return the state after a step (N,) of frames and mountings, and steps (T, 3) of the points."""
         split = POSE * len(self.frame_steps)
         frames, mounts = step[:split].reshape(-1, POSE), step[split:].reshape(-1, MOUNT)
         return RigState(
@@ -71,7 +71,7 @@ class RigState:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The adjusted rigs.
+    """The rigs after adjustment.
 
     Attributes:
         rigs: the recorded rigs.
@@ -113,17 +113,17 @@ class Adjustment:
         )
 
     def mounting_columns(self, mounting: int) -> slice:
-        """The columns of a mounting's rotation (about the camera's axes) and position in the covariance."""
+        """Return the columns of a mounting's rotation (about the camera's axes) and position in the covariance."""
         first = POSE * len(self.rigs.time_s) + MOUNT * mounting
         return slice(first, first + POSE)
 
     def observations(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """(K,) number of observations of each mounting."""
+        """Return the number (K,) of observations of each mounting."""
         return np.bincount(self.rigs.mounting[self.tracks.image], minlength=len(self.rigs.cameras))
 
 
 def rotations(matrices: Float64) -> Poses:
-    """Poses that only rotate, by matrices (N, 3, 3)."""
+    """Return the poses that only rotate, by matrices (N, 3, 3)."""
     whole = np.tile(np.eye(4), (len(matrices), 1, 1))
     whole[:, :3, :3] = matrices
     return Poses.from_matrix(whole)
@@ -213,14 +213,17 @@ class Adjuster:
         return matrix
 
     def deviation(self, state: RigState) -> Float64:
-        """Deviations (N,) from the recorded values."""
+        """Return the deviations (N,) from the recorded values."""
         frames = np.concatenate([_logarithms(state.frame_turns), state.frame_steps], axis=1)
         turned = _logarithms(np.swapaxes(self.mounts, 1, 2) @ state.mount_turns)
         moved = state.mount_places - self.rigs.ego_SE3_camera.translation
         return np.concatenate([frames.ravel(), np.concatenate([turned, moved, state.lenses], axis=1).ravel()])
 
     def rays(self, tracks: FeatureTracks) -> tuple[Float64, Float64, Float64]:
-        """Rays (M, 3) of the features, derivatives (M, 2, 3) of pixels by rays, and features from the centre (M, 2)."""
+        """Return the rays (M, 3) of features, their derivatives (M, 2, 3), and the features from the centre (M, 2).
+
+        The derivatives are those of pixels by rays.
+        """
         if self._rays is None or self._rays[0] is not tracks:
             mounting = self.rigs.mounting[tracks.image]
             ray, metric = np.empty((len(mounting), 3)), np.empty((len(mounting), 2, 3))
@@ -237,7 +240,7 @@ class Adjuster:
         return self.turns @ state.frame_turns[frame], self.rigs.world_SE3_ego.translation + state.frame_steps[frame]
 
     def residuals(self, state: RigState, tracks: FeatureTracks) -> Float64:
-        """Residuals (M, 2) in pixels."""
+        """Return the residuals (M, 2) in pixels."""
         ray, metric, from_centre = self.rays(tracks)
         return residuals_px(
             tracks.image, self.rigs.frame, self.rigs.mounting, ray, metric, from_centre, tracks.track,
@@ -271,7 +274,7 @@ class Adjuster:
     def solve(
         self, state: RigState, tracks: FeatureTracks, factor: float, most: int, advance: Callable[[int], None]
     ) -> tuple[RigState, int, bool]:
-        """Take steps until nothing is gained: the state, the number of steps, and whether it converged."""
+        """Take steps until the error falls no more; return the state, the number of steps, and convergence."""
         sigma_px, frames, damping = self._sigma_px(tracks, factor), len(self.rigs.time_s), 1e-4
         cost = self._cost(state, tracks, sigma_px)
         for number in range(most):
@@ -301,7 +304,7 @@ class Adjuster:
         return state, most, False
 
     def covariance(self, state: RigState, tracks: FeatureTracks) -> Float64:
-        """Sandwich covariance (N, N), whose clusters are the tracks.
+        """Return the sandwich covariance (N, N), whose clusters are the tracks.
 
         The mean curvature of Cauchy's loss in the plane is its weight times ``1 / (1 + s^2)``, s being the residual
         relative to the loss' scale; the steps use the weight alone, which is larger.

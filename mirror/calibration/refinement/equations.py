@@ -48,7 +48,7 @@ def residuals_px(
     image: Int64, frame: Int64, mounting: Int64, ray: Float64, metric: Float64, from_centre: Float64, track: Int64,
     turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64, lenses: Float64, points: Float64,
 ) -> Float64:  # pragma: no cover  # fmt: skip
-    """Residuals (M, 2) of observations; see `reduce_equations` for the arguments."""
+    """Return the residuals (M, 2) of observations; see `reduce_equations` for the arguments."""
     out = np.empty((len(image), 2))
     in_ego, q = np.empty(3), np.empty(3)
     for row in range(len(image)):
@@ -70,7 +70,7 @@ def reduce_equations(
     sigma_px: Float64, turns: Float64, places: Float64, mount_turns: Float64, mount_places: Float64, lenses: Float64,
     points: Float64, frames: int, damping: float,
 ) -> tuple[Float64, Float64, Float64, Float64, Float64, Float64, Float64]:  # pragma: no cover  # fmt: skip
-    """Normal equations of frames and mountings, after elimination of the points.
+    """Return the normal equations of frames and mountings, after elimination of the points.
 
     Args:
         starts: (T + 1,) first observation of each point.
@@ -219,7 +219,7 @@ def step_points(
     starts: Int64, image: Int64, frame: Int64, mounting: Int64, inverses: Float64, mixed: Float64, slopes: Float64,
     step: Float64, frames: int,
 ) -> Float64:  # pragma: no cover  # fmt: skip
-    """Steps (T, 3) of the points that belong to a step (N,) of frames and mountings."""
+    """Return the steps (T, 3) of the points that belong to a step (N,) of frames and mountings."""
     out = np.empty((len(inverses), 3))
     for t in range(len(inverses)):
         total = slopes[t].copy()

@@ -15,7 +15,7 @@ _KINDS: Final = ("poses", "calibrations", "boxes", "masks")
 
 
 def hash_inputs(view: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Hashes of everything that the refinement of one scene depends on, by name.
+    """Return the hashes of everything that the refinement of one scene depends on, by name.
 
     Args:
         view: the traversals that are refined together, with their layers chosen.

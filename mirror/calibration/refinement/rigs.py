@@ -66,7 +66,7 @@ class MovingRigs:
     traversal: Int64
 
     def world_SE3_cameras(self) -> Poses:  # noqa: N802
-        """I poses of the images."""
+        """Return the i poses of the images."""
         return self.world_SE3_ego @ self.ego_SE3_camera[self.mounting]
 
 

@@ -67,7 +67,7 @@ class CameraRefinement:
     covariance: Float64
 
     def to_dict(self) -> dict[str, Any]:
-        """The figures as plain values, for JSON."""
+        """Return the figures as plain values, for JSON."""
         return {
             "camera": self.camera,
             "drive_id": self.drive_id,
@@ -86,7 +86,7 @@ class CameraRefinement:
 
 
 def summarise(adjusted: Adjustment, scene: SceneRigs, references: Sequence[str]) -> list[CameraRefinement]:
-    """The refined calibration of each mounting.
+    """Return the refined calibration of each mounting.
 
     Where the images and recorded poses do not show the rotation of the whole rig to the vehicle (its standard deviation
     about an axis is above 0.1 degrees, such as roll on a straight road), the rig keeps the median of the recorded

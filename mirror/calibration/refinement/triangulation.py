@@ -16,7 +16,7 @@ _WORST_DEG: Final = 6.0
 
 
 def triangulate(rigs: MovingRigs, tracks: FeatureTracks) -> tuple[Float64, Bool]:
-    """The points with the least squared distances from the rays of their tracks.
+    """Return the points with the least squared distances from the rays of their tracks.
 
     Args:
         rigs: the recorded rigs.

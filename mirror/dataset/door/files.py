@@ -207,7 +207,7 @@ def _add_rig(layout: Layout, rig_id: str, found: DatasetFiles) -> None:
 
 
 def newest_of(layers: Mapping[str, list[str]], traversal_id: str) -> str | None:
-    """The redaction layer that replaces the recorded images of a traversal; None: there is none."""
+    """Return the redaction layer that replaces the recorded images of a traversal; None: there is none."""
     parts = [(kind, *name.split("@", 1)) for kind, _, name in (one.partition("/") for one in layers[traversal_id])]
     newest = newest_redaction((kind, source, version) for kind, source, version in parts)
     return None if newest is None else f"{REDACTION}/{newest[0]}@{newest[1]}"

@@ -69,7 +69,7 @@ class Inspection:
 
 
 def read_below(root: Path) -> Callable[[str], bytes]:
-    """A function that reads files below a folder, which no link may lead out of."""
+    """Return a function that reads files below a folder, which no link may lead out of."""
     return lambda name: require_inside(root, name).read_bytes()
 
 
@@ -82,7 +82,7 @@ def inspect_files(
     *,
     stated: Mapping[str, str] | None = None,
 ) -> Inspection:
-    """Hash files, and hold them and all that they hold against what must not leave.
+    """Hash files and their parts, and compare them with the content that must not leave.
 
     Args:
         read: reads a file.

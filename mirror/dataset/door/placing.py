@@ -66,7 +66,7 @@ def is_same_file(source: Path, target: Path) -> bool:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file in hexadecimal; it is read in parts, because videos are large.
+    """Return the SHA-256 of a file in hexadecimal; it is read in parts, because videos are large.
 
     Raises:
         OSError: it cannot be read.
@@ -76,7 +76,7 @@ def hash_file(path: Path) -> str:
 
 
 def dataset_state(layout: Layout) -> dict[str, str]:
-    """SHA-256 of every document and manifest of a dataset but those of its index, by path."""
+    """Return the SHA-256 of every document and manifest of a dataset but those of its index, by path."""
     paths = [layout.document, layout.rois]
     for pattern in (
         f"drives/*/{MANIFEST}",
@@ -96,7 +96,7 @@ def dataset_state(layout: Layout) -> dict[str, str]:
 
 
 def require_unchanged(layout: Layout, before: dict[str, str]) -> None:
-    """Require that a dataset's documents and manifests are what they were.
+    """Require that a dataset's documents and manifests have not changed.
 
     Args:
         layout: the dataset.

@@ -17,7 +17,7 @@ LEAVING_LAYERS: Final = frozenset({"poses", "calibrations", "boxes", "masks"})
 
 
 class Why(Enum):
-    """Why an image must not leave; the values are words for messages."""
+    """The reason why an image must not leave; the values are words for messages."""
 
     WITHHELD = "a withheld image"
     UNREDACTED = "a recorded image without a redacted version"
@@ -56,7 +56,7 @@ class Departure:
 
 
 def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool]) -> Departure:
-    """Divide what a dataset names into what may leave and what must not.
+    """Divide the files that a dataset names into those that may leave and those that must not.
 
     Recorded images of a traversal with a redaction layer never leave. Tables and masks leave whole; static masks of
     rigs, whose bytes no table states, are written again.

@@ -66,14 +66,14 @@ class Secrets:
                 progress.advance(1)
 
     def pixels(self, size: tuple[int, int]) -> Mapping[str, Kept]:
-        """The SHA-256 of the pixels of the images that stay and have a size; they are decoded on first use."""
+        """Return the SHA-256 of the pixels of the images that stay and have a size; they are decoded on first use."""
         with self._lock:
             if size not in self._pixels:
                 self._pixels[size] = dict(self._hash_pixels(size))
             return self._pixels[size]
 
     def packets(self) -> Mapping[str, Kept]:
-        """The SHA-256 of the packets of the video frames that stay."""
+        """Return the SHA-256 of the packets of the video frames that stay."""
         found: dict[str, Kept] = {}
         for frames in self._videos.values():
             data = self._read(next(iter(frames.values())))
@@ -119,12 +119,12 @@ class Secrets:
 
 
 def pixel_hash(pixels: UInt8) -> str:
-    """SHA-256 of decoded pixels."""
+    """Return the SHA-256 of decoded pixels."""
     return hashlib.sha256(pixels.tobytes()).hexdigest()
 
 
 def video_packets(data: bytes) -> Iterator[tuple[int | None, str]]:
-    """Yield time stamp and SHA-256 of each packet of a video; those that hold next to nothing are left out."""
+    """Yield the time stamp and SHA-256 of each packet of a video; nearly empty ones are left out."""
     import av
 
     with av.open(io.BytesIO(data), "r") as container:
@@ -135,5 +135,5 @@ def video_packets(data: bytes) -> Iterator[tuple[int | None, str]]:
 
 
 def describe(one: ImageFile) -> str:
-    """An image in words: ``traversal/camera/timestamp_ns``."""
+    """Return an image in words: ``traversal/camera/timestamp_ns``."""
     return "/".join(map(str, one.key))

@@ -74,7 +74,7 @@ def run_jobs(jobs: Sequence[Callable[[], None]], costs: Sequence[int], threads: 
 
 
 def usable_cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

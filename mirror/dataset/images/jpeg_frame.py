@@ -41,7 +41,7 @@ class Component:
 
 @dataclass
 class JpegFrame:
-    """A frame.
+    """The frame of a JPEG: its size and its components.
 
     Attributes:
         progressive: whether its scans are progressive.
@@ -78,7 +78,7 @@ class JpegFrame:
         return cls(marker == 0xC2, width, height, components)
 
     def blocks_of(self, component: Component) -> int:
-        """Number of blocks of a component in a scan of its own."""
+        """Return the number of blocks of a component in a scan of its own."""
         most_h = max(one.horizontal for one in self.components)
         most_v = max(one.vertical for one in self.components)
         wide = -(-self.width * component.horizontal // most_h)
@@ -86,7 +86,7 @@ class JpegFrame:
         return -(-wide // 8) * -(-high // 8)
 
     def units(self) -> int:
-        """Number of minimum coded units of a scan of several components."""
+        """Return the number of minimum coded units of a scan of several components."""
         most_h = max(one.horizontal for one in self.components)
         most_v = max(one.vertical for one in self.components)
         return -(-self.width // (8 * most_h)) * -(-self.height // (8 * most_v))

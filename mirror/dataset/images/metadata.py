@@ -38,7 +38,7 @@ class Segment(NamedTuple):
 
 
 def list_metadata(data: bytes, file: str | PurePath) -> list[str]:
-    """Name what an image holds beside its pixels, sorted; empty: nothing.
+    """List the metadata of an image by name, sorted.
 
     Args:
         data: a JPEG or PNG.
@@ -82,7 +82,7 @@ def _clean(data: bytes, file: str | PurePath) -> tuple[bytes, set[str]]:
 
 
 def read_orientation(data: bytes) -> int:
-    """The EXIF orientation of a JPEG, 1 to 8; 1 where it has none, or one that is not valid."""
+    """Return the EXIF orientation of a JPEG, 1 to 8; 1 where it has none, or one that is not valid."""
     if not data.startswith(b"\xff\xd8"):
         return 1
     try:

@@ -68,7 +68,7 @@ class _Header:
 
 
 def list_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
-    """Yield kind, start and end of the chunks of a PNG, up to its end chunk.
+    """Yield the kind, start and end of the chunks of a PNG, up to its end chunk.
 
     Raises:
         FormatError: it ends before.

@@ -43,7 +43,7 @@ def line_points(wkb: bytes) -> Float64:
 
 
 def bounding_box(points: Float64) -> dict[str, float]:
-    """The bounding box of longitudes and latitudes (N, 2) as a row of the column ``bbox``."""
+    """Return the bounding box of longitudes and latitudes (N, 2) as a row of the column ``bbox``."""
     (xmin, ymin), (xmax, ymax) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return {"xmin": xmin, "ymin": ymin, "xmax": xmax, "ymax": ymax}
 

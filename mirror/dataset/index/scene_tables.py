@@ -96,7 +96,7 @@ def canonical_dictionaries(data: pa.Table, table: Table) -> pa.Table:
 
 
 def plain_schema(table: Table) -> pa.Schema:
-    """A table's schema with strings in place of dictionaries."""
+    """Return a table's schema with strings in place of dictionaries."""
     return pa.schema(
         [field.with_type(pa.string()) if pa.types.is_dictionary(field.type) else field for field in table.schema]
     )

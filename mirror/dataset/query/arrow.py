@@ -39,7 +39,7 @@ def integers_or_zero(array: pa.Array | pa.ChunkedArray) -> Int64:
 
 
 def is_valid(array: pa.Array | pa.ChunkedArray) -> Bool:
-    """Mask (N,) of the values that are not null."""
+    """Mark the values (N,) that are not null."""
     if isinstance(array, pa.ChunkedArray):
         return np.concatenate([*(is_valid(chunk) for chunk in array.chunks), np.empty(0, np.bool_)])
     bits = array.buffers()[0]
@@ -68,7 +68,7 @@ def to_arrow_strings(values: Iterable[str]) -> pa.StringArray:
 
 
 def is_member(array: pa.Array | pa.ChunkedArray, values: frozenset[str]) -> Bool:
-    """Mask (N,) of the rows of a column of strings or dictionaries that hold one of some values."""
+    """Mark the rows (N,) of a column of strings or dictionaries that hold one of some values."""
     if isinstance(array, pa.ChunkedArray):
         return np.concatenate([*(is_member(chunk, values) for chunk in array.chunks), np.empty(0, np.bool_)])
     if not pa.types.is_dictionary(array.type):

@@ -86,13 +86,13 @@ class Catalog:
         return read_withheld(self.store)
 
     def row_groups(self, name: str) -> RowGroups:
-        """The row groups of a table, sorted by scene and traversal."""
+        """Return the row groups of a table, sorted by scene and traversal."""
         if name not in self._groups:
             self._groups[name] = self._load_groups(name)
         return self._groups[name]
 
     def group_of(self, name: str, traversal: int) -> tuple[str, int] | None:
-        """File and position of the row group with a traversal's rows in a table; None: it has no rows.
+        """Return the file and position of the row group with a traversal's rows in a table; None: it has no rows.
 
         Args:
             name: name of the table.

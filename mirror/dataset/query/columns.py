@@ -39,7 +39,7 @@ class ColumnCache:
         return self._held
 
     def row_groups(self, path: str) -> int:
-        """Number of row groups of a file.
+        """Return the number of row groups of a file.
 
         Raises:
             DatasetError: the file is missing, or differs from the one in the index's manifest.

@@ -44,7 +44,9 @@ class Circle:
             )
 
     def contains(self, longitude_deg: Float64, latitude_deg: Float64) -> Bool:
-        """Mask (N,) of the places in the circle. Distances are geodesic, to 1e-4 m at 20 km; NaN is in no circle.
+        """Mark the places (N,) in the circle.
+
+        Distances are geodesic, to 1e-4 m at 20 km; NaN is in no circle.
 
         Only places near the edge or very far away are measured on the ellipsoid; for the others, the distance on the
         tangent plane is sufficient.
@@ -60,7 +62,7 @@ class Circle:
         return inside
 
     def covers(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
-        """Mask (N,) of the boxes of longitudes and latitudes that certainly lie inside; False for NaN boxes."""
+        """Mark the boxes (N,) of longitudes and latitudes that certainly lie inside; False for NaN boxes."""
         if abs(self.latitude_deg) > _PLANAR_BELOW_DEG:
             return np.zeros(len(west), np.bool_)
         # On the plane a box is a rectangle; its farthest point is a corner.
@@ -95,7 +97,7 @@ class Circle:
         return distance <= self.radius_m
 
     def touches(self, west: Float64, east: Float64, south: Float64, north: Float64) -> Bool:
-        """Mask (N,) of the boxes of longitudes and latitudes that may overlap the circle; False for NaN boxes."""
+        """Mark the boxes (N,) of longitudes and latitudes that may overlap the circle; False for NaN boxes."""
         height = np.degrees(self.radius_m / _SMALLEST_CURVATURE_M) * (1 + 1e-9)
         low, high = self.latitude_deg - height, self.latitude_deg + height
         in_latitude = (south <= high) & (north >= low)
@@ -130,7 +132,7 @@ class LocalCircle:
         _check_radius(self.radius_m)
 
     def contains(self, x_m: Float64, y_m: Float64) -> Bool:
-        """Mask (N,) of the places in the circle."""
+        """Mark the places (N,) in the circle."""
         return np.hypot(x_m - self.x_m, y_m - self.y_m) <= self.radius_m
 
 
@@ -163,7 +165,7 @@ class Filters:
     withheld: frozenset[bool] | None = None
 
     def combined_with(self, other: Filters) -> Filters:
-        """Restrictions that require both these and others."""
+        """Return the restrictions that require both these and others."""
         changes: dict[str, object] = {"within": self.within + other.within}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(other, field.name)
@@ -177,7 +179,7 @@ class Filters:
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def to_dict(self) -> dict[str, object]:
-        """The restrictions as JSON values. Sets are sorted; fields without a restriction are left out."""
+        """Return the restrictions as JSON values. Sets are sorted; fields without a restriction are left out."""
         plain: dict[str, object] = {}
         for field in fields(self):
             value = getattr(self, field.name)

@@ -127,7 +127,7 @@ def _withheld_mask(catalog: Catalog, filters: Filters, name: str, traversal: int
 
 
 def traversal_mask(catalog: Catalog, filters: Filters, *, time: bool = True, place: bool = True) -> Bool:
-    """Mask of the traversals that pass, in the order of the table of traversals.
+    """Return the mask of the traversals that pass, in the order of the table of traversals.
 
     Args:
         catalog: the index.

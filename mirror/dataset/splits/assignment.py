@@ -23,6 +23,6 @@ class Assignment:
 
 
 def describe_tie(first: str, second: str, ties: Iterable[Tie]) -> str:
-    """A clause that says what two traversals of one unit share."""
+    """Describe the property that two traversals of one unit share."""
     direct = [tie.reason for tie in ties if first in tie.members and second in tie.members]
     return direct[0] if direct else "are tied to each other through other traversals"

@@ -103,7 +103,7 @@ def read_candidates(layout: Layout) -> Candidates:
 
 
 def hash_bytes(column: pa.ChunkedArray) -> UInt8:
-    """The non-null hashes of a column as bytes (N, 32)."""
+    """Return the non-null hashes of a column as bytes (N, 32)."""
     values = column.drop_null().combine_chunks()
     if not len(values):
         return np.empty((0, SHA256_BYTES), np.uint8)

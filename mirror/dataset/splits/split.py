@@ -50,7 +50,7 @@ class SplitReport:
     changed: tuple[str, ...]
 
     def roles(self) -> dict[str, int]:
-        """Number of traversals in each role."""
+        """Return the number of traversals in each role."""
         return dict(Counter(self.document.assignments.values()))
 
 
@@ -241,7 +241,7 @@ def _document(
 
 
 def hash_manifests(manifests: Mapping[str, str]) -> str:
-    """The dataset hash of a split: SHA-256 over ids of traversals and hashes of their recorded data."""
+    """Return the dataset hash of a split: SHA-256 over ids of traversals and hashes of their recorded data."""
     return hash_document(sorted(manifests.items()))
 
 

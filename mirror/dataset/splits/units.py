@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 
 def seeded_rank(seed: int, name: str) -> bytes:
-    """A sort key of a name for a seed. It does not depend on the other names."""
+    """Return the sort key of a name for a seed. It does not depend on the other names."""
     return hashlib.blake2b(name.encode(), key=str(seed).encode(), digest_size=16).digest()
 
 
@@ -39,7 +39,7 @@ def connected_components(members: Iterable[str], ties: Iterable[Sequence[str]]) 
 
 
 def members_by_component(names: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
-    """The sorted members of each component, by the component's name.
+    """Return the sorted members of each component, by the component's name.
 
     Args:
         names: name of each member's component, by member.

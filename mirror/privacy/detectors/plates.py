@@ -120,7 +120,7 @@ def find_agreed(boxes: Float64, scores: Float64) -> Bool:
 
 
 def find_shaped(boxes: Float64, scores: Float64, width_px: int) -> Bool:
-    """Mark which of N boxes have a plate's shape, and its size in an image of this width unless they are confident."""
+    """Mark which of N boxes have a plate's shape, and a plate's size or a high score."""
     width, height = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
     shaped: Bool = width >= _LEAST_ASPECT * height
     sized = (width <= _WIDEST * width_px) & (height <= _TALLEST * width_px)
@@ -135,7 +135,7 @@ def widen_confident(boxes: Float64, scores: Float64) -> Float64:
 
 
 def make_anchors(height_px: int, width_px: int) -> tuple[Float64, Float64]:
-    """Centres and sizes (A, 2) of the detector's anchors, pixels."""
+    """Return the centres and sizes (A, 2) of the detector's anchors, pixels."""
     centres, sizes = [], []
     for stride, sides in zip(_STRIDES, _ANCHORS_PX):
         v, u = np.indices((-(-height_px // stride), -(-width_px // stride)))

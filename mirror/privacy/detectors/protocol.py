@@ -50,7 +50,7 @@ class TiledDetector(Detector, Protocol):
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """How a detector is made.
+    """Options that a detector is made with.
 
     Attributes:
         weights: file of the weights; None: the resolver of weights finds it.

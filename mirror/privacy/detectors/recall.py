@@ -52,7 +52,10 @@ class SyntheticRecall(Document):
 
 
 def covered_regions(recall: SyntheticRecall, weights_sha256: str) -> frozenset[str]:
-    """The regions whose recall is enough, and `ANY` if that of all of them is; none if it is that of other weights."""
+    """Return the regions whose recall is enough, and `ANY` if the recall of all is.
+
+    The tuple is empty if the recall is that of other weights.
+    """
     if recall.weights_sha256 != weights_sha256:
         return frozenset()
     enough = {region for region, one in recall.regions.items() if one.is_enough}

@@ -49,7 +49,7 @@ class DetectorChoice:
 
 
 def default_choices(plate_region: str | None) -> tuple[DetectorChoice, ...]:
-    """The detectors that are used for the number plates of a region if none are chosen."""
+    """Return the detectors that are used for the number plates of a region if none are chosen."""
     names = DEFAULT if plate_region is None else DEFAULT_BY_REGION.get(plate_region.upper(), DEFAULT)
     return tuple(DetectorChoice(name) for name in names)
 
@@ -128,7 +128,7 @@ def require_coverage(choices: Sequence[DetectorChoice], plate_region: str | None
 
 
 def describe(detector: Detector) -> DetectorRecord:
-    """The line of a detector in the log."""
+    """Return the line of a detector in the log."""
     return DetectorRecord(
         kind=detector.kind, name=detector.name, version=detector.version, weights_sha256=detector.weights_sha256,
         threshold=detector.threshold,

@@ -25,7 +25,7 @@ def resolve_weights(name: str, path: Path | None) -> ResolvedWeights:
 
 
 def hash_weights(name: str, path: Path | None) -> tuple[Path, str]:
-    """The file and hash of weights that only the user has.
+    """Return the file and hash of weights that only the user has.
 
     Raises:
         WeightsUnavailableError: no file is named, or there is none.
@@ -42,7 +42,7 @@ def hash_weights(name: str, path: Path | None) -> tuple[Path, str]:
 
 
 def open_session(data: bytes, file: Path) -> Any:
-    """An ONNX session on the CPU with one thread: images are spread over processes.
+    """Return an ONNX session on the CPU with one thread: images are spread over processes.
 
     Raises:
         DetectorError: onnxruntime is not installed, or it cannot read the model.

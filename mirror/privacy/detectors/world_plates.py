@@ -88,7 +88,7 @@ def _unavailable(path: Path, problem: str) -> WeightsUnavailableError:
 
 
 def read_recall() -> SyntheticRecall:
-    """The published recall on synthetic plates."""
+    """Return the published recall on synthetic plates."""
     return read_json(RECALL, SyntheticRecall)
 
 

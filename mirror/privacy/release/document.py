@@ -17,7 +17,7 @@ TIMES: Final[dict[str, int]] = {"exact": 1, "hour": 3_600, "day": 86_400, "week"
 
 
 class Tombstone(Document):
-    """Something that was withdrawn.
+    """A withdrawn image or traversal of a release.
 
     Attributes:
         item: id of a traversal, or ``traversal/camera/timestamp_ns`` of an image.

@@ -21,7 +21,7 @@ _DIGITS: Final = 12
 
 @dataclass(frozen=True)
 class Renaming:
-    """How one drive is called in a release, and by how much its clock is shifted.
+    """The name of a drive in a release, and the shift of its clock.
 
     Attributes:
         drive_id: id of the drive in the dataset.
@@ -36,13 +36,13 @@ class Renaming:
     shift_ns: int
 
     def traversal(self, traversal_id: str) -> str:
-        """Id of a traversal in the release: ``scene.drive.entry_ms``."""
+        """Return the id of a traversal in the release: ``scene.drive.entry_ms``."""
         scene, _, entry_ms = traversal_id.split(".")
         entry_ns = int(entry_ms) * 1_000_000 + self.shift_ns
         return f"{scene}.{self.new_drive_id}.{entry_ns // 1_000_000}"
 
     def table(self, data: pa.Table, traversals: Mapping[str, str]) -> pa.Table:
-        """A table with the new ids, times and uris.
+        """Return a table with the new ids, times and uris.
 
         Args:
             data: a recorded table, the table of a layer, or the ledger.

@@ -47,7 +47,7 @@ class Found:
 
 @dataclass(frozen=True)
 class ReleaseRule:
-    """One rule.
+    """One rule for releases.
 
     Attributes:
         rule_id: its id.

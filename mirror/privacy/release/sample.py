@@ -47,7 +47,7 @@ def choose_sample(records: Iterable[ImageRecord], count: int, seed: str = "") ->
 
 
 def miss_bound(misses: int, images: int) -> float:
-    """The Clopper-Pearson bound of the share of images with a miss, one-sided, 95 %; 1 without images.
+    """Return the Clopper-Pearson bound of the share of images with a miss, one-sided, 95 %; 1 without images.
 
     Without a miss it is close to 3 / images.
     """
@@ -70,7 +70,7 @@ def miss_bound(misses: int, images: int) -> float:
 
 
 def read_reviews(path: Path) -> dict[str, Review]:
-    """Reviews by the hash of the redacted image; empty: there is no file.
+    """Return the reviews by the hash of the redacted image; empty: there is no file.
 
     Raises:
         DatasetError: a line is broken.
@@ -80,5 +80,5 @@ def read_reviews(path: Path) -> dict[str, Review]:
 
 
 def with_reviews(records: Sequence[ImageRecord], reviews: Mapping[str, Review]) -> list[ImageRecord]:
-    """The log with what reviewers said."""
+    """Return the log with the answers of reviewers."""
     return [record.model_copy(update={"review": reviews.get(record.out_sha256, record.review)}) for record in records]

@@ -20,7 +20,7 @@ _CLOCKS: Final = {
 
 
 def datasheet(release: Release, records: Sequence[ImageRecord], traversals: int) -> str:
-    """The datasheet: what was removed and how, what was not, and what was reviewed."""
+    """Write the datasheet: the removed content and the method, the kept content, and the review."""
     regions = Counter(f"{region.kind}, from {region.origin}" for record in records for region in record.regions)
     detectors = {one for record in records for one in record.detectors}
     skipped: Counter[str] = Counter()
@@ -103,7 +103,7 @@ def _review_lines(release: Release) -> list[str]:
 
 
 def licence_text(release: Release, licence: str) -> str:
-    """The licence of the data, with the conditions that protect the persons in it."""
+    """Return the licence of the data, with the conditions that protect the persons in it."""
     return "\n".join(
         [
             f"{release.name}, version {release.version}",

@@ -43,7 +43,7 @@ ReadOriginal = Callable[[Mapping[str, Any]], bytes]
 
 @dataclass(eq=False)
 class TreeReport:
-    """What writing the files of a release came to.
+    """The counts of a release's written files.
 
     Attributes:
         records: the log, with the ids and times of the release.
@@ -284,7 +284,9 @@ def _table(rows: Sequence[Mapping[str, Any]], table: Table) -> pa.Table:
 
 
 def renumber_frames(images: pa.Table, rig: Rig | None) -> pa.Table:
-    """Images with the frames that they form: an exposure of the reference camera that is absent has no frame.
+    """Number the frames that images form.
+
+    An exposure of the reference camera that is absent has no frame.
 
     Args:
         images: rows of the images table.
@@ -304,12 +306,12 @@ def renumber_frames(images: pa.Table, rig: Rig | None) -> pa.Table:
 
 
 def read_rig(layout: Layout, drive: DriveDocument) -> Rig | None:
-    """The rig of a drive; None: it has no cameras."""
+    """Return the rig of a drive; None: it has no cameras."""
     return None if drive.rig_id is None else read_json(layout.rig(drive.rig_id), Rig)
 
 
 def drop_images(data: pa.Table, keys: frozenset[tuple[str, int]]) -> pa.Table:
-    """The rows of a table of images, masks or depth maps without those of some images."""
+    """Return the rows of a table of images, masks or depth maps without those of some images."""
     cameras = data.column("camera").cast(pa.string()).to_pylist()
     stamps = data.column("timestamp_ns").to_pylist()
     return data.filter(pc.invert(pa.array([key in keys for key in zip(cameras, stamps)], pa.bool_())))

@@ -23,7 +23,7 @@ PRIVATE_LOG: Final = "originals.jsonl"
 
 
 class Vault(Document):
-    """``vault.json``.
+    """``vault.json``: the key that renames a release's ids, and the date until which it is kept.
 
     Attributes:
         format: always ``mirror-vault``.

@@ -22,7 +22,7 @@ ImageName = tuple[str, str, int]
 
 
 class ReleaseView:
-    """See the module.
+    """A release as the rules read it: documents, tables and files.
 
     Args:
         root: folder of the release.
@@ -73,7 +73,7 @@ class ReleaseView:
         }
 
     def layers(self) -> Iterator[tuple[str, str, Manifest]]:
-        """Traversal, ``kind/source@version`` and manifest of each layer."""
+        """Yield the traversal, ``kind/source@version`` and manifest of each layer."""
         for name in self.traversals:
             for kind, source, version in self.layout.layers(name):
                 manifest = read_manifest(self.layout.layer(name, kind, source, version))
@@ -81,7 +81,7 @@ class ReleaseView:
                     yield name, f"{kind}/{source}@{version}", manifest
 
     def content(self, traversal_id: str) -> str | None:
-        """Hash of the contents of a traversal's recorded folder."""
+        """Return the hash of the contents of a traversal's recorded folder."""
         manifest = read_manifest(self.layout.recorded(traversal_id))
         return None if manifest is None else manifest.content
 

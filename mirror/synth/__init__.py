@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mirror.synth.road_users.body import RoadUser as RoadUser
     from mirror.synth.roads.markings import MARK as MARK
     from mirror.synth.seeds import parse_public_seed as parse_public_seed
+    from mirror.synth.truth import Truth as Truth
     from mirror.synth.truth.casting import cast_rays as cast_rays
     from mirror.synth.writing import SynthReport as SynthReport
     from mirror.synth.writing import write_recordings as write_recordings
@@ -63,6 +64,7 @@ __all__ = [
     "Scene",
     "SynthDrive",
     "SynthReport",
+    "Truth",
     "cast_rays",
     "develop",
     "get_body",
@@ -101,6 +103,7 @@ __getattr__, __dir__ = lazy_names(
         "Scene": "mirror.synth.render.scene",
         "SynthDrive": "mirror.synth.fleet.drive",
         "SynthReport": "mirror.synth.writing",
+        "Truth": "mirror.synth.truth",
         "cast_rays": "mirror.synth.truth.casting",
         "develop": "mirror.synth.render.develop.developing",
         "get_body": "mirror.synth.driving.bodies",

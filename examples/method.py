@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mirror import Dataset
-from mirror.methods import AppearancePolicy, ReconstructionResult, ReconstructionTask, RenderView
+from mirror.methods import AppearancePolicy, Capabilities, ReconstructionResult, ReconstructionTask, RenderView
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,9 @@ class MeanColourRenderer:
 
 
 class MeanColour:
-    """See `mirror.methods.InstalledMethod`."""
+    """See `mirror.methods.Method`."""
+
+    capabilities = Capabilities(renders_depth=True)
 
     def reconstruct(self, dataset: Dataset, task: ReconstructionTask, out: Path, progress: Any) -> ReconstructionResult:
         """Write the mean colour of each camera, without the images that the task withholds."""

@@ -121,7 +121,7 @@ class PluginKind:
                 error of the class `error`.
         """
         expected = f"an object as {interface.__module__}.{interface.__qualname__} describes it"
-        stated = {part: getattr(interface, part, None) for part in sorted(_parts(interface))}
+        stated = {part: getattr(interface, part, None) for part in sorted(list_parts(interface))}
         absent = [part for part in stated if not hasattr(plugin, part)]
         if absent or isinstance(plugin, type):
             problem = f"it has no {', '.join(absent)}" if absent else "a class, not an object"
@@ -203,7 +203,7 @@ class PluginKind:
         return getattr(module, attribute)
 
 
-def _parts(interface: type) -> set[str]:
+def list_parts(interface: type) -> set[str]:
     """Return the names of a protocol's attributes and functions, also of those that it inherits from."""
     classes = [one for one in interface.__mro__ if getattr(one, "_is_protocol", False) and one.__name__ != "Protocol"]
     return {name for one in classes for name in {*vars(one), *one.__annotations__} if not name.startswith("_")}

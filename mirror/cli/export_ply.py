@@ -67,8 +67,9 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.dataset import open as open_dataset
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.model import Model
     from mirror.methods.model_document import read_reconstruction, require_matching_split
-    from mirror.methods.ply_export import PlyExportOptions, find_ply_exporter
+    from mirror.methods.ply_export import PlyExportOptions
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import plan_views_along, recorded_trajectory
     from mirror.schema.folders import require_output_file
@@ -85,8 +86,8 @@ def main(argv: Sequence[str]) -> int:
     views = tuple(view for view in views if view.camera == views[0].camera)
     appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = PlyExportOptions(arguments.degree, arguments.sky, arguments.reach)
-    exporter = find_ply_exporter(document.method, arguments.method)
-    written = exporter.export_ply(arguments.model, views, arguments.out, options, appearance)
+    model = Model.read(arguments.model, arguments.method)
+    written = model.export_ply(views, arguments.out, options, appearance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **asdict(written)}))
     else:

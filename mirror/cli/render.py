@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mirror.evaluation.submission.manifest import Appearance, Runtime
     from mirror.evaluation.submission.writing import Render
     from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.model import Model
     from mirror.methods.model_document import Reconstruction
     from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import RenderView
@@ -117,9 +118,9 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.manifest import Method
     from mirror.evaluation.submission.writing import write_submission
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.hosting import checked_renderer
-    from mirror.methods.model_document import read_reconstruction, require_held_out_images, require_matching_split
-    from mirror.methods.registry import method_of_model, read_licence
+    from mirror.methods.model import read_models
+    from mirror.methods.model_document import require_held_out_images, require_matching_split
+    from mirror.methods.registry import read_licence
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
@@ -136,10 +137,10 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
             raise UsageError(
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
-    name, models = _models(arguments.model)
-    method = method_of_model(name, arguments.method)
+    models = read_models(arguments.model, arguments.method)
     split, protocol = str(arguments.split), load_protocol(arguments.protocol, masked=arguments.masks)
-    documents = {scene: read_reconstruction(model) for scene, model in models.items()}
+    documents = {scene: model.document for scene, model in models.items()}
+    name = next(iter(models.values())).name
     for document in documents.values():
         require_matching_split(dataset, split, document)
         require_held_out_images(protocol, document)
@@ -168,7 +169,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
         for scene, model in models.items():
             missing = [view for view in requested.views if view.scene_id == scene]
             if missing:
-                render = checked_renderer(name, method.open(model, appearance))
+                render = model.open(appearance)
                 yield from (([view], render(placed[view.path])) for view in missing)
 
     about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(documents.values(), layers))
@@ -186,26 +187,11 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     return ExitCode.DONE
 
 
-def _models(folders: Sequence[Path]) -> tuple[str, dict[str, Path]]:
-    """The method of the models, and the model folders by scene."""
-    from mirror.methods.model_document import read_reconstruction
-
-    documents = [(folder, read_reconstruction(folder)) for folder in folders]
-    methods = sorted({document.method for _, document in documents})
-    scenes = {document.scene: folder for folder, document in documents}
-    if len(methods) != 1 or len(scenes) != len(documents):
-        raise UsageError(
-            f"{len(documents)} models by {', '.join(methods)} of {len(scenes)} scenes",
-            expected="models by one method, one of each scene",
-        )
-    return methods[0], scenes
-
-
-def _hash(models: Iterable[Path]) -> str:
+def _hash(models: Iterable[Model]) -> str:
     """SHA-256 over the documents of models. They record training times, so that no two trainings have the same."""
     from mirror.methods.model_document import DOCUMENT
 
-    return hashlib.sha256(b"".join((model / DOCUMENT).read_bytes() for model in models)).hexdigest()
+    return hashlib.sha256(b"".join((model.folder / DOCUMENT).read_bytes() for model in models)).hexdigest()
 
 
 def _trained_on(documents: Iterable[Reconstruction], rendered: Mapping[str, str]) -> str:
@@ -229,12 +215,11 @@ def _trained_on(documents: Iterable[Reconstruction], rendered: Mapping[str, str]
     return text
 
 
-def _costs(models: Iterable[Path]) -> Runtime:
+def _costs(models: Iterable[Model]) -> Runtime:
     from mirror.evaluation.submission.manifest import LEAST_COSTS, Runtime
-    from mirror.methods.model_document import read_reconstruction
 
     device = f"{platform.machine()} CPU"
-    costs = [read_reconstruction(model).done for model in models]
+    costs = [model.document.done for model in models]
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):
         return Runtime(device=device)
@@ -265,9 +250,8 @@ def appearance_of(appearance: AppearancePolicy) -> Appearance:
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
-    from mirror.methods.hosting import checked_renderer
-    from mirror.methods.model_document import read_reconstruction, require_matching_split
-    from mirror.methods.registry import method_of_model
+    from mirror.methods.model import read_models
+    from mirror.methods.model_document import require_matching_split
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
     from mirror.protocols.views.trajectories import parse_trajectory, plan_views_along
@@ -276,12 +260,11 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     pixels = load_protocol(arguments.protocol).pixels
     if arguments.width is not None:
         pixels = pixels.model_copy(update={"max_width_px": arguments.width})
-    name, models = _models(arguments.model)
-    method = method_of_model(name, arguments.method)
+    models = read_models(arguments.model, arguments.method)
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
     ((scene, model),) = models.items()
-    document = read_reconstruction(model)
+    name, document = model.name, model.document
     require_matching_split(dataset, document.split, document)
     layer = arguments.calibrations or document.calibrations
     scene_dataset = dataset.where(scene=scene).with_layers(calibrations=layer)
@@ -300,7 +283,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
         )
     appearances = parse_camera_policies(arguments.appearance, rendered_cameras)
     policy = AppearancePolicy(views=views, everywhere=True)
-    render = checked_renderer(name, open_by_camera(method, model, policy, appearances))
+    render = open_by_camera(model, policy, appearances)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.plugin import InstalledMethod
+from mirror.methods.model import Model
 from mirror.protocols.views.view import RenderView
 
 
@@ -36,17 +35,14 @@ def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, st
 
 
 def open_by_camera(
-    method: InstalledMethod, model: Path, appearance: AppearancePolicy, policies: Mapping[str, str]
+    model: Model, appearance: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[RenderView], UInt8]:
     """Open a renderer that uses, for each view, the policy of its camera.
 
     Args:
-        method: installed method.
-        model: folder of the model.
+        model: trained model.
         appearance: settings that all cameras share.
         policies: policy by camera.
     """
-    renderers = {
-        policy: method.open(model, replace(appearance, policy=policy)) for policy in dict.fromkeys(policies.values())
-    }
+    renderers = {policy: model.open(replace(appearance, policy=policy)) for policy in dict.fromkeys(policies.values())}
     return lambda view: renderers[policies[view.camera]](view)

@@ -1,8 +1,8 @@
-"""Optional interfaces of renderers: depth, which a simulator needs, and what covers each pixel before a depth."""
+"""What a method's renderers have if its `Capabilities` state it: depth, and what covers each pixel before a depth."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from mirror.arrays import Float32
 from mirror.protocols.views.view import RenderView
@@ -27,18 +27,16 @@ class DepthRendering(Protocol):
         ...
 
 
-@runtime_checkable
 class DepthRenderer(Protocol):
-    """A renderer that also gives depth."""
+    """A renderer that also gives depth: the capability `renders_depth`."""
 
     def render(self, view: RenderView) -> DepthRendering:
         """Render a view with its depth."""
         ...
 
 
-@runtime_checkable
 class CoverRenderer(Protocol):
-    """A renderer that also gives what the model before a depth covers."""
+    """A renderer that also gives what the model before a depth covers: the capability `renders_covers`."""
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[DepthRendering, Any]:
         """Render a view with its depth, and the share of each pixel that the model before a depth covers.

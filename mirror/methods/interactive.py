@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from mirror.arrays import UInt8
-from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.hosting import checked_renderer
-from mirror.methods.plugin import InstalledMethod
 from mirror.protocols.views.view import RenderView
 
 
@@ -52,9 +49,8 @@ class InteractiveRenderer(Protocol):
         ...
 
 
-@runtime_checkable
 class InteractiveMethod(Protocol):
-    """A method with an interactive renderer of its own."""
+    """A method with an interactive renderer of its own: the capability `opens_interactively`."""
 
     def open_interactive(self, model: Path) -> InteractiveRenderer:
         """Open a trained model."""
@@ -78,19 +74,3 @@ class PlainRenderer:
         chosen = max(self.appearances, key=lambda one: weights.get(one.traversal_id, 0.0))
         of_it = {"traversal_id": chosen.traversal_id, "light": chosen.light, "weather": chosen.weather}
         return self.renderer(view.model_copy(update=of_it))
-
-
-def open_interactive(
-    name: str, method: InstalledMethod, model: Path, appearances: Sequence[TrainedAppearance]
-) -> InteractiveRenderer:
-    """Open a trained model to move through it.
-
-    Args:
-        name: name of the method, for messages.
-        method: the method.
-        model: folder of the model.
-        appearances: the trained traversals, for a method that has no `open_interactive`.
-    """
-    if isinstance(method, InteractiveMethod):
-        return method.open_interactive(model)
-    return PlainRenderer(tuple(appearances), checked_renderer(name, method.open(model, AppearancePolicy())))

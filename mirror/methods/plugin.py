@@ -10,6 +10,7 @@ from typing import Protocol
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.capabilities import Capabilities
 from mirror.methods.training_images import ImageKey
 from mirror.progress import ProgressReporter
 from mirror.protocols import document as protocols
@@ -86,7 +87,10 @@ class ReconstructionResult:
 
 
 class InstalledMethod(Protocol):
-    """The object that an entry point ``mirror.methods`` or ``--method FILE.py:OBJECT`` names."""
+    """What every method has: the functions of `Method`, without the statement of its capabilities.
+
+    A method that has no attribute `capabilities` has those that its functions show.
+    """
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, progress: ProgressReporter
@@ -104,3 +108,15 @@ class InstalledMethod(Protocol):
 
     def open(self, model: Path, appearance: AppearancePolicy = ...) -> Callable[[RenderView], UInt8]:
         """Open a trained model as a renderer: a function from a view to its pixels (H, W, 3), uint8, RGB."""
+
+
+class Method(InstalledMethod, Protocol):
+    """The object that an entry point ``mirror.methods`` or ``--method FILE.py:OBJECT`` names.
+
+    Its capabilities name the further functions that it has; they are checked when the method is loaded.
+    """
+
+    @property
+    def capabilities(self) -> Capabilities | None:
+        """Return what the method can do besides; None: its functions show it."""
+        ...

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol
 
-from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.registry import method_of_model
 from mirror.protocols.views.view import RenderView
 
 
@@ -45,9 +43,8 @@ class PlyExport:
     origin_m: tuple[float, float, float]
 
 
-@runtime_checkable
 class PlyExporter(Protocol):
-    """An installed method that can export a PLY."""
+    """A method that can export a PLY: the capability `exports_ply`."""
 
     def export_ply(
         self,
@@ -67,19 +64,3 @@ class PlyExporter(Protocol):
             appearance: appearance policy for views that were not trained on.
         """
         ...
-
-
-def find_ply_exporter(name: str, given: str | None = None) -> PlyExporter:
-    """Find a method that can export a PLY.
-
-    Args:
-        name: name of the method in the model's document.
-        given: ``FILE.py:OBJECT`` of a method that is not installed; None: it is installed.
-
-    Raises:
-        UsageError: the method cannot be loaded, or it has no function `export_ply`.
-    """
-    method = method_of_model(name, given)
-    if not isinstance(method, PlyExporter):
-        raise UsageError(f"method {name} cannot export a PLY", expected="a method with a function `export_ply`")
-    return method

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.errors import UsageError
+from mirror.methods.capabilities import require_capabilities
 from mirror.methods.plugin import InstalledMethod
 from mirror.plugins import PluginKind, is_file_reference
 
@@ -22,11 +23,12 @@ def load_method(name: str) -> InstalledMethod:
         name: name of an entry point, or ``FILE.py:OBJECT``.
 
     Raises:
-        UsageError: there is no such method, it has no functions `reconstruct` and `open`, or one of its dependencies
-            is missing.
+        UsageError: there is no such method, it has no functions `reconstruct` and `open`, it lacks the function of a
+            capability that it states, or one of its dependencies is missing.
     """
     method = METHODS.load(name)
     METHODS.require_parts(method, name, InstalledMethod)
+    require_capabilities(METHODS, method, name)
     loaded: InstalledMethod = method
     return loaded
 

@@ -71,6 +71,8 @@ def test_a_method_and_a_metric_in_a_file_each(tiny_dataset: Dataset, tmp_path: P
 
 EXPORTING = """
 class Exporting(MeanColour):
+    capabilities = Capabilities(renders_depth=True, exports_ply=True)
+
     def export_ply(self, model, views, out, options, appearance):
         from mirror.methods.ply_export import PlyExport
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from torch import Tensor
@@ -18,11 +18,12 @@ from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.parameters import read_parameters, set_parameters
 from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL
-from hybridworldsim.training.trainable_method import CoverTrainableMethod, Rendering, TrainableMethod
+from hybridworldsim.training.trainable_method import CoverRenderableModel, RenderableModel, Rendering
 from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.arrays import Float32, Float64, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.capabilities import Capabilities
 from mirror.protocols.views.view import RenderView
 
 
@@ -40,27 +41,43 @@ class Renderer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class OpenBlock:
-    """A block and the method that renders it."""
+    """A block and the model that renders it."""
 
     run: Run
-    trainer: TrainableMethod
+    model: RenderableModel
 
 
-def open_block(folder: Path, make: Callable[[InitialGeometry, Any], TrainableMethod], settings: type) -> OpenBlock:
+def open_block(folder: Path, make_empty: Callable[[Run, Any], RenderableModel], settings: type) -> OpenBlock:
     """Read a trained block.
 
     Args:
         folder: folder of the block's run.
-        make: makes an untrained model of the method.
+        make_empty: makes a model of a run and its settings; the model's parameters are replaced by the trained ones.
         settings: class of the method's settings.
 
     Raises:
         DatasetError: the model is missing or belongs to another method.
     """
     run = read_run(folder)
-    trainer = make(_placeholder(run), settings_adapter(settings).validate_python(run.settings))
-    set_parameters(trainer.model, read_parameters(folder / MODEL))
-    return OpenBlock(run, trainer)
+    opened = make_empty(run, settings_adapter(settings).validate_python(run.settings))
+    set_parameters(opened.model, read_parameters(folder / MODEL))
+    return OpenBlock(run, opened)
+
+
+def training_sources(run: Run) -> list[Source]:
+    """Return the traversals and cameras that a run trains on."""
+    return [Source(camera.traversal_id, camera.camera) for camera in run.sources]
+
+
+def one_point(run: Run) -> InitialGeometry:
+    """Return the geometry of one point, for a method that makes models from a geometry only."""
+    point: Float64 = np.zeros((1, 3))
+
+    def ground(places: Float64) -> tuple[Float64, Float64]:
+        return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
+
+    colours = np.zeros((1, 3), np.uint8)
+    return InitialGeometry(point, np.empty((0, 3)), point, ground, run.radius_m, training_sources(run), colours)
 
 
 class NearestBlockRenderer:
@@ -95,17 +112,17 @@ class NearestBlockRenderer:
 
     def render(self, view: RenderView) -> Rendering:
         """Render a view with its depth."""
-        trainer, viewpoint = self.choose(view)
-        return trainer.render(viewpoint)
+        model, viewpoint = self.choose(view)
+        return model.render(viewpoint)
 
-    def choose(self, view: RenderView) -> tuple[TrainableMethod, Viewpoint]:
+    def choose(self, view: RenderView) -> tuple[RenderableModel, Viewpoint]:
         """Return the nearest block's model, and the view in its frame and appearance."""
         camera_m = view.pose.translation[0, :2]
         place = int(np.abs(self._centres - camera_m).max(axis=1).argmin())
         block = self._blocks[place]
         choice = self._selectors[place].select(view)
         ((source, _),) = choice.colours
-        return block.trainer, to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
+        return block.model, to_viewpoint(view, np.array(block.run.origin_m)).with_source(source)
 
 
 class NearestBlockCoverRenderer(NearestBlockRenderer):
@@ -117,28 +134,13 @@ class NearestBlockCoverRenderer(NearestBlockRenderer):
         Args:
             view: the view.
             limit_m: (H, W) depth (camera z) of each pixel; 0 or less: nothing is before it.
-
-        Raises:
-            UsageError: the nearest block's method does not state what covers a pixel.
         """
-        trainer, viewpoint = self.choose(view)
-        if not isinstance(trainer, CoverTrainableMethod):
-            raise UsageError(f"a {type(trainer).__name__}", expected="a CoverTrainableMethod")
-        return trainer.render_covers(viewpoint, limit_m)
+        model, viewpoint = self.choose(view)
+        return cast(CoverRenderableModel, model).render_covers(viewpoint, limit_m)
 
 
-def render_nearest(blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> NearestBlockRenderer:
-    """Make a `NearestBlockRenderer`, with `render_covers` if the method of all blocks has it."""
-    covers = all(isinstance(block.trainer, CoverTrainableMethod) for block in blocks)
-    return (NearestBlockCoverRenderer if covers else NearestBlockRenderer)(blocks, appearance)
-
-
-def _placeholder(run: Run) -> InitialGeometry:
-    """Geometry of one point, from which a model can be made before all its rows are replaced."""
-    point: Float64 = np.zeros((1, 3))
-
-    def ground(places: Float64) -> tuple[Float64, Float64]:
-        return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
-
-    sources = [Source(block.traversal_id, block.camera) for block in run.sources]
-    return InitialGeometry(point, np.empty((0, 3)), point, ground, run.radius_m, sources, np.zeros((1, 3), np.uint8))
+def render_nearest(
+    blocks: Sequence[OpenBlock], appearance: AppearancePolicy, capabilities: Capabilities
+) -> NearestBlockRenderer:
+    """Make a `NearestBlockRenderer`, with `render_covers` if the capabilities state it."""
+    return (NearestBlockCoverRenderer if capabilities.renders_covers else NearestBlockRenderer)(blocks, appearance)

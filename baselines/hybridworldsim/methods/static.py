@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.methods.overrides import override_settings, settings_document
-from hybridworldsim.methods.renderers import Renderer, open_block, render_nearest
+from hybridworldsim.methods.renderers import Renderer, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.methods.scene_preparation import BlockTraining, Scene, prepare_scene, source_pairs
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
@@ -24,10 +24,12 @@ from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
 from hybridworldsim.training.run.folder import RunFolder
-from hybridworldsim.training.trainable_method import TrainableMethod
+from hybridworldsim.training.trainable_method import RenderableModel, TrainableMethod
+from hybridworldsim.training.viewpoint import Source
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.capabilities import Capabilities, find_capabilities
 from mirror.methods.hosting import describe_task, driven_length_m, require_own, write_costs
 from mirror.methods.model_document import DOCUMENT, read_reconstruction
 from mirror.methods.plugin import ReconstructionResult, ReconstructionTask
@@ -39,7 +41,7 @@ from mirror.schema.hashing import hash_document
 
 @dataclass(frozen=True)
 class StaticMethod:
-    """A method that `hybridworldsim.training` trains; see `mirror.methods.plugin.InstalledMethod`.
+    """A method that `hybridworldsim.training` trains; see `mirror.methods.plugin.Method`.
 
     Attributes:
         name: name of the entry point.
@@ -47,6 +49,9 @@ class StaticMethod:
         settings: makes the settings, a dataclass, from a seed.
         block_m: edge of a block.
         sky: whether the method learns from masks of the sky.
+        make_empty: makes a model without Gaussians of training sources and settings, whose parameters are then replaced
+            by those of a trained block; None: `make` makes one from the geometry of one point.
+        capabilities: see `Method`; None: the functions of the models that `make` makes show them.
     """
 
     name: str
@@ -54,6 +59,8 @@ class StaticMethod:
     settings: Callable[[int], Any]
     block_m: float = SIZE_M
     sky: bool = False
+    make_empty: Callable[[Sequence[Source], Any], RenderableModel] | None = None
+    capabilities: Capabilities | None = None
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, reporter: ProgressReporter
@@ -86,7 +93,8 @@ class StaticMethod:
             DatasetError: the folder holds no complete model of this method.
         """
         settings = type(self.settings(0))
-        return render_nearest([open_block(folder, self.make, settings) for folder in block_folders(model)], appearance)
+        blocks = [open_block(folder, self._make_empty, settings) for folder in block_folders(model)]
+        return render_nearest(blocks, appearance, find_capabilities(self, blocks[0].model))
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
         """Write what rendering needs, and return its size in bytes."""
@@ -164,6 +172,12 @@ class StaticMethod:
                 # Remove it under the lock: without the lock, another run may have started in this folder.
                 shutil.rmtree(folder.path)
                 raise
+
+    def _make_empty(self, run: Run, settings: Any) -> RenderableModel:
+        """Make a model whose parameters those of a trained block replace."""
+        if self.make_empty is None:
+            return self.make(one_point(run), settings)
+        return self.make_empty(training_sources(run), settings)
 
     def _label(self, out: Path) -> str:
         """The name in the model's document: that of the entry point, or the file that a user named."""

@@ -32,15 +32,20 @@ from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.capabilities import Capabilities
 from mirror.methods.ply_export import PlyExport, PlyExportOptions
 from mirror.protocols.views.view import RenderView
 
 NAME: Final = "hybridworldsim"
 STRUCTURE_WEIGHT: Final = 0.1
+ALL: Final = Capabilities(renders_depth=True, renders_covers=True, opens_interactively=True, exports_ply=True)
 
 
+@dataclass(frozen=True)
 class StreetMethod(StaticMethod):
     """A `StaticMethod` with composed blocks and with appearances that can be mixed and fitted."""
+
+    capabilities: Capabilities | None = ALL
 
     def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
         """See `StaticMethod.open`."""

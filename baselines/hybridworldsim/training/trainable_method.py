@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from torch import Tensor, nn
 
@@ -43,13 +43,21 @@ class StepReport:
     gaussians: int
 
 
-class TrainableMethod(Protocol):
-    """A model with its optimisers."""
+class RenderableModel(Protocol):
+    """A model that renders the appearances that it was trained on."""
 
     @property
     def model(self) -> nn.Module:
         """The trained module; its parameters are all that rendering needs."""
         ...
+
+    def render(self, viewpoint: Viewpoint) -> Rendering:
+        """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
+        ...
+
+
+class TrainableMethod(RenderableModel, Protocol):
+    """A model with its optimisers."""
 
     @property
     def reads_depth(self) -> bool:
@@ -65,10 +73,6 @@ class TrainableMethod(Protocol):
         """
         ...
 
-    def render(self, viewpoint: Viewpoint) -> Rendering:
-        """Render without gradients, with the appearance of the viewpoint's source, which must be a training source."""
-        ...
-
     def state(self) -> dict[str, Tensor]:
         """Everything that training needs to continue exactly: parameters, moments, statistics, random generators."""
         ...
@@ -78,9 +82,8 @@ class TrainableMethod(Protocol):
         ...
 
 
-@runtime_checkable
-class CoverTrainableMethod(TrainableMethod, Protocol):
-    """A model that also states what covers each pixel before some depths."""
+class CoverRenderableModel(RenderableModel, Protocol):
+    """A model that also states what covers each pixel before some depths: the capability `renders_covers`."""
 
     def render_covers(self, viewpoint: Viewpoint, limit_m: Float32) -> tuple[Rendering, Tensor]:
         """Render as `render` does, with the share (H, W) of each pixel that Gaussians before a depth cover.

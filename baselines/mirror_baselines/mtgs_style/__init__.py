@@ -6,6 +6,6 @@ An untrained traversal is rendered with the appearance of the viewpoint's source
 from __future__ import annotations
 
 from mirror_baselines.mtgs_style.settings import BY_HAND, RELEASED, TUNED, MtgsStyle
-from mirror_baselines.mtgs_style.trainer import make
+from mirror_baselines.mtgs_style.trainer import make, make_empty
 
-__all__ = ["BY_HAND", "RELEASED", "TUNED", "MtgsStyle", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "MtgsStyle", "make", "make_empty"]

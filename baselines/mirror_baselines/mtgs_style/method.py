@@ -7,6 +7,13 @@ from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.mtgs_style.settings import TUNED
-from mirror_baselines.mtgs_style.trainer import make
+from mirror_baselines.mtgs_style.trainer import make, make_empty
+from mirror_baselines.splatting.renderer import SplattingRenderer
 
-METHOD: Final = StaticMethod("mtgs_style", make, lambda seed: replace(TUNED, seed=seed))
+METHOD: Final = StaticMethod(
+    "mtgs_style",
+    make,
+    lambda seed: replace(TUNED, seed=seed),
+    make_empty=make_empty,
+    capabilities=SplattingRenderer.CAPABILITIES,
+)

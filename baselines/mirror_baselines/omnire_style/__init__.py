@@ -7,6 +7,6 @@ one traversal, the nearest to the one to be rendered. The user selects these ima
 from __future__ import annotations
 
 from mirror_baselines.omnire_style.settings import BY_HAND, RELEASED, TUNED, OmnireStyle
-from mirror_baselines.omnire_style.trainer import make
+from mirror_baselines.omnire_style.trainer import make, make_empty
 
-__all__ = ["BY_HAND", "RELEASED", "TUNED", "OmnireStyle", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "OmnireStyle", "make", "make_empty"]

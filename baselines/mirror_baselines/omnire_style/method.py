@@ -7,6 +7,14 @@ from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.omnire_style.settings import TUNED
-from mirror_baselines.omnire_style.trainer import make
+from mirror_baselines.omnire_style.trainer import make, make_empty
+from mirror_baselines.splatting.renderer import SplattingRenderer
 
-METHOD: Final = StaticMethod("omnire_style", make, lambda seed: replace(TUNED, seed=seed), sky=True)
+METHOD: Final = StaticMethod(
+    "omnire_style",
+    make,
+    lambda seed: replace(TUNED, seed=seed),
+    sky=True,
+    make_empty=make_empty,
+    capabilities=SplattingRenderer.CAPABILITIES,
+)

@@ -1,14 +1,18 @@
-"""Makes a trainer of the OmniRe-style method."""
+"""Makes models of the OmniRe-style method."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 
 from hybridworldsim.model.initialization import InitialGeometry
+from hybridworldsim.training.viewpoint import Source
 from mirror_baselines.omnire_style.appearance import AffineAppearance
 from mirror_baselines.omnire_style.settings import OmnireStyle
-from mirror_baselines.splatting.gaussian_init import initial_gaussians
+from mirror_baselines.splatting.gaussian_init import initial_gaussians, no_gaussians
 from mirror_baselines.splatting.model import Gaussians
+from mirror_baselines.splatting.renderer import SplattingRenderer
 from mirror_baselines.splatting.trainer import SplattingTrainer
 
 
@@ -19,7 +23,21 @@ def make(initial: InitialGeometry, settings: OmnireStyle) -> SplattingTrainer:
         initial: geometry of the block; its sources name the traversals and cameras.
         settings: `RELEASED`, `TUNED` or others.
     """
+    appearance = _appearance(initial.sources, settings)
+    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), appearance), settings)
+
+
+def make_empty(sources: Sequence[Source], settings: OmnireStyle) -> SplattingRenderer:
+    """Make a model without Gaussians, which renders a trained model once it has its parameters.
+
+    Args:
+        sources: traversals and cameras of the training images.
+        settings: settings of the training.
+    """
+    return SplattingRenderer(Gaussians(no_gaussians(), _appearance(sources, settings)), settings)
+
+
+def _appearance(sources: Sequence[Source], settings: OmnireStyle) -> AffineAppearance:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        appearance = AffineAppearance(initial.sources, settings)
-    return SplattingTrainer(Gaussians(initial_gaussians(initial, settings.seeding), appearance), settings)
+        return AffineAppearance(sources, settings)

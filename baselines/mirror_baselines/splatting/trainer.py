@@ -3,52 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.optim import SGD, Optimizer
 
-from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.training.run.state import dump, load
-from hybridworldsim.training.trainable_method import Rendering, StepReport
+from hybridworldsim.training.trainable_method import StepReport
 from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Viewpoint
-from mirror.arrays import Float32
-from mirror_baselines.splatting.appearance import FinishedImage
 from mirror_baselines.splatting.density import DensityControl
 from mirror_baselines.splatting.losses import image_losses, surface_losses
 from mirror_baselines.splatting.model import Gaussians
+from mirror_baselines.splatting.renderer import RenderOutput, SplattingRenderer
 from mirror_baselines.splatting.row_adam import RowAdam
 from mirror_baselines.splatting.settings import Splatting
 
 
-@dataclass(frozen=True, eq=False)
-class RenderOutput:
-    """A rendered image, with what the optimiser reads.
-
-    Attributes:
-        finished: colours.
-        alpha: (H, W).
-        depth_m: (H, W) expected depth.
-        rows: (M,) int64 rows of the tables that may be visible.
-        geometry: copies of these rows of each table of geometry, leaves that may require gradients.
-        spherical_harmonics: (M, K, 3) coefficients of these rows, likewise.
-        meta: results of the rasterizer; ``gaussian_ids`` are rows of the tables.
-    """
-
-    finished: FinishedImage
-    alpha: Tensor
-    depth_m: Tensor
-    rows: Tensor
-    geometry: dict[str, Tensor]
-    spherical_harmonics: Tensor
-    meta: dict[str, Any]
-
-
-class SplattingTrainer:
+class SplattingTrainer(SplattingRenderer):
     """Gaussians with their optimisers and their densification.
 
     Args:
@@ -57,7 +28,7 @@ class SplattingTrainer:
     """
 
     def __init__(self, model: Gaussians, settings: Splatting) -> None:
-        self.model, self.settings = model, settings
+        super().__init__(model, settings)
         self._adams = {name: RowAdam(table) for name, table in model.tables.items()}
         self.density = DensityControl(settings.densification, settings.seed, len(model))
         self._steps = 0
@@ -99,49 +70,6 @@ class SplattingTrainer:
     def reads_depth(self) -> bool:
         """See `TrainableMethod`."""
         return bool(self.settings.weights.depth or self.settings.weights.normal)
-
-    @torch.no_grad()
-    def render(self, viewpoint: Viewpoint) -> Rendering:
-        """See `TrainableMethod`."""
-        return self._to_rendering(self._render(viewpoint, learning=False))
-
-    @torch.no_grad()
-    def render_covers(self, viewpoint: Viewpoint, limit_m: Float32) -> tuple[Rendering, Tensor]:
-        """See `CoverTrainableMethod`."""
-        output = self._render(viewpoint, learning=False)
-        return self._to_rendering(output), covered_before(output.meta, limit_m)
-
-    def _to_rendering(self, output: RenderOutput) -> Rendering:
-        counts = {"held": len(self.model), "decoded": len(output.rows), "drawn": len(output.meta["gaussian_ids"])}
-        return Rendering(output.finished.rgb, output.alpha, output.depth_m, counts)
-
-    def _render(self, viewpoint: Viewpoint, *, learning: bool) -> RenderOutput:
-        model = self.model
-        rows = model.visible_ids(viewpoint)
-        geometry, spherical_harmonics = model.geometry(rows), model.spherical_harmonics(rows, viewpoint.source)
-        for leaf in (*geometry.values(), spherical_harmonics):
-            leaf.requires_grad_(learning)
-        images, alphas, meta = rasterization(
-            geometry["means"],
-            geometry["quats"],
-            geometry["scales"].exp(),
-            geometry["opacities"].sigmoid(),
-            spherical_harmonics,
-            viewpoint.viewmat[None],
-            viewpoint.K[None],
-            viewpoint.width_px,
-            viewpoint.height_px,
-            near_plane=self.settings.near_m,
-            sh_degree=int(model.sh_degree),
-            render_mode="RGB+ED",
-            rasterize_mode="antialiased" if self.settings.antialiased else "classic",
-            absgrad=self.settings.densification.absolute,
-            nonfinite="cull",
-        )
-        meta["gaussian_ids"] = rows[meta["gaussian_ids"]]
-        alpha = alphas[0, ..., 0]
-        finished = model.look.finish(images[0, ..., :3], alpha, viewpoint)
-        return RenderOutput(finished, alpha, images[0, ..., 3], rows, geometry, spherical_harmonics, meta)
 
     def state(self) -> dict[str, Tensor]:
         """See `TrainableMethod`."""

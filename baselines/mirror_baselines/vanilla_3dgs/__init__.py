@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from mirror_baselines.vanilla_3dgs.settings import BY_HAND, RELEASED, TUNED
-from mirror_baselines.vanilla_3dgs.trainer import make
+from mirror_baselines.vanilla_3dgs.trainer import make, make_empty
 
-__all__ = ["BY_HAND", "RELEASED", "TUNED", "make"]
+__all__ = ["BY_HAND", "RELEASED", "TUNED", "make", "make_empty"]

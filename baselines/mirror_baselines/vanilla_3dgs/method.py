@@ -6,7 +6,14 @@ from dataclasses import replace
 from typing import Final
 
 from hybridworldsim.methods.static import StaticMethod
+from mirror_baselines.splatting.renderer import SplattingRenderer
 from mirror_baselines.vanilla_3dgs.settings import TUNED
-from mirror_baselines.vanilla_3dgs.trainer import make
+from mirror_baselines.vanilla_3dgs.trainer import make, make_empty
 
-METHOD: Final = StaticMethod("vanilla_3dgs", make, lambda seed: replace(TUNED, seed=seed))
+METHOD: Final = StaticMethod(
+    "vanilla_3dgs",
+    make,
+    lambda seed: replace(TUNED, seed=seed),
+    make_empty=make_empty,
+    capabilities=SplattingRenderer.CAPABILITIES,
+)

@@ -1,11 +1,15 @@
-"""Makes a trainer of vanilla 3DGS."""
+"""Makes models of vanilla 3DGS."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from hybridworldsim.model.initialization import InitialGeometry
+from hybridworldsim.training.viewpoint import Source
 from mirror_baselines.splatting.appearance import AppearanceModel
-from mirror_baselines.splatting.gaussian_init import initial_gaussians
+from mirror_baselines.splatting.gaussian_init import initial_gaussians, no_gaussians
 from mirror_baselines.splatting.model import Gaussians
+from mirror_baselines.splatting.renderer import SplattingRenderer
 from mirror_baselines.splatting.settings import Splatting
 from mirror_baselines.splatting.trainer import SplattingTrainer
 
@@ -20,3 +24,13 @@ def make(initial: InitialGeometry, settings: Splatting) -> SplattingTrainer:
     return SplattingTrainer(
         Gaussians(initial_gaussians(initial, settings.seeding), AppearanceModel(settings.sh_degree)), settings
     )
+
+
+def make_empty(sources: Sequence[Source], settings: Splatting) -> SplattingRenderer:
+    """Make a model without Gaussians, which renders a trained model once it has its parameters.
+
+    Args:
+        sources: traversals and cameras of the training images.
+        settings: settings of the training.
+    """
+    return SplattingRenderer(Gaussians(no_gaussians(), AppearanceModel(settings.sh_degree)), settings)

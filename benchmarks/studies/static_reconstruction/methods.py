@@ -165,5 +165,9 @@ def _street(change: Callable[[Settings], Settings]) -> StaticMethod:
 
 def _explicit(package: Any, settings: Any) -> StaticMethod:
     return StaticMethod(
-        baseline_name(package), package.make, lambda seed: replace(settings, seed=seed), sky=package is omnire_style
+        baseline_name(package),
+        package.make,
+        lambda seed: replace(settings, seed=seed),
+        sky=package is omnire_style,
+        make_empty=package.make_empty,
     )

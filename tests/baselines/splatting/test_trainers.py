@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.methods.renderers import OpenBlock, render_nearest
+from hybridworldsim.methods.overrides import settings_document
+from hybridworldsim.methods.renderers import OpenBlock, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.training.appearance import trained_cameras
 from hybridworldsim.training.documents import Run
+from hybridworldsim.training.parameters import write_parameters
+from hybridworldsim.training.run.folder import MODEL
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
+from mirror.methods.capabilities import Capabilities, find_capabilities
+from mirror.schema.files import write_json
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
 from tests.baselines.splatting.scenes import (
     GROWING,
@@ -104,16 +108,45 @@ def test_covers_are_the_opacity_of_what_lies_before_a_far_plane(method):
     assert torch.stack(covers).diff().min() > 0.01
 
 
-def test_a_renderer_states_covers_if_its_method_does():
-    run = Run(
-        method="any", settings={}, settings_hash="", seed=0, steps=1, core_minutes=None, threads=1, scene="s",
-        split="novel", block="whole", origin_m=(0.0, 0.0, 0.0), radius_m=30.0, width_px=WIDTH, half=False,
-        dataset_hash="", plan_hash="", depth=None, points=None, pictures=1, sources=trained_cameras(street.views()),
+def _run(settings=None):
+    return Run(
+        method="any", settings={} if settings is None else settings_document(settings), settings_hash="", seed=0,
+        steps=1, core_minutes=None, threads=1, scene="s", split="novel", block="whole", origin_m=(0.0, 0.0, 0.0),
+        radius_m=30.0, width_px=WIDTH, half=False, dataset_hash="", plan_hash="", depth=None, points=None, pictures=1,
+        sources=trained_cameras(street.views()) if settings is None else [_trained(source) for source in SOURCES],
     )  # fmt: skip
+
+
+def _trained(source):
+    return trained_cameras(street.views())[0].model_copy(update=source._asdict())
+
+
+@methods
+def test_a_trained_block_is_opened_without_a_geometry(method, tmp_path):
+    trainer, shown = _made(method), images()
+    _train(trainer, shown, 0, 30, 30)
+    write_parameters(tmp_path / MODEL, trainer.model, half=False)
+    write_json(tmp_path / "run.json", _run(trainer.settings))
+
+    def make_empty(run, settings):
+        return method.make_empty(training_sources(run), settings)
+
+    def make_at_one_point(run, settings):
+        return method.make(one_point(run), settings)
+
+    for make in (make_empty, make_at_one_point):
+        opened = open_block(tmp_path, make, type(trainer.settings)).model
+        assert hasattr(opened, "density") is not (make is make_empty)
+        for at in (shown[0].viewpoint, viewpoint(0.7)):
+            assert torch.equal(trainer.render(at).rgb, opened.render(at).rgb)
+
+
+def test_a_renderer_states_covers_if_its_method_does():
     for trainer, expected in ((_made(vanilla_3dgs), True), (street.trainer(), False)):
-        renderer = render_nearest([OpenBlock(run, trainer)], AppearancePolicy())
-        assert isinstance(renderer, DepthRenderer)
-        assert isinstance(renderer, CoverRenderer) is expected
+        shown = find_capabilities(object(), trainer)
+        assert shown == Capabilities(renders_depth=True, renders_covers=expected)
+        renderer = render_nearest([OpenBlock(_run(), trainer)], AppearancePolicy(), shown)
+        assert find_capabilities(object(), renderer) == shown
 
 
 @methods

@@ -87,14 +87,13 @@ def calibrations_of(text: str) -> str:
 
 
 def _open_model(
-    model: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None
+    folder: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None
 ) -> tuple[Background, str]:
     from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.hosting import checked_renderer
+    from mirror.methods.model import Model
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
-    from mirror.methods.registry import method_of_model
 
-    document = read_reconstruction(model)
+    document = read_reconstruction(folder)
     require_matching_split(dataset, document.split, document)
     scenes = sorted({view.scene_id for view in views})
     if scenes != [document.scene]:
@@ -102,8 +101,7 @@ def _open_model(
             f"the static model is of scene {document.scene}", place="--background", expected=f"of {', '.join(scenes)}"
         )
     policy = AppearancePolicy(appearance, views, everywhere=True)
-    renderer = method_of_model(document.method, method).open(model, policy)
-    return checked_renderer(document.method, renderer), file_sha256(model / DOCUMENT)
+    return Model.read(folder, method).open(policy), file_sha256(folder / DOCUMENT)
 
 
 def _require_preset(preset: str) -> None:

@@ -26,10 +26,8 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
-from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
+from mirror.methods.model import Model, ModelRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction
-from mirror.methods.registry import method_of_model
 from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
 from mirror.synth import Condition, instant_of
@@ -64,13 +62,13 @@ class OpenModel:
         path: its folder.
         scene: the scene that it shows.
         trained: ids of the traversals that it was trained on.
-        renderer: its renderer.
+        renderer: its renderer, which renders depth.
     """
 
     path: Path
     scene: str
     trained: tuple[str, ...]
-    renderer: DepthRenderer
+    renderer: ModelRenderer
 
     @classmethod
     def read(cls, path: Path, street: Street, method: str | None = None, *, option: str = "--method ") -> OpenModel:
@@ -87,8 +85,8 @@ class OpenModel:
             UsageError: the model is of another scene, or its method cannot be loaded or does not render depth.
         """
         document, trained = require_model_of(path, street)
-        renderer = method_of_model(document.method, method, option=option).open(path, AppearancePolicy())
-        if not isinstance(renderer, DepthRenderer):
+        renderer = Model.read(path, method, option=option).open()
+        if not renderer.capabilities.renders_depth:
             raise UsageError(
                 f"method {document.method} renders no depth, which places road users in its images", file=path,
                 expected="a method whose renderer has a function `render` with depth, such as hybridworldsim",
@@ -198,7 +196,7 @@ class ReconstructedRenderer(Renderer):
             world_SE3_camera=place.world_SE3_camera,
         )  # fmt: skip
         renderer, covers = self._model.renderer, None
-        if limit_m is not None and isinstance(renderer, CoverRenderer):
+        if limit_m is not None and renderer.capabilities.renders_covers:
             rendering, covers = renderer.render_covers(view, limit_m)
         else:
             rendering = renderer.render(view)

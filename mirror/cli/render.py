@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,12 +17,6 @@ from mirror.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mirror.arrays import UInt8
     from mirror.dataset.dataset import Dataset
-    from mirror.evaluation.submission.manifest import Appearance, Runtime
-    from mirror.evaluation.submission.writing import Render
-    from mirror.methods.appearance import AppearancePolicy
-    from mirror.methods.model import Model
-    from mirror.methods.model_document import Reconstruction
-    from mirror.protocols.views.plan import Plan
     from mirror.protocols.views.view import RenderView
 
 _VIDEOS = (".mp4", ".mkv")
@@ -115,16 +107,10 @@ def _is_video(out: Path) -> bool:
 
 def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.scorers import load_scorer
-    from mirror.evaluation.submission.manifest import Method
-    from mirror.evaluation.submission.writing import write_submission
-    from mirror.methods.appearance import AppearancePolicy
+    from mirror.evaluation.submission.models import plan_model_submission
     from mirror.methods.model import read_models
-    from mirror.methods.model_document import require_held_out_images, require_matching_split
-    from mirror.methods.registry import read_licence
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
-    from mirror.protocols.views import plan_views
-    from mirror.protocols.views.recalibration import recalibrate_views
 
     for option in ("traversal", "cameras", "width", "hz"):
         if getattr(arguments, option) is not None:
@@ -138,116 +124,24 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
     models = read_models(arguments.model, arguments.method)
-    split, protocol = str(arguments.split), load_protocol(arguments.protocol, masked=arguments.masks)
-    documents = {scene: model.document for scene, model in models.items()}
-    name = next(iter(models.values())).name
-    for document in documents.values():
-        require_matching_split(dataset, split, document)
-        require_held_out_images(protocol, document)
-    plan = plan_views(dataset, protocol, split)
-    without_model = sorted({view.scene_id for view in plan.views} - set(models))
-    if without_model:
-        raise UsageError(
-            f"split {split} also has views of {', '.join(without_model)}", expected="a model of each of its scenes",
-            remedy="reconstruct them, and name all models; or make a split of fewer scenes",
-        )  # fmt: skip
-    if arguments.appearance == "fit" and protocol.fitted_part is None:
-        raise UsageError(
-            f"protocol {protocol.name} lets no appearance be fitted", place="--appearance fit",
-            expected="another policy, or a protocol with a fitted part, such as static-reconstruction",
-        )  # fmt: skip
-    layers = {scene: arguments.calibrations or document.calibrations for scene, document in documents.items()}
-    placed = {
-        view.path: view
-        for scene, layer in layers.items()
-        for view in recalibrate_views(dataset, [view for view in plan.views if view.scene_id == scene], layer)
-    }
-    views = tuple(placed[view.path] for view in plan.views)
-    appearance = AppearancePolicy(arguments.appearance, views, truth=(dataset, replace(plan, views=views)))
-
-    def renderer(_: Dataset, requested: Plan) -> Iterator[Render]:
-        for scene, model in models.items():
-            missing = [view for view in requested.views if view.scene_id == scene]
-            if missing:
-                render = model.open(appearance)
-                yield from (([view], render(placed[view.path])) for view in missing)
-
-    about = Method(name=name, licence=read_licence(name), trained_on=_trained_on(documents.values(), layers))
+    protocol = load_protocol(arguments.protocol, masked=arguments.masks)
+    submission = plan_model_submission(
+        dataset, models, protocol, str(arguments.split),
+        policy=arguments.appearance, calibrations=arguments.calibrations,
+    )  # fmt: skip
     with progress_bar(quiet=arguments.json) as bar:
-        count = write_submission(
-            dataset, plan, renderer, about, appearance_of(appearance), arguments.out, bar, _costs(models.values()),
-            of=_hash(models.values()),
-        )  # fmt: skip
+        count = submission.write(arguments.out, bar)
     if arguments.json:
-        print(json.dumps({"out": str(arguments.out), "views": count, "method": name}))
+        print(json.dumps({"out": str(arguments.out), "views": count, "method": submission.method}))
     else:
-        more = " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(plan) != "unused" else ""
-        print(f"{count} renders by {name}: {arguments.out}")
+        more = " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(submission.plan) != "unused" else ""
+        print(f"{count} renders by {submission.method}: {arguments.out}")
         print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{more}")
     return ExitCode.DONE
 
 
-def _hash(models: Iterable[Model]) -> str:
-    """SHA-256 over the documents of models. They record training times, so that no two trainings have the same."""
-    from mirror.methods.model_document import DOCUMENT
-
-    return hashlib.sha256(b"".join((model.folder / DOCUMENT).read_bytes() for model in models)).hexdigest()
-
-
-def _trained_on(documents: Iterable[Reconstruction], rendered: Mapping[str, str]) -> str:
-    """The manifest entry for the training data and the calibrations.
-
-    Args:
-        documents: documents of the models.
-        rendered: layer of calibrations of the renders, by scene.
-    """
-    documents = list(documents)
-    withheld = sum(document.withheld for document in documents)
-    splits = ", ".join(sorted({document.split for document in documents}))
-    text = f"training traversals of split {splits}, of the scene alone"
-    if withheld:
-        text += f", without {withheld} of their pictures"
-    trained = {document.scene: document.calibrations for document in documents}
-    if {*trained.values(), *rendered.values()} != {"recorded"}:
-        text += f"; calibrations {', '.join(sorted(set(trained.values())))}"
-        if rendered != trained:
-            text += f", rendered with {', '.join(sorted(set(rendered.values())))}"
-    return text
-
-
-def _costs(models: Iterable[Model]) -> Runtime:
-    from mirror.evaluation.submission.manifest import LEAST_COSTS, Runtime
-
-    device = f"{platform.machine()} CPU"
-    costs = [model.document.done for model in models]
-    known = [cost for cost in costs if cost is not None]
-    if len(known) < len(costs):
-        return Runtime(device=device)
-    stated = {
-        "model_bytes": sum(cost.model_bytes for cost in known),
-        "driven_m": sum(cost.driven_m for cost in known),
-        "training_s": sum(cost.wall_s for cost in known),
-    }
-    # A method of one file may write nothing, or train within a step of the clock: such a cost is not stated.
-    return Runtime.model_validate(
-        {"device": device, **{name: value for name, value in stated.items() if value >= LEAST_COSTS[name]}}
-    )
-
-
-def appearance_of(appearance: AppearancePolicy) -> Appearance:
-    """The manifest entry for the appearance of images that were not trained on."""
-    from mirror.evaluation.submission.manifest import Appearance
-
-    if appearance.policy == "nearest":
-        return Appearance(policy="nearest-traversal", description="by the symmetric chamfer distance of driven lines")
-    if appearance.policy == "mean":
-        return Appearance(policy="mean", description="of the latents of the camera")
-    if appearance.policy == "fit":
-        return Appearance(policy="fitted", description="the latent alone")
-    return Appearance(policy="other", description=f"given: {appearance.policy}")
-
-
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
+    from mirror.evaluation.submission.models import hash_models
     from mirror.methods.appearance import AppearancePolicy
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
     from mirror.methods.model import read_models
@@ -293,7 +187,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             write_video(arguments.out, _side_by_side(views, render, len(rendered_cameras), bar.advance), hz)
             rendered = len(views)
         else:
-            inputs = (_hash(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
+            inputs = (hash_models(models.values()), *(view.model_dump_json() for view in views), arguments.appearance)
             start_render_folder(arguments.out, inputs)
             rendered = _write_images(arguments.out, views, render, bar.advance)
     speed = rendered / (time.perf_counter() - begin)

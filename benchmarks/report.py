@@ -64,12 +64,12 @@ class Row:
 
     @property
     def is_missed(self) -> bool:
-        """Return whether the row is not below its limits."""
+        """Return whether the row exceeds one of its limits."""
         slow = self.bar is not None and not self.ms < self.bar
         return slow or (self.error_bar is not None and not (self.error is not None and self.error < self.error_bar))
 
     def cells(self) -> tuple[str, ...]:
-        """The line's cells as text."""
+        """Return the line's cells as text."""
         error = "-" if self.error is None else f"{_number(self.error)} {self.unit}".rstrip()
         bars = [_number(bar) for bar in (self.bar, self.error_bar) if bar is not None]
         bar = f"< {', '.join(bars)}{' MISSED' if self.is_missed else ''}" if bars else "-"
@@ -77,17 +77,17 @@ class Row:
 
 
 def best_ms(call: Callable[[], object], repeats: int = 3) -> float:
-    """Smallest time of some calls, after one that does not count."""
+    """Return the smallest time of some calls, after one that does not count."""
     return min(times_ms(call, repeats))
 
 
 def median_ms(call: Callable[[], object], repeats: int = 5) -> float:
-    """Median time of some calls, after one that does not count."""
+    """Return the median time of some calls, after one that does not count."""
     return float(np.median(times_ms(call, repeats)))
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> list[float]:
-    """Times of some calls, after one that does not count."""
+    """Return the times of some calls, after one that does not count."""
     call()
     times = []
     for _ in range(repeats):

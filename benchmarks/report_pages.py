@@ -72,7 +72,7 @@ def generate(root: Path, traversals: int) -> None:
 
 
 def page_rows(site: Path, name: str, page: Path, rows: int, screenshots: Path | None) -> Iterator[Row]:
-    """Rows of one page on each screen."""
+    """Yield the rows of one page on each screen."""
     program = find_browser()
     if program is None:
         raise UsageError("no Chromium here", remedy="apt-get install chromium")

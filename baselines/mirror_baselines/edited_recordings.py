@@ -67,7 +67,7 @@ def keep(view: RenderView, recorded: UInt8) -> UInt8:
 
 
 def erase(view: RenderView, recorded: UInt8) -> UInt8:
-    """Replace the edited vehicles by what surrounds them (Telea's inpainting)."""
+    """Replace the edited vehicles by an inpainting of their surroundings (Telea's)."""
     mask = np.zeros(recorded.shape[:2], np.bool_)
     for edit in view.edits:
         mask |= _outline(view, edit, recorded)

@@ -9,7 +9,7 @@ from mirror.schema.files import write_bytes
 
 
 def replace_section(page: Path, begin: str, end: str, section: str) -> None:
-    """Replace what stands between two lines of a page, and the lines themselves.
+    """Replace the part of a page between two lines, and the lines themselves.
 
     Args:
         page: the page.

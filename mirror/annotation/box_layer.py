@@ -22,13 +22,13 @@ _NUMBERS: Final = (
 
 
 def box_layers(dataset: Dataset) -> list[str]:
-    """Names ``source@version`` of the layers of boxes in a view, sorted."""
+    """Return the names ``source@version`` of the layers of boxes in a view, sorted."""
     names = {name for names in dataset.table("traversals", ["layers"]).column(0).to_pylist() for name in names}
     return sorted(name.partition("/")[2] for name in names if name.startswith("boxes/"))
 
 
 def choose_box_layer(dataset: Dataset, requested: str | None) -> str:
-    """The requested layer of boxes, or the only one.
+    """Return the requested layer of boxes, or the only one.
 
     Raises:
         UsageError: there is no such layer, or there are several and none was requested.
@@ -43,7 +43,7 @@ def choose_box_layer(dataset: Dataset, requested: str | None) -> str:
 
 
 def with_box_layer(dataset: Dataset, requested: str | None) -> Dataset:
-    """A view that reads the requested layer of boxes, or the only one; the view as it is if there are no boxes.
+    """Return a view that reads the requested layer of boxes, or the only one; the view as it is if there are no boxes.
 
     Raises:
         UsageError: there is no such layer, or there are several and none was requested.
@@ -86,7 +86,7 @@ def read_box_layer(dataset: Dataset, layer: str) -> dict[str, list[Detections]]:
 
 
 def ego_poses_at(dataset: Dataset, traversal_id: str, frames: Sequence[Detections]) -> Poses:
-    """Poses of the vehicle in the world at the times of frames; a traversal without images has none of them.
+    """Return the poses of the vehicle in the world at the times of frames; a traversal without images has none of them.
 
     Raises:
         DatasetError: there are boxes but no images.

@@ -12,7 +12,7 @@ from mirror.dataset.dataset import Dataset
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was exported.
+    """The counts of an export of boxes for review.
 
     Attributes:
         path: the file.

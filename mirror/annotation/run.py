@@ -57,7 +57,7 @@ class _FrameResult:
 
 @dataclass
 class AnnotationReport:
-    """What a run did.
+    """The result of a run of an annotator over a dataset.
 
     Attributes:
         layer: ``source@version``.
@@ -195,7 +195,7 @@ def _annotate_frame(
 
 
 def box_table(frames: dict[int, list[dict[str, Any]]]) -> pa.Table:
-    """The rows of a layer of boxes, in the table's order; boxes without a track id get one of their own.
+    """Return the rows of a layer of boxes, in the table's order; boxes without a track id get one of their own.
 
     Args:
         frames: rows of `Detections.to_rows` by time.

@@ -21,7 +21,7 @@ from mirror.geometry.cameras import Camera
 
 
 class Parser:
-    """A scene of a dataset.
+    """A scene of a dataset as gsplat's examples read it.
 
     Args:
         data_dir: folder of the dataset; ``FOLDER#SCENE`` names one of several scenes.

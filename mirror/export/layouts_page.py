@@ -6,7 +6,7 @@ from mirror.export.run import LAYOUTS, find_layout
 
 
 def layouts_page() -> str:
-    """The tables of all formats, as Markdown."""
+    """Return the tables of all formats, as Markdown."""
     parts = []
     for name in LAYOUTS:
         layout = find_layout(name)

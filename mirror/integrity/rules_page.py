@@ -19,7 +19,7 @@ _COSTS = {
 
 
 def rules_page() -> str:
-    """The page, in Markdown."""
+    """Return the page, in Markdown."""
     every = list(rules().values())
     lines = [
         "# Integrity rules",

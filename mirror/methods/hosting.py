@@ -112,7 +112,7 @@ def checked_renderer(name: str, render: Callable[[RenderView], UInt8]) -> Callab
 
 
 def describe_task(name: str, dataset: Dataset, task: ReconstructionTask) -> Reconstruction:
-    """The document of a model that is not finished yet."""
+    """Return the document of a model that is not finished yet."""
     return Reconstruction(
         method=name,
         scene=task.scene,
@@ -157,7 +157,7 @@ def write_costs(out: Path, result: ReconstructionResult) -> None:
 
 
 def driven_length_m(dataset: Dataset) -> float:
-    """Length in metres of the longest driven line of a dataset view's traversals.
+    """Return the length in metres of the longest driven line of a dataset view's traversals.
 
     It is the road's length, if all of them drive along it.
     """

@@ -39,7 +39,7 @@ def format_tables() -> str:
 
 
 def fill_page(page: str) -> str:
-    """Replace what stands between the marks of a page by the tables.
+    """Replace the part of a page between its marks by the tables.
 
     Raises:
         ValueError: the page has no marks.

@@ -68,7 +68,7 @@ class ImageFailure:
 
 @dataclass
 class DeidentifyReport:
-    """What a run came to.
+    """The result of a de-identification run.
 
     Attributes:
         version: version of the layers.
@@ -93,7 +93,7 @@ class DeidentifyReport:
     failures: list[ImageFailure] = field(default_factory=list)
 
     def exit_code(self) -> ExitCode:
-        """The exit code of `mirror deidentify`."""
+        """Return the exit code of `mirror deidentify`."""
         if not self.failures:
             return ExitCode.DONE
         return ExitCode.PARTLY_DONE

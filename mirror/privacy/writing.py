@@ -35,7 +35,7 @@ _REMEDY: Final = "write another version beside it: --version NAME; the newest is
 
 @dataclass(frozen=True)
 class Configuration:
-    """What the layers of one version have in common.
+    """Settings that the layers of one version share.
 
     Attributes:
         version: version of the layers.

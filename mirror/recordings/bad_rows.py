@@ -37,5 +37,5 @@ class BadRows:
         return len(self.before)
 
     def counts(self) -> dict[str, int]:
-        """Number of dropped rows by reason."""
+        """Return the number of dropped rows by reason."""
         return {REASONS[code]: count for code, count in sorted(Counter(self.reason.tolist()).items())}

@@ -88,7 +88,7 @@ class BoreasRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """One vehicle in Toronto; the poses are those of the camera."""
+        """The drive of a vehicle in Toronto; the poses are those of the camera."""
         return DriveInfo(
             drive_id=self.path.resolve().name,
             vehicle_id="boreas",
@@ -108,14 +108,14 @@ class BoreasRecording:
         return RigInfo("boreas", (CameraInfo(_CAMERA, "camera"),), _CAMERA)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The pose file, the camera's calibration and its images; lidar and radar are not read."""
+        """Return the pose file, the camera's calibration and its images; lidar and radar are not read."""
         files = [self.poses, *self._image_files.values()]
         if self._projection is not None:
             files.append(self._projection)
         return sorted((file.relative_to(self.path).as_posix(), file) for file in files)
 
     def track(self) -> Track:
-        """The camera's poses, rotated to x forward, y left, z up."""
+        """Return the camera's poses, rotated to x forward, y left, z up."""
         rows = self._rows
         stamps = rows.stamps("GPSTime", "unix_us")
         rotation = self._rotation()
@@ -156,7 +156,7 @@ class BoreasRecording:
         return find_file(self.path, "calib/P_camera.txt")
 
     def calibrations(self) -> pa.Table:
-        """The rectified camera of ``calib/P_camera.txt``.
+        """Return the rectified camera of ``calib/P_camera.txt``.
 
         The ego frame has the camera's origin and axes x forward, y left, z up, so the mounting is a rotation alone.
         """
@@ -203,7 +203,7 @@ class BoreasRecording:
         return dict(sorted(images.items()))
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The camera's images; a file name is the time of mid-exposure, exposure lengths are not recorded."""
+        """Return the camera's images; a file name is the time of mid-exposure, exposure lengths are not recorded."""
         if self.rig is None:
             return {}
         files = self._image_files
@@ -211,5 +211,5 @@ class BoreasRecording:
         return {_CAMERA: FileStream(_CAMERA, "png", stamps, stamps, tuple(files.values()))}
 
     def boxes(self) -> None:
-        """None: the sequences have no boxes."""
+        """Return None: the sequences have no boxes."""
         return

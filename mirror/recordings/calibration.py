@@ -145,7 +145,7 @@ def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
 def to_calibration(
     camera: str, lens: Camera, mounting: tuple[float, ...], method: str | None, **others: Any
 ) -> Calibration:
-    """A calibration of a lens at a mounting.
+    """Return a calibration of a lens at a mounting.
 
     Args:
         camera: the camera's name.

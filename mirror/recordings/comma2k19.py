@@ -104,7 +104,7 @@ class Comma2k19Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The id is the route's name; a single segment adds its number."""
+        """The drive; its id is the route's name, to which a single segment adds its number."""
         folder = self.path.resolve()
         is_segment = self.segments[0] == self.path
         route = folder.parent.name if is_segment else folder.name
@@ -133,7 +133,7 @@ class Comma2k19Recording:
         return {index: file for index, file in files.items() if file is not None}
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The pose arrays and videos that exist; the car's bus and the raw GNSS are not read."""
+        """Return the pose arrays and videos that exist; the car's bus and the raw GNSS are not read."""
         names = [self._name(segment, f"global_pose/{name}") for segment in self.segments for name in _ARRAYS]
         arrays = [file for name in names if (file := find_file(self.path, name)) is not None]
         return sorted((file.relative_to(self.path).as_posix(), file) for file in (*arrays, *self._videos.values()))
@@ -186,7 +186,7 @@ class Comma2k19Recording:
         return [unix_from_gps_week(both[:, 0], both[:, 1]) for both in times]
 
     def track(self) -> Track:
-        """The camera's poses of all segments, rotated to x forward, y left, z up; damaged segments are left out."""
+        """Return the poses of the camera, rotated to x forward, y left, z up, without damaged segments."""
         times, position, orientation = (
             np.concatenate([segment.arrays[name] for segment in self._loaded]) for name in _ARRAYS
         )
@@ -226,7 +226,7 @@ class Comma2k19Recording:
         return error
 
     def calibrations(self) -> pa.Table:
-        """The device's nominal camera.
+        """Return the device's nominal camera.
 
         The ego frame has the camera's origin and axes x forward, y left, z up, so the mounting is a rotation alone.
         """
@@ -249,7 +249,7 @@ class Comma2k19Recording:
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The videos of all segments as one stream; the stamp of a frame is taken as its mid-exposure."""
+        """Return the videos of all segments as one stream; the stamp of a frame is taken as its mid-exposure."""
         if not self._videos:
             return {}
         parts = []
@@ -260,7 +260,7 @@ class Comma2k19Recording:
         return {_CAMERA: _SegmentedStream(tuple(parts))}
 
     def boxes(self) -> None:
-        """None: the dataset has no boxes."""
+        """Return None: the dataset has no boxes."""
         return
 
 

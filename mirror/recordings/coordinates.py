@@ -50,7 +50,7 @@ UNIT_TOLERANCE = 1e-2
 
 
 def is_invalid_rotation(quaternion: Float64) -> Bool:
-    """(N,) True where a quaternion of (N, 4) is NaN, zero, or off unit length by more than `UNIT_TOLERANCE`."""
+    """Mark which quaternions (N, 4) are NaN, zero, or off unit length by more than `UNIT_TOLERANCE`."""
     squared = np.einsum("ij,ij->i", quaternion, quaternion)
     return ~((squared >= (1.0 - UNIT_TOLERANCE) ** 2) & (squared <= (1.0 + UNIT_TOLERANCE) ** 2))
 

@@ -150,7 +150,7 @@ class DgpRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The id is the folder's name and the scene's hash; the local frame of the scene has the same name."""
+        """The drive; its id and the name of its local frame are the folder's name and the scene's hash."""
         drive_id = to_identifier(f"{self.path.resolve().name}_{self.scene_file.stem.removeprefix('scene_')[:8]}")
         return DriveInfo(
             drive_id=drive_id,
@@ -169,7 +169,7 @@ class DgpRecording:
         return RigInfo(f"dgp_{self._data[0].calibration[:8]}", cameras, self._cameras[0])
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """All files that the scene names, except the point clouds."""
+        """Return all files that the scene names, except the point clouds."""
         names = [self.scene_file.name, *(f"calibration/{key}.json" for key in self._calibration_files)]
         names += [f"ontology/{key}.json" for key in self._ontology_keys]
         names += [datum.content["filename"] for datum in self._data if datum.kind == "image"]
@@ -193,7 +193,7 @@ class DgpRecording:
         return self._extrinsics[key, sensor]
 
     def track(self) -> Track:
-        """The vehicle's poses at the stamps of the point clouds and of the reference camera.
+        """Return the vehicle's poses at the stamps of the point clouds and of the reference camera.
 
         The other cameras are left out: at one stamp their poses differ from the reference camera's by up to 10 mm,
         because the exposures are a millisecond apart and share a stamp.
@@ -255,7 +255,7 @@ class DgpRecording:
         return RecordingError(problem, file=self.scene_file, place=place, expected=expected, remedy=remedy)
 
     def calibrations(self) -> pa.Table:
-        """One factory row per camera and calibration that the scene uses."""
+        """Return one factory row per camera and calibration that the scene uses."""
         calibrations: list[tuple[Stage, Calibration]] = []
         for name in self._cameras:
             data = [datum for datum in self._data if datum.sensor == name]
@@ -294,7 +294,7 @@ class DgpRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera; the stamp is taken as mid-exposure, and exposure lengths are not recorded."""
+        """Return images of each camera; the stamp is taken as mid-exposure, and exposure lengths are not recorded."""
         streams = {}
         for name in self._cameras:
             data = [datum for datum in self._data if datum.sensor == name]
@@ -323,7 +323,7 @@ class DgpRecording:
             return {item["id"]: require_text(item["name"]) for item in read_object(file)["items"]}
 
     def boxes(self) -> pa.Table | None:
-        """The boxes of the point clouds in the vehicle frame; None if no point cloud has boxes."""
+        """Return the boxes of the point clouds in the vehicle frame; None if no point cloud has boxes."""
         if not self._box_files or not self._ontology_keys:
             return None
         ontology = self._ontology_keys[0]

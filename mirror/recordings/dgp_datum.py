@@ -22,7 +22,7 @@ _LAST_YEAR: Final = 2200
 
 @contextmanager
 def entry_errors(file: Path, place: str, expected: str) -> Iterator[None]:
-    """Turn what a malformed JSON entry raises into an error that names its place.
+    """Turn the errors of a malformed JSON entry into an error that names its place.
 
     Args:
         file: the JSON file.

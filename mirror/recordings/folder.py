@@ -104,7 +104,7 @@ class FolderRecording:
         return RigInfo(document.rig_id, cameras, document.reference_camera)
 
     def files(self) -> Sequence[tuple[str, str]]:
-        """All files of the folder except hidden files and ``truth/``, which `mirror synth` writes."""
+        """Return all files of the folder except hidden files and ``truth/``, which `mirror synth` writes."""
         return [file for file in list_files(self.path) if not file[0].startswith("truth/")]
 
     @cached_property
@@ -132,7 +132,7 @@ class FolderRecording:
         return read_rows(self._pose_files, types=types, tolerant=True)
 
     def track(self) -> Track:
-        """The ego's poses of all files, in Unix time, on WGS 84 or in the recording's local frame."""
+        """Return the ego's poses of all files, in Unix time, on WGS 84 or in the recording's local frame."""
         track = self._ego_track(self._poses)
         return self._poses.without_bad(track)
 
@@ -189,7 +189,7 @@ class FolderRecording:
         return to_ego_track(track, Poses(np.array([offset[:4]]), np.array([offset[4:]])))
 
     def calibrations(self) -> pa.Table:
-        """The calibrations of all stages that have a file."""
+        """Return the calibrations of all stages that have a file."""
         calibrations: list[tuple[Stage, Calibration]] = []
         for stage in STAGES:
             file = find_file(self.path, f"calibrations/{stage}.json")
@@ -215,16 +215,16 @@ class FolderRecording:
         return to_calibration_table(calibrations, vehicle_id=self.document.vehicle_id, drive_id=self.document.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """One stream per camera."""
+        """Return one stream per camera."""
         return {name: image_stream(self.path, name, entry) for name, entry in self.document.cameras.items()}
 
     def named_images(self) -> Mapping[str, ImageStream]:
-        """One stream per camera; files that a table of exposures names may be missing."""
+        """Return one stream per camera; files that a table of exposures names may be missing."""
         cameras = self.document.cameras.items()
         return {name: image_stream(self.path, name, entry, named=True) for name, entry in cameras}
 
     def boxes(self) -> pa.Table | None:
-        """The rows of ``boxes.parquet``, cast to the `boxes` table."""
+        """Return the rows of ``boxes.parquet``, cast to the `boxes` table."""
         file = find_file(self.path, "boxes.parquet")
         if file is None:
             return None

@@ -43,7 +43,7 @@ class PositionFrame(Document):
 
 
 class FolderCamera(Document):
-    """One camera.
+    """One camera of a recording in the folder layout.
 
     Attributes:
         source_name: the source's name of the camera; None: the same name.

@@ -27,7 +27,7 @@ _LARGEST: Final = 2**31 - 1
 
 
 def image_stream(root: Path, camera: str, entry: FolderCamera, *, named: bool = False) -> ImageStream:
-    """The images of one camera in the order of their exposures.
+    """Return the images of one camera in the order of their exposures.
 
     Args:
         root: the recording.

@@ -230,7 +230,7 @@ class CsvRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """Ids come from the options or the name; the weather is the most frequent word of its column."""
+        """The drive; ids are from the options or the name, the weather is its column's most frequent word."""
         path = self.path.resolve()
         name = path.stem if path.is_file() else path.name
         return DriveInfo(
@@ -270,11 +270,11 @@ class CsvRecording:
         return
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The tables."""
+        """Return the tables."""
         return [(file.name, file) for file in sorted(self.tables)]
 
     def track(self) -> Track:
-        """All fixes; a height is above the ellipsoid, or z of the local frame."""
+        """Return all fixes; a height is above the ellipsoid, or z of the local frame."""
         stamps = self._stamps[0]
         names = ("x_m", "y_m") if "frame" in self.options else ("longitude_deg", "latitude_deg")
         columns: dict[str, Any] = {
@@ -288,15 +288,15 @@ class CsvRecording:
         return self._rows.without_bad(Track(stamps, **columns, file=self.tables[0]))
 
     def calibrations(self) -> pa.Table:
-        """A table without rows."""
+        """Return a table without rows."""
         return to_calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """No streams."""
+        """Return no streams."""
         return {}
 
     def boxes(self) -> None:
-        """None: tables have no boxes."""
+        """Return None: tables have no boxes."""
         return
 
 

@@ -23,7 +23,7 @@ _TERRESTRIAL_DAYS: Final = 69.0 / 86_400.0
 def solar_elevation_deg(
     timestamp_ns: npt.ArrayLike, longitude_deg: npt.ArrayLike, latitude_deg: npt.ArrayLike
 ) -> Float64:
-    """Elevation of the sun's centre above the horizon, without refraction.
+    """Return the elevation of the sun's centre above the horizon, without refraction.
 
     The result is within 0.015 degrees of the precise ephemeris from 1970 to 2100. Source: J. Meeus, Astronomical
     Algorithms, 2nd ed., chapters 12, 22 and 25, the low-accuracy formulas of the NOAA solar calculator.

@@ -36,7 +36,7 @@ class MissingImages:
         return f"{self.count} of {self.total} images are missing"
 
     def to_error(self, cause: RecordingError | None = None) -> RecordingError:
-        """The error of a drive that is refused for its missing images, with the option that accepts it."""
+        """Return the error of a drive that is refused for its missing images, with the option that accepts it."""
         share = math.ceil(self.count / self.total * 1000) / 1000
         remedy = cause.remedy if cause is not None and cause.remedy else "restore the images"
         problem = self.words if cause is None or cause.problem == "missing" else f"{self.words}: {cause.problem}"
@@ -64,7 +64,7 @@ def find_missing_images(recording: Recording) -> MissingImages:
 
 
 def name_missing_images(recording: Recording, error: RecordingError) -> RecordingError:
-    """The same error with the number of missing images and the option that accepts them, if any are missing."""
+    """Add the number of missing images, and the option that accepts them, to an error."""
     try:
         missing = find_missing_images(recording)
     except MirrorError:
@@ -73,7 +73,7 @@ def name_missing_images(recording: Recording, error: RecordingError) -> Recordin
 
 
 def without_missing_images(recording: Recording, largest_share: float) -> Recording:
-    """The recording without the images whose files are missing.
+    """Return the recording without the images whose files are missing.
 
     Args:
         recording: opened.

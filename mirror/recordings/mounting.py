@@ -15,7 +15,7 @@ MOUNTING_FORM = "x,y,z,roll,pitch,yaw in metres and degrees, or qw,qx,qy,qz,tx_m
 
 
 def parse_mounting(text: str, place: str) -> tuple[float, ...]:
-    """The pose of a camera in the ego frame, from text with commas; see `mounting_pose`.
+    """Return the pose of a camera in the ego frame, from text with commas; see `mounting_pose`.
 
     Args:
         text: six or seven numbers.
@@ -31,7 +31,7 @@ def parse_mounting(text: str, place: str) -> tuple[float, ...]:
 
 
 def mounting_pose(numbers: Sequence[float]) -> tuple[float, ...]:
-    """The pose of a camera in the ego frame.
+    """Return the pose of a camera in the ego frame.
 
     Args:
         numbers: six: ``x, y, z`` in metres, then ``roll, pitch, yaw`` in degrees, right-handed about x (forward), y

@@ -54,7 +54,7 @@ def require_inside(root: Path, name: str, *, file: Path, place: str) -> Path:
 
 
 def require_files_inside(root: Path, names: Sequence[str], *, file: Path) -> list[Path]:
-    """Paths of many files that a recording names; see `require_inside`. Each folder is followed once.
+    """Return the paths of many files that a recording names; see `require_inside`. Each folder is followed once.
 
     Args:
         root: the recording's folder.
@@ -111,7 +111,7 @@ def is_remote_uri(uri: str) -> bool:
 
 
 def list_folder(root: Path, folder: Path) -> dict[str, Path]:
-    """The regular files of one folder by name; see `list_file_names`."""
+    """Return the regular files of one folder by name; see `list_file_names`."""
     return {name: folder / name for name in list_file_names(root, folder)}
 
 
@@ -177,7 +177,10 @@ def list_files(root: Path) -> list[tuple[str, str]]:
 
 
 def natural_key(name: str) -> tuple[str | int, ...]:
-    """Sort key that compares numbers in names by value: ``part_9.csv`` comes before ``part_10.csv``."""
+    """Return a sort key that compares numbers in names by value.
+
+    ``part_9.csv`` comes before ``part_10.csv``.
+    """
     return tuple(int(part) if index % 2 else part for index, part in enumerate(_DIGITS.split(name)))
 
 

@@ -203,7 +203,7 @@ def _to_utc(
 
 
 def has_offset(text: pa.ChunkedArray) -> Bool:
-    """(N,) True where a date and time states its own zone."""
+    """Mark the dates and times (N,) that state their own zone."""
     return np.asarray(pc.match_substring_regex(pc.utf8_trim_whitespace(text), r"(Z|UTC|:[0-9]{2}.*[+-][0-9:]+)$"))
 
 

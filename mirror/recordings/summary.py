@@ -85,7 +85,7 @@ class RecordingSummary:
     first_bad_row: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """All attributes as plain values, for ``--json``."""
+        """Return all attributes as plain values, for ``--json``."""
         return asdict(self)
 
 

@@ -54,7 +54,7 @@ class RecordingRows:
         return column in self.table.column_names
 
     def locate(self, row: int) -> tuple[Path, str]:
-        """The file of a row, and its place there: a line of a CSV file (the header is line 1), or a row of Parquet."""
+        """Locate a row: its file, and its line in a CSV file (the header is line 1) or its row in Parquet."""
         index = bisect_right(self.starts, row) - 1
         file, within = self.files[index], row - self.starts[index]
         if file.suffix == ".parquet":
@@ -185,7 +185,7 @@ class RecordingRows:
         return track if self.faults is None else self.faults.drop_from(track)
 
     def column(self, name: str) -> pa.ChunkedArray:
-        """The column as read.
+        """Return the column as read.
 
         Raises:
             RecordingError: the column does not exist.

@@ -109,7 +109,7 @@ def order_leap_seconds(unix_ns: Int64, in_leap_second: Bool) -> Int64:
 
 
 def ends_in_leap_second(unix_ns: Int64) -> Bool:
-    """(N,) True in the seconds of Unix time after which UTC had a leap second."""
+    """Mark the seconds (N,) of Unix time after which UTC had a leap second."""
     return np.isin((unix_ns // SECOND_NS + 1) * SECOND_NS, _LEAP_UNIX_NS)
 
 

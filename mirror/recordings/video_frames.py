@@ -27,11 +27,11 @@ class FrameConverter:
         self._reformatter: Any = VideoReformatter()
 
     def to_rgb(self, frame: av.VideoFrame) -> UInt8:
-        """The pixels (H, W, 3), RGB, of a frame."""
+        """Return the pixels (H, W, 3), RGB, of a frame."""
         return self._convert(frame, "rgb24")
 
     def to_jpeg(self, frame: av.VideoFrame) -> bytes | None:
-        """A frame as JPEG (quality 95, 4:2:0); None: it cannot be encoded."""
+        """Return a frame as JPEG (quality 95, 4:2:0); None: it cannot be encoded."""
         import cv2
 
         done, data = cv2.imencode(".jpg", self._convert(frame, "bgr24"), (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))

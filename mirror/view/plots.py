@@ -121,7 +121,7 @@ def speed_figure(speed: Speed) -> Figure:
 
 
 def conditions_figure(statistics: Statistics) -> Figure:
-    """Hours and traversals of each light and weather, as a table whose cells are shaded by hours."""
+    """Return the hours and traversals of each light and weather, as a table whose cells are shaded by hours."""
     lights = list(dict.fromkeys(condition.light for condition in statistics.conditions))
     weathers = list(dict.fromkeys(condition.weather for condition in statistics.conditions))
     weathers = sorted(weathers, key=("clear", "clouds", "rain", "snow", "fog", "unknown").index)
@@ -172,14 +172,14 @@ def _from_kmh(kmh: npt.ArrayLike) -> Float64:
 
 
 def whole_numbers() -> MaxNLocator:
-    """Ticks at whole numbers."""
+    """Return the ticks at whole numbers."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(integer=True)
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, in inches.
+    """Return an empty figure, in inches.
 
     Raises:
         UsageError: matplotlib is not installed.
@@ -192,7 +192,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def new_axes(figure: Figure) -> Axes:
-    """The only axes of a figure, without a frame above and on the right."""
+    """Return the only axes of a figure, without a frame above and on the right."""
     axes: Any = figure.add_subplot()
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -24,7 +24,7 @@ _ORIGIN_COLOURS: Final = {
 
 @dataclass(frozen=True)
 class RemovedRegions:
-    """What was removed from images.
+    """Counts of the regions that were removed from images.
 
     Attributes:
         counts: number of regions by origin, by kind.
@@ -38,7 +38,7 @@ class RemovedRegions:
 
 
 def privacy_figure(dataset: Dataset, removed: RemovedRegions | None = None) -> Figure | None:
-    """Plot the raw and redacted images of each camera and, if it is known, what was removed, with examples.
+    """Plot raw and redacted images of each camera, the removed regions if they are known, and examples.
 
     The examples before the redaction identify people and vehicles: they are for the owner of the recordings.
     """

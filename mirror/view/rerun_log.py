@@ -42,7 +42,7 @@ _CLASSES: Final = {kind: number for number, kind in enumerate(_MASK_COLOURS, sta
 
 @dataclass(frozen=True)
 class RerunOptions:
-    """What is logged.
+    """Choice of the images of a dataset that are logged to rerun, and their width.
 
     Attributes:
         save: file to write (``.rrd``); None: the viewer is opened.
@@ -57,7 +57,7 @@ class RerunOptions:
 
 @dataclass(frozen=True)
 class LoggedScene:
-    """Counts of what was logged.
+    """Counts of the logged images, boxes and layers of a scene.
 
     Attributes:
         frames: number of frames.
@@ -75,7 +75,7 @@ class LoggedScene:
 def log_scene(
     dataset: Dataset, scene: str, options: RerunOptions, *, progress: ProgressReporter | None = None
 ) -> LoggedScene:
-    """Log a scene to rerun.
+    """Return the log a scene to rerun.
 
     Timelines: ``time`` (Unix), ``elapsed`` since the entry of each traversal, so that traversals lie over each other,
     and ``frame``.

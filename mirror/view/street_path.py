@@ -42,7 +42,7 @@ class StreetPath:
     row: Mapping[str, object]
 
     def view(self, number: int, width_px: int, height_px: int, *, left_m: float = 0.0) -> RenderView:
-        """The view of one image in another raster, from a place to its left.
+        """Return the view of one image in another raster, from a place to its left.
 
         Args:
             number: the image.
@@ -62,7 +62,7 @@ class StreetPath:
     def make_view(
         self, world_SE3_camera: Poses, focal_px: float, width_px: int, height_px: int, timestamp_ns: int
     ) -> RenderView:
-        """A view from any place, with the principal point in the middle."""
+        """Return a view from any place, with the principal point in the middle."""
         return RenderView(
             path="view.png", group="view", scene_id=str(self.row["scene_id"]), traversal_id=self.traversal_id,
             frame_index=0, camera=self.camera, timestamp_ns=timestamp_ns, light=str(self.row["light"]),
@@ -99,7 +99,7 @@ def read_path(dataset: Dataset, traversal_id: str, camera: str | None = None) ->
 
 
 def by_light(appearances: Sequence[TrainedAppearance]) -> tuple[TrainedAppearance, ...]:
-    """Appearances from day to night."""
+    """Return the appearances from day to night."""
 
     def order(item: TrainedAppearance) -> tuple[int, str, str]:
         known = item.light in _LIGHTS
@@ -109,7 +109,7 @@ def by_light(appearances: Sequence[TrainedAppearance]) -> tuple[TrainedAppearanc
 
 
 def blend(appearances: Sequence[TrainedAppearance], position: float) -> dict[str, float]:
-    """Weights at a position between 0 (the first appearance) and ``len(appearances) - 1`` (the last)."""
+    """Return the weights at a position between 0 (the first appearance) and ``len(appearances) - 1`` (the last)."""
     low = int(np.clip(np.floor(position), 0, len(appearances) - 1))
     high = min(low + 1, len(appearances) - 1)
     share = float(np.clip(position - low, 0.0, 1.0))
@@ -119,7 +119,7 @@ def blend(appearances: Sequence[TrainedAppearance], position: float) -> dict[str
 
 
 def recorded_pixels(image: Image, width_px: int) -> UInt8:
-    """The pixels of a recorded image, scaled down to a width."""
+    """Return the pixels of a recorded image, scaled down to a width."""
     import cv2
 
     pixels = image.decode()

@@ -43,7 +43,7 @@ _SHOWN_S: Final = 10.0
 
 @dataclass(frozen=True)
 class ViewerOptions:
-    """Settings of a viewer.
+    """Settings of the viewer of a street.
 
     Attributes:
         host: address that the server listens on.
@@ -284,7 +284,9 @@ class StreetViewer:
 
 
 def measure_moves(renderer: InteractiveRenderer, path: StreetPath, moves: int) -> Float64:
-    """Seconds (moves, 2) of moves of 0.5 m along a path at 480 x 270, with decoding: elapsed, and of all threads.
+    """Time moves of 0.5 m along a path at 480 x 270, with decoding.
+
+    The seconds (moves, 2) are those that pass, and those of all threads.
 
     The first ten moves are not counted: they compile kernels.
     """

@@ -80,7 +80,7 @@ def in_row_spans(call: Callable[[int, int], object], rows: int) -> None:
 
 
 def numba_threads() -> int:
-    """Numba's number of threads, for kernels that do without torch: the cores, or ``NUMBA_NUM_THREADS``."""
+    """Return Numba's number of threads, for kernels that do without torch: the cores, or ``NUMBA_NUM_THREADS``."""
     return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 

@@ -38,7 +38,7 @@ class Layers:
     points: str | None
 
     def traversals_with(self, kind: Kind) -> frozenset[str]:
-        """Traversals that have the layer of a kind."""
+        """Return the traversals that have the layer of a kind."""
         return _traversals_with(self.dataset, kind, getattr(self, kind))
 
     def traversals_without(self, kind: Kind, traversals: Sequence[str]) -> list[str]:
@@ -79,7 +79,7 @@ def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressRep
 
 
 def layer_source(dataset: Dataset, task: ReconstructionTask) -> str:
-    """The source of the layers if a task does not name one: ``dataset`` or an estimator."""
+    """Return the source of the layers if a task does not name one: ``dataset`` or an estimator."""
     is_given = _given_layers(dataset, task, "points") and not task.withheld
     return task.initialise or (GIVEN if is_given else PLANE_SWEEP)
 

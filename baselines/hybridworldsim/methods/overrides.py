@@ -64,7 +64,7 @@ def override_settings(settings: _Settings, overrides: Mapping[str, str]) -> _Set
 
 
 def settings_document(settings: Any) -> dict[str, Any]:
-    """Settings as stored in ``run.json`` and as hashed, under the names that older versions wrote.
+    """Return the settings as stored in ``run.json`` and as hashed, under the names that older versions wrote.
 
     Args:
         settings: a dataclass, which may hold dataclasses.
@@ -74,7 +74,10 @@ def settings_document(settings: Any) -> dict[str, Any]:
 
 
 def settings_adapter(settings: type[_Settings]) -> TypeAdapter[_Settings]:
-    """The adapter of a class of settings: making one takes 3 ms, and a study reads the settings of hundreds of jobs."""
+    """Return the adapter of a class of settings, which is made once.
+
+    Making one takes 3 ms, and a study reads the settings of hundreds of jobs.
+    """
     if settings not in _ADAPTERS:
         _ADAPTERS[settings] = TypeAdapter(settings)
     return _ADAPTERS[settings]

@@ -19,7 +19,7 @@ _ROUNDING: Final = 1e-6
 
 
 def covered_before(meta: Mapping[str, Any], limit_m: Float32) -> Tensor:
-    """Compute what the Gaussians of an image cover of each pixel before a depth.
+    """Compute the share of each pixel that an image's Gaussians before a depth cover.
 
     It is the alpha of an image of the Gaussians with a nearer centre, if that image blended the Gaussian that ends a
     pixel too (`TRANSMITTANCE_STOP`). The light that comes through Gaussians is the product of what each lets through:
@@ -61,7 +61,7 @@ def let_through(
     columns: Int32,
     through: Float32,
 ) -> None:
-    """Multiply the light of each pixel by what the Gaussians before its limit let through.
+    """Multiply the light of each pixel by the transmittance of the Gaussians before its limit.
 
     Args:
         means2d: (M, 2) pixels.

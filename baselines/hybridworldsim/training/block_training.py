@@ -145,7 +145,7 @@ class _ImageSteps:
 
 
 def psnr_db(mean_square: float) -> float:
-    """PSNR for peak 1, in dB; at most 100."""
+    """Return the PSNR for peak 1, in dB; at most 100."""
     return -10.0 * math.log10(max(mean_square, _LEAST_MSE))
 
 

@@ -12,7 +12,7 @@ _GREY = 0.5
 
 
 class SkyCube(nn.Module):
-    """Six faces, sampled by direction.
+    """A sky of six faces, sampled by direction.
 
     Args:
         size_px: width of a face.
@@ -24,11 +24,11 @@ class SkyCube(nn.Module):
         self.faces = nn.Parameter(torch.full((1, 3, size_px, 6 * size_px), _GREY))
 
     def forward(self, viewpoint: Viewpoint) -> Tensor:
-        """The sky (H, W, 3) of a viewpoint; its position has no effect."""
+        """Return the sky (H, W, 3) of a viewpoint; its position has no effect."""
         return self.sample(ray_directions(viewpoint))
 
     def sample(self, rays: Tensor) -> Tensor:
-        """The sky (H, W, 3) in directions (H, W, 3) of any length."""
+        """Return the sky (H, W, 3) in directions (H, W, 3) of any length."""
         size = self.faces.shape[2]
         longest, axis = rays.abs().max(-1)
         along = rays.gather(-1, axis[..., None])[..., 0]
@@ -44,7 +44,7 @@ class SkyCube(nn.Module):
 
 
 def ray_directions(viewpoint: Viewpoint) -> Tensor:
-    """Directions (H, W, 3) of the pixels' rays in the block's frame, of any length."""
+    """Return the directions (H, W, 3) of the pixels' rays in the block's frame, of any length."""
     K = viewpoint.K
     x = (torch.arange(viewpoint.width_px) + 0.5 - K[0, 2]) / K[0, 0]
     y = (torch.arange(viewpoint.height_px) + 0.5 - K[1, 2]) / K[1, 1]

@@ -103,7 +103,7 @@ class DensityControl:
             reset_opa(tables, optimizers, self._state, 2.0 * self.settings.least_opacity)
 
     def state(self) -> dict[str, Tensor]:
-        """Statistics and position in the schedule, for a checkpoint."""
+        """Return the statistics and position in the schedule, for a checkpoint."""
         statistics = {name: self._state[name] for name in _STATISTICS if self._state[name] is not None}
         return {
             "density.clock": torch.tensor([self._round, self._reset]),

@@ -17,7 +17,7 @@ _NEAREST_M, _FARTHEST_M = 0.1, 80.0
 
 
 def image_losses(finished: FinishedImage, image: TrainingImage, weights: Weights) -> Weighted:
-    """Losses of colours: weight and value by name; ``rgb``, the mean square error, is always present.
+    """Return the losses of colours: weight and value by name; ``rgb``, the mean square error, is always present.
 
     Args:
         finished: the render.
@@ -38,7 +38,7 @@ def image_losses(finished: FinishedImage, image: TrainingImage, weights: Weights
 def surface_losses(
     depth_m: Tensor, alpha: Tensor, image: TrainingImage, weights: Weights, *, normals: bool
 ) -> Weighted:
-    """Losses of depth and normals, where the dataset has depth.
+    """Return the losses of depth and normals, where the dataset has depth.
 
     Args:
         depth_m: (H, W) expected depth.

@@ -69,7 +69,7 @@ class GaussianInit:
 
 @dataclass(frozen=True)
 class Densification:
-    """When gsplat's `DefaultStrategy` adds and removes Gaussians, and which.
+    """The schedule by which gsplat's `DefaultStrategy` adds and removes Gaussians.
 
     Attributes:
         begin: progress at which it begins.
@@ -106,7 +106,7 @@ class Densification:
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of losses.
+    """Weights of the losses of a training.
 
     Attributes:
         structure: weight w of 1 - SSIM; the pixelwise loss has the weight 1 - w.

@@ -29,7 +29,7 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 def format_report(study: Study) -> str:
-    """The section of the page, with its markers. It states what has not been run."""
+    """Format the section of the page, with its markers, and with a list of stages that have not run."""
     stages = list_stages(study)
     left = [stage.name for stage in stages if not is_finished(study, stage)]
     lines = [

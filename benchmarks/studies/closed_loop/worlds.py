@@ -57,7 +57,7 @@ class ReconstructedWorld:
     model: str
 
     def renderer(self, simulation: Simulation, place: Place) -> Renderer:
-        """Return the renderer of a rollout, in the light of the drive whose light the exact world has."""
+        """Return the renderer of a rollout, in the light of the exact world's drive."""
         traversal = self._traversals[place.drive.drive_id]
         recording = next(iter(place.street.recordings.values()))
         street: Street = replace(place.street, recordings={traversal: replace(recording, traversal_id=traversal)})

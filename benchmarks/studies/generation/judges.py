@@ -21,7 +21,7 @@ _BATCH: Final = 64
 
 
 class Segmenter(nn.Module):
-    """Which pixels of an image show something that its background does not: a small U-Net."""
+    """A small U-Net that finds the pixels of an image that its background does not show."""
 
     def __init__(self, width: int = 32) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class Segmenter(nn.Module):
         )
 
     def forward(self, images: Tensor, backgrounds: Tensor) -> Tensor:
-        """Images and backgrounds (N, 3, H, W) from 0 to 1 to logits (N, H, W)."""
+        """Map images and backgrounds (N, 3, H, W) from 0 to 1 to logits (N, H, W)."""
         x = nn.functional.pixel_unshuffle(torch.cat([4.0 * (images - backgrounds), backgrounds - 0.5], dim=1), 2)
         x = silu(self.enter(x))
         return self.leave(torch.cat([x, self.up(self.middle(self.down(x)))], dim=1))[:, 0]
@@ -59,7 +59,7 @@ class Classifier(nn.Module):
         self.head = nn.Linear(channels[-1], len(CATEGORIES))
 
     def forward(self, crops: Tensor) -> Tensor:
-        """Crops (N, 3, H, W) from 0 to 1 to logits (N, classes)."""
+        """Return the crops (N, 3, H, W) from 0 to 1 to logits (N, classes)."""
         return self.head(self.layers(crops - 0.5).mean(dim=(2, 3)))
 
 
@@ -90,7 +90,7 @@ class JudgeTrainer:
         return {"loss": float(loss.detach())}
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that is needed to continue."""
+        """Return everything that is needed to continue."""
         return dump(self.network, self._optimizer)
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
@@ -102,7 +102,10 @@ class JudgeTrainer:
 def segmenter_loss(
     network: nn.Module, images: UInt8, backgrounds: UInt8, masks: Bool, batch: int = 16
 ) -> Callable[[np.random.Generator], Tensor]:
-    """The loss of a step: images are blurred and noisy, as generated ones are, so that such traces are no clue."""
+    """Return the loss of a step.
+
+    Images are blurred and noisy, as generated ones are, so that such traces are no clue.
+    """
 
     def loss(rng: np.random.Generator) -> Tensor:
         rows = rng.integers(0, len(images), batch)
@@ -124,7 +127,10 @@ def segmenter_loss(
 def classifier_loss(
     network: nn.Module, crops: UInt8, classes: Int64, batch: int = 48
 ) -> Callable[[np.random.Generator], Tensor]:
-    """The loss of a step: classes are drawn equally often, as far as there are crops; crops are mirrored and noisy."""
+    """Return the loss of a step.
+
+    Classes are drawn equally often, as far as there are crops; crops are mirrored and noisy.
+    """
     weight = 1.0 / np.sqrt(np.bincount(classes, minlength=len(CATEGORIES)).clip(1))[classes]
     weight /= weight.sum()
 
@@ -142,7 +148,7 @@ def classifier_loss(
 
 
 def blur(images: Tensor, deviation_px: float) -> Tensor:
-    """A Gaussian blur of images (N, 3, H, W)."""
+    """Return a Gaussian blur of images (N, 3, H, W)."""
     reach = 3
     line = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / deviation_px) ** 2)
     line = line / line.sum()
@@ -153,7 +159,7 @@ def blur(images: Tensor, deviation_px: float) -> Tensor:
 
 @torch.no_grad()
 def segment(network: nn.Module, images: UInt8, backgrounds: UInt8) -> Bool:
-    """Masks (N, H, W) of images (N, H, W, 3)."""
+    """Return the masks (N, H, W) of images (N, H, W, 3)."""
     masks = [
         network(to_tensor(images[first : first + _BATCH]), to_tensor(backgrounds[first : first + _BATCH])).numpy() > 0.0
         for first in range(0, len(images), _BATCH)
@@ -163,18 +169,18 @@ def segment(network: nn.Module, images: UInt8, backgrounds: UInt8) -> Bool:
 
 @torch.no_grad()
 def classify(network: nn.Module, crops: UInt8) -> Int64:
-    """Classes (N,) of crops (N, H, W, 3)."""
+    """Return the classes (N,) of crops (N, H, W, 3)."""
     found = [network(to_tensor(crops[first : first + _BATCH])).argmax(dim=1) for first in range(0, len(crops), _BATCH)]
     return np.asarray(torch.cat(found).numpy())
 
 
 def mask_ious(found: Bool, true: Bool) -> Float64:
-    """Intersection over union of each mask whose truth has at least `LEAST_PX` pixels."""
+    """Return the intersection over union of each mask whose truth has at least `LEAST_PX` pixels."""
     judged = true.sum(axis=(1, 2)) >= LEAST_PX
     both, either = (found & true)[judged].sum(axis=(1, 2)), (found | true)[judged].sum(axis=(1, 2))
     return np.asarray(both / either)
 
 
 def balanced_accuracy(found: Int64, true: Int64) -> float:
-    """Mean over the classes of the share of their members that are found."""
+    """Return the mean over the classes of the share of their members that are found."""
     return float(np.mean([(found[true == one] == one).mean() for one in np.unique(true)]))

@@ -21,7 +21,7 @@ _Row = tuple[str, str, str, str]
 
 
 def format_report(study: Study, addition: Study | None = None) -> str:
-    """The section of the page, with its markers. It states what has not been run.
+    """Format the section of the page, with its markers, and with a list of stages that have not run.
 
     Args:
         study: the study.

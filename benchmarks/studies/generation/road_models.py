@@ -35,7 +35,7 @@ _AGREE_M: Final = 0.01
 
 @dataclass(frozen=True)
 class Road:
-    """What is declared of a road.
+    """The declaration of a road: its routes, recordings and reconstruction.
 
     Attributes:
         name: its name, which is the id of its scene.
@@ -115,7 +115,7 @@ class RoadModel:
         }
 
     def render(self, clip: Clip) -> UInt8:
-        """The model's images (F, V, H, W, 3) at the views of a clip, in the appearance of its route's first recording.
+        """Render a clip's views (F, V, H, W, 3) in the appearance of its route's first recording.
 
         Raises:
             DatasetError: the clip's poses are not those of its drive.
@@ -131,7 +131,7 @@ class RoadModel:
         )
 
     def world_SE3_ego(self, clip: Clip) -> Poses:  # noqa: N802
-        """Poses of the vehicle at the frames of a clip, in the world of the road's scene."""
+        """Return the poses of the vehicle at the frames of a clip, in the world of the road's scene."""
         _, _, first = clip.clip_id.rpartition("-")
         return self.drive(clip.drive_id).truth.poses((int(first) + np.arange(len(clip))) / clip.rate_hz)
 
@@ -146,7 +146,7 @@ class RoadModel:
         return {row["drive_id"]: row["traversal_id"] for row in rows}
 
     def drive(self, drive_id: str) -> SynthDrive:
-        """A drive along the road; the last one is kept."""
+        """Return a drive along the road; the last one is kept."""
         route, _, seed = drive_id.rpartition("-s")
         return _make_drive(self.road.preset, route, int(seed), self.road.bustle, drive_id)
 

@@ -87,7 +87,7 @@ def train_judges(
 
 
 def load_judges(out: Path) -> tuple[Segmenter, Classifier]:
-    """The trained judges."""
+    """Return the trained judges."""
     judges = Segmenter(), Classifier()
     for name, network in zip(("segmenter", "classifier"), judges):
         network.load_state_dict(load_file(out / name / MODEL))
@@ -124,6 +124,6 @@ def _train(
 
 
 def background_baseline_db(images: np.ndarray, backgrounds: np.ndarray, masks: np.ndarray) -> float:
-    """PSNR of the empty street copied, outside the masks of road users, in dB."""
+    """Return the PSNR of the empty street copied, outside the masks of road users, in dB."""
     error = ((images.astype(np.float64) - backgrounds) / 255.0)[~masks]
     return float(-10.0 * np.log10((error**2).mean()))

@@ -43,7 +43,7 @@ _MARK: Final = re.compile(r"<!-- (begin: |end -->)")
 
 @dataclass(frozen=True, eq=False)
 class Published:
-    """What the tables are made of.
+    """Published records, of which the tables are made.
 
     Attributes:
         file: of the published records.
@@ -55,24 +55,24 @@ class Published:
 
     @cache  # noqa: B019 - two campaigns of one file
     def records(self, campaign: Campaign = "main") -> Records:
-        """Records of a campaign."""
+        """Return the records of a campaign."""
         return read_records(self.file, campaign)
 
     def results(self, campaign: Campaign = "main") -> list[JobResult]:
-        """Figures of a campaign's jobs."""
+        """Return the figures of a campaign's jobs."""
         return read_results(self.records(campaign).outcomes)
 
     def trials(self) -> list[JobResult]:
-        """Figures of the tuning's trials."""
+        """Return the figures of the tuning's trials."""
         return read_results(read_trials(self.file).outcomes)
 
     def group(self, name: Name) -> Group:
-        """A group of rows."""
+        """Return a group of rows."""
         return groups(self.declaration)[name]
 
 
 def group_tables(results: Sequence[JobResult], group: Group, minutes: float) -> Iterator[str]:
-    """Tables of a group's means with one budget, then of the differences to the group's reference rows."""
+    """Yield the tables of a group's means with one budget, then of the differences to the group's reference rows."""
     own = [one for one in results if group.has(one.job) and one.job.core_minutes == minutes]
     yield from mean_tables(own, group.shown)
     for row in group.against:
@@ -114,7 +114,7 @@ TABLES: Final[Mapping[str, Callable[..., str]]] = {
 
 
 def render_report(text: str, file: Path, records: Path) -> str:
-    """A report's text with its tables made from published records.
+    """Return a report's text with its tables made from published records.
 
     Args:
         text: of the report.

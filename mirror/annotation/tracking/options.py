@@ -29,7 +29,7 @@ def group_of(category: str) -> str:
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """Settings of tracking. Times are in seconds, so that they do not depend on the frame rate.
+    """Settings of the tracker of image features.
 
     Attributes:
         sigma_m: standard deviation of a box's position at range 0.

@@ -40,13 +40,13 @@ class TraversalRefinement:
     cameras: Sequence[CameraRefinement] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as plain values, for JSON."""
+        """Return the result as plain values, for JSON."""
         return {**vars(self), "unread": list(self.unread), "cameras": [one.to_dict() for one in self.cameras]}
 
 
 @dataclass
 class RefinementReport:
-    """What a run did.
+    """The result of a refinement of a dataset's calibrations.
 
     Attributes:
         dataset: path of the dataset.
@@ -63,7 +63,7 @@ class RefinementReport:
     steps: dict[str, int] = field(default_factory=dict)
 
     def exit_code(self) -> ExitCode:
-        """3: a traversal has no layer, a camera kept its calibration or an image could not be read; else 0."""
+        """Return 3 if a traversal has no layer, a camera kept its calibration or an image is unread, else 0."""
         complete = all(
             item.status in ("refined", "existing")
             and not item.unread
@@ -73,7 +73,7 @@ class RefinementReport:
         return ExitCode.DONE if complete else ExitCode.PARTLY_DONE
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain values, for JSON."""
+        """Return the report as plain values, for JSON."""
         return {
             "dataset": self.dataset,
             "layer": self.layer,

@@ -8,7 +8,7 @@ from mirror.metrics.networks.trunk import Trunk, convolution
 
 
 class AlexNetTrunk(Trunk):
-    """Taps after each of five rectifiers."""
+    """AlexNet's trunk, with taps after each of five rectifiers."""
 
     channels = (64, 192, 384, 256, 256)
     ends = (2, 5, 8, 10, 12)

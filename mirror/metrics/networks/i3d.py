@@ -56,7 +56,7 @@ class Unit3d(nn.Module):
 
 
 class Mixed3d(nn.Module):
-    """1x1x1, twice 3x3x3 and pooling, side by side."""
+    """An I3D block: 1x1x1, twice 3x3x3 and pooling, side by side."""
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class _Logits(nn.Module):
 
 
 class InflatedInception(nn.Module):
-    """Logits of clips, (n, 400)."""
+    """The network of FVD: clips to logits (n, 400)."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -22,7 +22,7 @@ def _max_3x3(features: Tensor) -> Tensor:
 
 
 class BlockA(nn.Module):
-    """35 x 35: 1x1, 5x5, twice 3x3 and pooling, side by side."""
+    """An Inception block at 35 x 35: 1x1, 5x5, twice 3x3 and pooling, side by side."""
 
     def __init__(self, inputs: int, pooled: int) -> None:
         super().__init__()
@@ -48,7 +48,7 @@ class BlockA(nn.Module):
 
 
 class BlockB(nn.Module):
-    """35 x 35 to 17 x 17."""
+    """An Inception block that reduces 35 x 35 to 17 x 17."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
@@ -64,7 +64,7 @@ class BlockB(nn.Module):
 
 
 class BlockC(nn.Module):
-    """17 x 17: 7x7 as a row after a column."""
+    """An Inception block at 17 x 17: 7x7 as a row after a column."""
 
     def __init__(self, inputs: int, narrow: int) -> None:
         super().__init__()
@@ -89,7 +89,7 @@ class BlockC(nn.Module):
 
 
 class BlockD(nn.Module):
-    """17 x 17 to 8 x 8."""
+    """An Inception block that reduces 17 x 17 to 8 x 8."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
@@ -108,7 +108,7 @@ class BlockD(nn.Module):
 
 
 class BlockE(nn.Module):
-    """8 x 8: 3x3 as a row beside a column.
+    """An Inception block at 8 x 8: 3x3 as a row beside a column.
 
     Args:
         inputs: channels.
@@ -146,7 +146,7 @@ class BlockE(nn.Module):
 
 
 class FidInception(nn.Module):
-    """Pooled features of images, (n, 2048)."""
+    """The network of FID: images to pooled features (n, 2048)."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -31,7 +31,7 @@ class BlurredSampling(nn.Module):
 
 
 class ShiftTolerantAlexNetTrunk(Trunk):
-    """Taps after each of five rectifiers."""
+    """The shift-tolerant AlexNet's trunk, with taps after each of five rectifiers."""
 
     channels = (64, 192, 384, 256, 256)
     ends = (3, 7, 11, 13, 15)
@@ -57,7 +57,7 @@ class ShiftTolerantAlexNetTrunk(Trunk):
 
 
 class ShiftTolerantVgg16Trunk(Trunk):
-    """Taps after the last rectifier of each of five blocks."""
+    """The shift-tolerant VGG16's trunk, with taps after the last rectifier of each of five blocks."""
 
     channels = (64, 128, 256, 512, 512)
     ends = (4, 10, 18, 26, 34)

@@ -24,7 +24,7 @@ class Fire(nn.Module):
 
 
 class SqueezeNetTrunk(Trunk):
-    """Seven taps: after the first rectifier and after six of the fire modules."""
+    """SqueezeNet's trunk, with taps after the first rectifier and after six of the fire modules."""
 
     channels = (64, 128, 256, 384, 384, 512, 512)
     ends = (2, 5, 8, 10, 11, 12, 13)

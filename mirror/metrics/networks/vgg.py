@@ -10,7 +10,7 @@ _BLOCKS = ((3, 64, 2), (64, 128, 2), (128, 256, 3), (256, 512, 3), (512, 512, 3)
 
 
 class Vgg16Trunk(Trunk):
-    """Taps after the last rectifier of each of five blocks."""
+    """VGG16's trunk, with taps after the last rectifier of each of five blocks."""
 
     channels = (64, 128, 256, 512, 512)
     ends = (4, 9, 16, 23, 30)

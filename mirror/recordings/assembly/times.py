@@ -47,7 +47,7 @@ class ImageTimes:
 
 
 def image_times(folder: Path, names: list[str], tz: str | None) -> ImageTimes:
-    """Times of images without a table: from their names, else from EXIF data.
+    """Return the times of images without a table: from their names, else from EXIF data.
 
     Args:
         folder: the folder of the images.
@@ -85,7 +85,9 @@ def image_times(folder: Path, names: list[str], tz: str | None) -> ImageTimes:
 
 
 def table_times(table: Path, key: str, tz: str | None) -> ImageTimes:
-    """Times from a table: ``timestamp_ns`` (Unix), ``timestamp`` (date and time), or start and end of the exposures.
+    """Read times from a table.
+
+    It has ``timestamp_ns`` (Unix), ``timestamp`` (date and time), or start and end of the exposures.
 
     Args:
         table: a CSV file.
@@ -118,7 +120,7 @@ def table_times(table: Path, key: str, tz: str | None) -> ImageTimes:
 
 
 def parse_time(text: str, tz: str | None, place: str) -> int:
-    """Unix nanoseconds of a text: a whole number of nanoseconds, or a date and time.
+    """Return the Unix nanoseconds of a text: a whole number of nanoseconds, or a date and time.
 
     Raises:
         RecordingError: it is neither.

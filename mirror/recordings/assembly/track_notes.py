@@ -16,7 +16,7 @@ _LONG_GAP_S: Final = 2.0
 
 
 def describe_track(track: Track) -> list[str]:
-    """Rate, gaps, and what the track has no orientation or height for."""
+    """Describe a track: its rate, its gaps, and its parts without orientation or height."""
     stamps, first = np.unique(track.timestamp_ns, return_index=True)
     seconds = (stamps - stamps[0]) / SECOND_NS
     steps = np.diff(seconds)

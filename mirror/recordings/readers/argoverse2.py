@@ -124,7 +124,7 @@ def _find_city(path: Path) -> str | None:
 
 @dataclass(frozen=True)
 class Argoverse2Recording:
-    """One log.
+    """One log of the Argoverse 2 sensor dataset.
 
     Attributes:
         path: the log's folder.
@@ -136,7 +136,7 @@ class Argoverse2Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The id is the log's; the dataset names no vehicle, date or weather."""
+        """The drive; its id is the log's, and the dataset names no vehicle, date or weather."""
         name = to_identifier(self.path.resolve().name)
         return DriveInfo(
             drive_id=name,
@@ -192,14 +192,14 @@ class Argoverse2Recording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """Poses, calibration, boxes and images; lidar sweeps and maps are not read."""
+        """Return the poses, calibration, boxes and images; lidar sweeps and maps are not read."""
         names = [_POSES, *(name for name in (_INTRINSICS, _MOUNTINGS, _BOXES) if find_file(self.path, name))]
         images = [file for files in self._images.values() for file in files.values()]
         listed = [(file.relative_to(self.path).as_posix(), file) for file in images]
         return sorted([*((name, self.path / name) for name in names), *listed])
 
     def track(self) -> Track:
-        """The ego's poses, on WGS 84 through the city's UTM zone."""
+        """Return the ego's poses, on WGS 84 through the city's UTM zone."""
         file = require_file(self.path, _POSES)
         table = read_feather(file, _POSE_SCHEMA)
         stamps: Int64 = np.asarray(table.column("timestamp_ns"))
@@ -241,7 +241,7 @@ class Argoverse2Recording:
         return {name: poses[row] for row, name in enumerate(mounted.column("sensor_name").to_pylist())}
 
     def calibrations(self) -> pa.Table:
-        """The undistorted cameras that have images."""
+        """Return the undistorted cameras that have images."""
         calibrations: list[tuple[Stage, Calibration]] = []
         for name in self._images:
             if name not in self._lenses or name not in self._mountings:
@@ -265,7 +265,7 @@ class Argoverse2Recording:
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera; a file's name is taken as mid-exposure, exposure lengths are not recorded."""
+        """Return images of each camera; a file's name is taken as mid-exposure, exposure lengths are not recorded."""
         streams: dict[str, ImageStream] = {}
         for source, files in self._images.items():
             name = _CANONICAL.get(source, to_identifier(source))
@@ -274,7 +274,7 @@ class Argoverse2Recording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """The annotations; None for a log of the test split."""
+        """Return the annotations; None for a log of the test split."""
         file = find_file(self.path, _BOXES)
         if file is None:
             return None

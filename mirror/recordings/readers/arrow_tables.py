@@ -50,7 +50,7 @@ def read_parquet(file: Path, schema: pa.Schema) -> pa.Table:
 
 
 def matrix_of(table: pa.Table, names: tuple[str, ...]) -> Float64:
-    """(N, K) float64 values of K columns of numbers."""
+    """Convert K columns of numbers to float64 values (N, K)."""
     return np.column_stack([np.asarray(table.column(name), np.float64) for name in names]).reshape(-1, len(names))
 
 

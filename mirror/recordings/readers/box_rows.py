@@ -34,7 +34,7 @@ def make_box_table(ego_SE3_box: Poses, columns: Mapping[str, Any]) -> pa.Table:
 
 
 def velocity_columns(velocity_mps: Float64) -> dict[str, pa.Array]:
-    """The velocity columns of (N, 3) velocities along the ego frame's axes; NaN is null."""
+    """Return the velocity columns of (N, 3) velocities along the ego frame's axes; NaN is null."""
     unknown = np.isnan(velocity_mps).any(axis=1)
     return {
         name: pa.array(np.ascontiguousarray(values), mask=unknown)

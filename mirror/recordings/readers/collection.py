@@ -9,7 +9,7 @@ from mirror.errors import RecordingError
 
 
 def choose_drive(names: Sequence[str], name: str | None, folder: Path) -> str:
-    """The drive of a folder that a path names.
+    """Return the drive of a folder that a path names.
 
     Args:
         names: the folder's drives.
@@ -35,7 +35,7 @@ def choose_drive(names: Sequence[str], name: str | None, folder: Path) -> str:
 
 
 def one_of(options: Mapping[str, str], name: str, values: Sequence[str], path: Path) -> str:
-    """The value of an option; the first one is the default.
+    """Return the value of an option; the first one is the default.
 
     Raises:
         RecordingError: the option has another value.

@@ -61,7 +61,7 @@ class ColmapReader:
         return path.is_dir() and (path / "images").is_dir() and bool(model_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the drives; one drive has no name of its own."""
+        """Return the names of the drives; one drive has no name of its own."""
         folder = next(iter(model_folders(path)), "")
         return list(_by_drive(read_model(path, folder).images.name))
 
@@ -143,7 +143,7 @@ class ColmapRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The drive's name, or that of the folder if the model is one drive."""
+        """The drive; its id is its name, or that of the folder if the model is one drive."""
         folder = to_identifier(self.path.resolve().name)
         name = folder if self._is_single else self.drive
         by_name = self._stamps_in_names
@@ -302,12 +302,15 @@ class ColmapRecording:
         return require_files_inside(self.path, [prefix + name for name in self._names], file=self.model.files["images"])
 
     def named_files(self) -> Sequence[tuple[str, Path]]:
-        """The model's cameras, images and frames, and the drive's images, missing ones included; not the points."""
+        """Return the cameras, images and frames of the model, and the drive's images, also missing ones.
+
+        The points are not read.
+        """
         paths = [*self.model.files.values(), *self._paths]
         return sorted((path.relative_to(self.path).as_posix(), path) for path in paths)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The model's cameras, images and frames, and the drive's images; all must be there."""
+        """Return the model's cameras, images and frames, and the drive's images; all must be there."""
         for path in self._paths:
             if not path.exists():
                 raise RecordingError(
@@ -319,7 +322,7 @@ class ColmapRecording:
         return self.named_files()
 
     def track(self) -> Track:
-        """The ego's pose at every image; of images at one instant, the reference camera's counts."""
+        """Return the ego's pose at every image; of images at one instant, the reference camera's counts."""
         poses, stamps = [], []
         for sensor in self._sensors:
             poses.append(self._world_SE3_camera[sensor.rows] @ sensor.ego_SE3_camera.inverse())
@@ -334,7 +337,7 @@ class ColmapRecording:
         return Track(times, x_m=x, y_m=y, height_m=z, rotation=rotation, file=file)
 
     def calibrations(self) -> pa.Table:
-        """One row for each camera of COLMAP; several of one name are valid one after the other."""
+        """Return one row for each camera of COLMAP; several of one name are valid one after the other."""
         calibrations: list[tuple[Stage, Calibration]] = []
         names = [sensor.name for sensor in self._sensors]
         for sensor in self._sensors:
@@ -358,7 +361,7 @@ class ColmapRecording:
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The registered images of each camera; exposure lengths are not known."""
+        """Return the registered images of each camera; exposure lengths are not known."""
         rows: dict[str, Int64] = {}
         for sensor in self._sensors:
             rows[sensor.name] = np.concatenate([rows.get(sensor.name, np.empty(0, np.int64)), sensor.rows])
@@ -373,7 +376,7 @@ class ColmapRecording:
         return streams
 
     def boxes(self) -> None:
-        """None: models have no boxes."""
+        """Return None: models have no boxes."""
         return
 
 

@@ -15,7 +15,9 @@ _FOLDERS: Final = ("sparse/*", "sparse", "colmap/sparse/*", "colmap", "")
 
 
 def model_folders(path: Path) -> dict[str, int]:
-    """Number of images by the folder of each model at the first of the places of models, the largest model first.
+    """Count the images of each model by its folder, the largest model first.
+
+    The folders are those at the first of the places of models.
 
     The mapper of COLMAP writes a model for each part of the images that it could not connect: ``sparse/0``,
     ``sparse/1`` ... One model alone is not counted (0).

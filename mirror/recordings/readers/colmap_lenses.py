@@ -26,7 +26,7 @@ _LENSES: Final[dict[str, tuple[bool, str, int, tuple[int, ...]]]] = {
 
 
 def to_lens(camera: ColmapCamera, file: Path, place: str) -> dict[str, Any]:
-    """Model, focal lengths, principal point and distortion, by the names of `Calibration`.
+    """Return the model, focal lengths, principal point and distortion, by the names of `Calibration`.
 
     Args:
         camera: COLMAP's camera.

@@ -48,7 +48,7 @@ _REMEDY: Final = "export the model again with `colmap model_converter`"
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """One camera.
+    """One camera of a COLMAP model.
 
     Attributes:
         model: COLMAP's name of the model.
@@ -82,7 +82,7 @@ class ColmapImages:
 
 @dataclass(frozen=True)
 class ColmapModel:
-    """A model.
+    """A COLMAP model: its cameras and its registered images.
 
     Attributes:
         files: the files that were read, by name.
@@ -133,7 +133,7 @@ def read_model(root: Path, folder: str) -> ColmapModel:
 
 
 def count_images(root: Path, folder: str) -> int:
-    """Number of registered images of a model.
+    """Return the number of registered images of a model.
 
     Args:
         root: the recording's folder.

@@ -68,7 +68,7 @@ def read_columns(file: Path, schema: pa.Schema) -> pa.Table:
 
 
 def matrix_of(column: pa.ChunkedArray) -> Float64:
-    """(N, K) values of a column of lists of fixed size K."""
+    """Return the values (N, K) of a column of lists of fixed size K."""
     size = column.type.list_size
     parts = [np.asarray(chunk.flatten(), np.float64) for chunk in column.chunks]
     return (np.concatenate(parts) if parts else np.empty(0)).reshape(-1, size)

@@ -63,7 +63,7 @@ class Kitti360Reader:
         return (path / _POSES).is_dir() and (path / "calibration").is_dir()
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the drives that have poses."""
+        """Return the names of the drives that have poses."""
         return sorted(
             child.name
             for child in (path / _POSES).iterdir()
@@ -89,7 +89,7 @@ class Kitti360Reader:
 
 @dataclass(frozen=True)
 class Kitti360Recording:
-    """One drive.
+    """One drive of KITTI-360.
 
     Attributes:
         root: the folder of the dataset.
@@ -107,7 +107,7 @@ class Kitti360Recording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """All drives have the same vehicle."""
+        """The drive; all drives have the same vehicle."""
         return DriveInfo(
             drive_id=to_identifier(f"kitti360_{self.drive}"),
             vehicle_id="kitti360",
@@ -174,7 +174,7 @@ class Kitti360Recording:
         return RigInfo("kitti360" if names == _RECTIFIED else "_".join(("kitti360", *names)), cameras, names[0])
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """Poses, stamps, calibrations, boxes and images of the drive."""
+        """Return the poses, stamps, calibrations, boxes and images of the drive."""
         names = [f"{_POSES}/{self.drive}/poses.txt", *CALIBRATION_FILES]
         names += [
             f"{_IMAGES}/{self.drive}/{camera}/timestamps.txt" for camera in dict.fromkeys((*_RECTIFIED, *self.cameras))
@@ -210,7 +210,7 @@ class Kitti360Recording:
         return _FramePoses(file, frame, stamps, known, values[:, 1:].reshape(-1, 3, 4), torn)
 
     def track(self) -> Track:
-        """The IMU's poses, on WGS 84, with axes x forward, y left, z up."""
+        """Return the IMU's poses, on WGS 84, with axes x forward, y left, z up."""
         rows = self._poses
         file, matrix = rows.file, rows.matrix
         faults = RowFaults(len(matrix), rows.torn)
@@ -249,12 +249,12 @@ class Kitti360Recording:
         )
 
     def calibrations(self) -> pa.Table:
-        """The cameras that have images."""
+        """Return the cameras that have images."""
         calibrations = read_calibrations(self.root, list(self._files))
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
+        """Return the images; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
         streams: dict[str, ImageStream] = {}
         for camera, files in self._files.items():
             place, by_frame = self._stamps(camera)
@@ -273,7 +273,7 @@ class Kitti360Recording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """Boxes of one frame at that frame, and static boxes at all frames of their window that are near enough."""
+        """Return the boxes of single frames, and static boxes at each frame of their window that is near enough."""
         file = None if self.kinds == "no" else find_boxes(self.root, self.drive)
         if file is None:
             return None

@@ -56,7 +56,7 @@ class _Object:
 
 
 def find_boxes(root: Path, drive: str) -> Path | None:
-    """The file of a drive's boxes, in the first of the folders ``train_full``, ``train`` and ``test`` that has one."""
+    """Find the file of a drive's boxes in the first of ``train_full``, ``train`` and ``test`` that has one."""
     for folder in _FOLDERS:
         file = find_file(root, f"data_3d_bboxes/{folder}/{drive}.xml")
         if file is not None:

@@ -41,7 +41,7 @@ _MEI: Final = ("xi", "k1", "k2", "p1", "p2", "gamma1", "gamma2", "u0", "v0", "im
 
 
 def read_calibrations(root: Path, cameras: Sequence[str]) -> list[tuple[Stage, Calibration]]:
-    """The calibrations of cameras.
+    """Return the calibrations of cameras.
 
     Raises:
         RecordingError: a file is missing, or a line of it; or a lens is far from an ``f_theta`` lens.
@@ -115,7 +115,7 @@ def _fisheye(root: Path, camera: str, mounting: Float64) -> Calibration:
 
 
 def mei_pixels(directions: Float64, numbers: Mapping[str, float]) -> Float64:
-    """(N, 2) pixels of Mei's model for (N, 3) unit vectors; the image's corner is at (0, 0)."""
+    """Return the pixels (N, 2) of Mei's model for (N, 3) unit vectors; the image's corner is at (0, 0)."""
     with np.errstate(all="ignore"):
         x, y = (directions[:, :2] / (directions[:, 2:] + numbers["xi"])).T
         squared = x * x + y * y

@@ -63,7 +63,7 @@ class NcoreReader:
         return path.is_dir() and any(_STORE.fullmatch(child.name) for child in path.iterdir())
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the sequences that have stores in the folder."""
+        """Return the names of the sequences that have stores in the folder."""
         return sorted({match[1] for child in path.iterdir() if (match := _STORE.fullmatch(child.name))})
 
     def open(self, path: Path, options: Mapping[str, str]) -> NcoreRecording:
@@ -90,7 +90,7 @@ class NcoreReader:
 
 @dataclass(frozen=True)
 class NcoreRecording:
-    """One sequence.
+    """One sequence of NCore stores.
 
     Attributes:
         root: the folder of the stores.
@@ -144,7 +144,7 @@ class NcoreRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """Ids from the sequence's; the format states neither vehicle nor conditions."""
+        """The drive; ids are from the sequence's, and the format states neither vehicle nor conditions."""
         name = to_identifier(f"ncore_{self._stores.sequence_id}")
         return DriveInfo(
             drive_id=name,
@@ -187,11 +187,11 @@ class NcoreRecording:
         return RigInfo(to_identifier("ncore_" + "_".join(sorted(names.values()))), cameras, reference)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The stores; of a folder its metadata and its arrays."""
+        """Return the stores; of a folder its metadata and its arrays."""
         return sorted(self._listed[1])
 
     def track(self) -> Track:
-        """The vehicle's poses, on WGS 84 if the sequence states its place."""
+        """Return the vehicle's poses, on WGS 84 if the sequence states its place."""
         file = self._stores.poses_path
         stamp_us, matrix = self._stores.trajectory(_RIG, _WORLD)
         known = stamp_us <= _LONGEST_US
@@ -220,7 +220,7 @@ class NcoreRecording:
         return faults.drop_from(Track(stamp_ns, x_m=x, y_m=y, height_m=z, rotation=poses.rotation, file=file))
 
     def calibrations(self) -> pa.Table:
-        """The cameras that have images, with the direction and duration of their shutters."""
+        """Return the cameras that have images, with the direction and duration of their shutters."""
         calibrations: list[tuple[Stage, Calibration]] = []
         for source, name in self._cameras.items():
             file, lens = self._stores.lens(source)
@@ -249,7 +249,7 @@ class NcoreRecording:
         return to_calibration_table(calibrations, vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera, read from the stores; a frame's start and end are taken as its exposure."""
+        """Return the images of each camera, read from the stores; a frame's start and end are taken as its exposure."""
         streams: dict[str, ImageStream] = {}
         for source, name in self._cameras.items():
             frames = self._stores.frames_us[source]
@@ -258,7 +258,7 @@ class NcoreRecording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """The cuboids in the vehicle's frame at their own stamps; None: the sequence has none."""
+        """Return the cuboids in the vehicle's frame at their own stamps; None: the sequence has none."""
         seen = self._stores.observations()
         if not seen:
             return None

@@ -23,7 +23,7 @@ class ImageReader(CameraSensorComponent.Reader):
     """The component of a camera; adds the bytes of images as they are stored."""
 
     def image_format(self, end_us: int) -> str:
-        """``jpeg`` or ``png``.
+        """Return ``jpeg`` or ``png``.
 
         Raises:
             ValueError: another format.
@@ -31,7 +31,7 @@ class ImageReader(CameraSensorComponent.Reader):
         return _format(self._get_frame_group(end_us)["image"])
 
     def image(self, end_us: int, store: Path) -> bytes:
-        """The bytes of the frame that ends at a stamp."""
+        """Return the bytes of the frame that ends at a stamp."""
         return _stored_bytes(self._get_frame_group(end_us)["image"], store)
 
 
@@ -39,7 +39,7 @@ class MaskReader(MasksComponent.Reader):
     """The masks of cameras; adds the vehicle's own."""
 
     def ego_mask(self, camera: str, store: Path) -> UInt8 | None:
-        """(H, W) the mask ``ego`` of a camera, or None.
+        """Return the mask ``ego`` (H, W) of a camera, or None.
 
         Raises:
             ValueError: its bytes make no image.

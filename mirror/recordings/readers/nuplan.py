@@ -94,7 +94,7 @@ class NuplanReader:
 
 @dataclass(frozen=True)
 class NuplanRecording:
-    """One log.
+    """One log of nuPlan.
 
     Attributes:
         path: the database.
@@ -106,7 +106,7 @@ class NuplanRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The id is the database's name; vehicle and city come from the table ``log``."""
+        """The drive; its id is the database's name, vehicle and city are from the table ``log``."""
         with open_database(self.path) as database:
             rows = database.rows("log", ("vehicle_name", "location", "map_version"))
         if len(rows) != 1:
@@ -169,13 +169,13 @@ class NuplanRecording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def named_files(self) -> Sequence[tuple[str, Path]]:
-        """The database and the images, missing ones included."""
+        """Return the database and the images, missing ones included."""
         images = [path for _, _, paths in self._cameras.values() for path in paths]
         listed = [(path.relative_to(self.blobs or path).as_posix(), path) for path in images]
         return sorted([(self.path.name, self.path), *listed])
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The database and the images; all must be there."""
+        """Return the database and the images; all must be there."""
         for _, _, paths in self._cameras.values():
             for path in paths:
                 if not path.exists():
@@ -189,7 +189,7 @@ class NuplanRecording:
         return self.named_files()
 
     def track(self) -> Track:
-        """The ego's poses, on WGS 84 through their UTM zone."""
+        """Return the ego's poses, on WGS 84 through their UTM zone."""
         with open_database(self.path) as database:
             rows = database.rows("ego_pose", _POSE_COLUMNS, order="timestamp")
             values = database.matrix([row[1:] for row in rows], "ego_pose", _POSE_COLUMNS[1:])
@@ -240,7 +240,7 @@ class NuplanRecording:
         )
 
     def calibrations(self) -> pa.Table:
-        """The cameras whose images were downloaded."""
+        """Return the cameras whose images were downloaded."""
         calibrations: list[tuple[Stage, Calibration]] = []
         if self._cameras:
             columns = ("hex(token)", "translation", "rotation", "intrinsic", "distortion", "width", "height")
@@ -274,14 +274,14 @@ class NuplanRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
+        """Return the images of each camera; a stamp is taken as mid-exposure, exposure lengths are not recorded."""
         return {
             _name(channel): FileStream(_name(channel), "jpeg", stamps, stamps, tuple(paths))
             for channel, (_, stamps, paths) in self._cameras.items()
         }
 
     def boxes(self) -> pa.Table | None:
-        """The boxes of the offline detector, with velocity and confidence; None: the log has none."""
+        """Return the boxes of the offline detector, with velocity and confidence; None: the log has none."""
         numbers = ("x", "y", "z", "yaw", "length", "width", "height", "vx", "vy", "vz", "confidence")
         pose = _POSE_COLUMNS[1:8]
         with open_database(self.path) as database:

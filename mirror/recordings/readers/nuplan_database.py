@@ -58,7 +58,7 @@ def open_database(file: Path) -> Iterator[Database]:
 
 
 class Database:
-    """An open database."""
+    """An open log database of nuPlan."""
 
     def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
         self.file = file
@@ -67,7 +67,7 @@ class Database:
     def rows(
         self, table: str, columns: Sequence[str], *, join: str = "", where: str = "", order: str = ""
     ) -> list[tuple[Any, ...]]:
-        """Rows of a table.
+        """Return the rows of a table.
 
         Args:
             table: the table.
@@ -99,7 +99,7 @@ class Database:
         return set(names) <= found
 
     def matrix(self, rows: Sequence[tuple[Any, ...]], table: str, columns: Sequence[str]) -> Float64:
-        """(N, K) float64 numbers of rows; null becomes NaN.
+        """Return the numbers (N, K) of rows as float64; null becomes NaN.
 
         Raises:
             RecordingError: a value is not a number; the row is named.
@@ -128,7 +128,7 @@ class _Numbers(pickle.Unpickler):
 
 
 def load_numbers(blob: object, shape: tuple[int, ...], *, file: Path, place: str) -> Float64:
-    """Numbers that the devkit pickled: a list, or an array.
+    """Return the numbers that the devkit pickled: a list, or an array.
 
     Args:
         blob: the bytes.

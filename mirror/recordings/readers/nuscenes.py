@@ -77,7 +77,10 @@ class NuscenesReader:
         return bool(_version_folders(path))
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the scenes; with several versions, ``VERSION/SCENE`` of the largest version that has the scene."""
+        """Return the names of the scenes.
+
+        With several versions, they are ``VERSION/SCENE`` of the largest version that has the scene.
+        """
         folders = _version_folders(path)
         root = _root(path)
         for folder in folders:
@@ -154,7 +157,7 @@ def _root(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class NuscenesRecording:
-    """One scene.
+    """One scene of nuScenes.
 
     Attributes:
         tables: the folder's tables.
@@ -188,7 +191,7 @@ class NuscenesRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """The id is the scene's name; light and weather come from the words of its description."""
+        """The drive; its id is the scene's name, light and weather are from the words of its description."""
         description = self.scene.get("description")
         light, weather = parse_description(description if isinstance(description, str) else "")
         place = self._location.partition("-")[0]
@@ -235,14 +238,14 @@ class NuscenesRecording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def named_files(self) -> Sequence[tuple[str, Path]]:
-        """The tables and the scene's images, missing ones included; point clouds and maps are not read."""
+        """Return the tables and the scene's images, missing ones included; point clouds and maps are not read."""
         files = {name: self.tables.folder / name for name in (f"{table}.json" for table in TABLES)}
         for channel, rows in self._cameras.items():
             files |= dict(zip(rows.filename.to_pylist(), self._image_paths[channel]))
         return sorted(files.items())
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The tables and the scene's images; all must be there."""
+        """Return the tables and the scene's images; all must be there."""
         files = self.named_files()
         for name, path in files:
             if not path.exists():
@@ -266,7 +269,7 @@ class NuscenesRecording:
         }
 
     def track(self) -> Track:
-        """The ego poses of all sensors' rows, cameras, lidar and radars."""
+        """Return the ego poses of all sensors' rows, cameras, lidar and radars."""
         poses = self.tables.poses
         rows = np.unique(self._data.pose)
         rows = rows[np.argsort(poses.timestamp_us[rows], kind="stable")]
@@ -299,7 +302,7 @@ class NuscenesRecording:
         return faults.drop_from(track)
 
     def calibrations(self) -> pa.Table:
-        """The rectified cameras of ``calibrated_sensor``."""
+        """Return the rectified cameras of ``calibrated_sensor``."""
         calibrations: list[tuple[Stage, Calibration]] = []
         for channel, rows in self._cameras.items():
             numbers = np.unique(rows.sensor).tolist()
@@ -340,7 +343,7 @@ class NuscenesRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera at their native rate; a stamp is taken as mid-exposure."""
+        """Return the images of each camera at their native rate; a stamp is taken as mid-exposure."""
         streams: dict[str, ImageStream] = {}
         for channel, rows in self._cameras.items():
             name = _CANONICAL.get(channel, to_identifier(channel))
@@ -353,7 +356,7 @@ class NuscenesRecording:
         return streams
 
     def boxes(self) -> pa.Table | None:
-        """The boxes of the annotated frames, with velocities; None: the scene has none, as in the test split."""
+        """Return the boxes of the annotated frames, with velocities; None: the scene has none, as in the test split."""
         annotations = self.tables.annotations_of(self.scene)
         if not len(annotations.timestamp_us):
             return None
@@ -377,7 +380,7 @@ _LIGHT: Final = ("day", "dusk", "night")
 
 
 def parse_description(description: str) -> tuple[str | None, str | None]:
-    """Light and weather in the words of a description; None where it does not state them.
+    """Return the light and weather in the words of a description; None where it does not state them.
 
     A phrase between commas may be one of MIRROR's words; the dataset's own descriptions mention night and rain.
     """

@@ -72,7 +72,9 @@ def make_boxes(
 
 
 def velocities(annotations: Annotations) -> Float64:
-    """(K, 3) metres a second in the map's frame: between the neighbours of a box, or to the only one; else NaN.
+    """Return the velocities (K, 3) in the map's frame, m/s.
+
+    They are between the neighbours of a box, or to the only one; else NaN.
 
     Source: ``box_velocity`` of the devkit, with its limits of 1.5 s to one neighbour and 3 s between two.
     """

@@ -84,7 +84,7 @@ class SensorData:
     filename: pa.Array
 
     def take(self, rows: Int64 | slice | Bool) -> SensorData:
-        """Some of the rows."""
+        """Select some of the rows."""
         positions = np.arange(len(self.timestamp_us))[rows]
         return SensorData(
             self.timestamp_us[rows],
@@ -132,7 +132,7 @@ class Annotations:
     attributes: pa.Array
 
     def take(self, rows: slice) -> Annotations:
-        """Some of the rows."""
+        """Select some of the rows."""
         return Annotations(
             self.timestamp_us[rows],
             self.instance[rows],

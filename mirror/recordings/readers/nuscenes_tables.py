@@ -67,7 +67,7 @@ class Tables:
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False, compare=False)
 
     def file(self, table: str) -> Path:
-        """The file of a table.
+        """Return the file of a table.
 
         Raises:
             RecordingError: it is missing, or is a link that leads outside.
@@ -81,7 +81,7 @@ class Tables:
         return path
 
     def records(self, table: str) -> dict[str, Mapping[str, Any]]:
-        """The objects of a small table by token.
+        """Return the objects of a small table by token.
 
         Raises:
             RecordingError: the file is missing or broken, or an object has no token.
@@ -101,7 +101,7 @@ class Tables:
         return records
 
     def text(self, table: str, record: Mapping[str, Any], key: str) -> str:
-        """A text of an object of a small table.
+        """Return a text of an object of a small table.
 
         Raises:
             RecordingError: the object has no such text.
@@ -120,7 +120,7 @@ class Tables:
     def follow(
         self, table: str, record: Mapping[str, Any], key: str, target: Mapping[str, Mapping[str, Any]], of: str
     ) -> Mapping[str, Any]:
-        """The object that a token of another object names.
+        """Return the object that a token of another object names.
 
         Raises:
             RecordingError: there is no such object.
@@ -131,7 +131,7 @@ class Tables:
         return target[token]
 
     def dangling_error(self, table: str, place: str, key: str, token: str, of: str) -> RecordingError:
-        """The error for a token that names no object."""
+        """Return the error for a token that names no object."""
         return RecordingError(
             f"{key} {token!r:.60} names no object of {of}.json",
             file=self.folder / f"{table}.json",
@@ -164,7 +164,7 @@ class Tables:
         return calibrated
 
     def scene_number(self, scene: Mapping[str, Any]) -> int:
-        """The position of a scene among all scenes."""
+        """Return the position of a scene among all scenes."""
         return self._scene_numbers[str(scene["token"])]
 
     @cached_property
@@ -234,7 +234,7 @@ class Tables:
             return self._data[1]
 
     def data_of(self, scene: Mapping[str, Any]) -> SensorData:
-        """The sensor data of a scene, sorted by sensor and time.
+        """Return the sensor data of a scene, sorted by sensor and time.
 
         Raises:
             RecordingError: the scene has none, or a row names a sensor or a pose that does not exist.
@@ -307,7 +307,7 @@ class Tables:
         return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), names.take(pa.array(found)))
 
     def annotations_of(self, scene: Mapping[str, Any]) -> Annotations:
-        """The annotations of a scene, sorted by instance and time.
+        """Return the annotations of a scene, sorted by instance and time.
 
         Raises:
             RecordingError: an annotation names an instance that does not exist.
@@ -323,7 +323,7 @@ class Tables:
 
 
 def find_tokens(column: pa.ChunkedArray, tokens: pa.Array) -> Index:
-    """(N,) position of each token among others; -1 where it is not among them."""
+    """Return the position (N,) of each token among others; -1 where it is not among them."""
     return np.asarray(pc.fill_null(pc.index_in(column, value_set=tokens), -1), np.int32)
 
 
@@ -332,7 +332,7 @@ _HELD_LOCK: Final = threading.Lock()
 
 
 def open_tables(root: Path, folder: Path) -> Tables:
-    """The tables of a version folder; drives that are opened one after the other share them.
+    """Return the tables of a version folder; drives that are opened one after the other share them.
 
     Args:
         root: the folder with the files of the sensors.

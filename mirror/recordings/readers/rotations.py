@@ -61,7 +61,7 @@ def mark_rotations(quaternion: Float64, *, file: Path, place: Callable[[int], st
 
 
 def require_poses(quaternion: Float64, position: Float64, *, file: Path, place: Callable[[int], str]) -> Poses:
-    """Poses of a table in which every row is needed.
+    """Return the poses of a table in which every row is needed.
 
     Args:
         quaternion: (N, 4) scalar first, as read.

@@ -110,11 +110,14 @@ class WaymoReader:
     expects = f"a folder with {_POSES}/*.parquet and any other components of Waymo v2, or FOLDER/SEGMENT"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the folder holds a component of Waymo v2; without poses, opening it names what is missing."""
+        """Return whether the folder holds a component of Waymo v2.
+
+        Without poses, opening it names the missing component.
+        """
         return path.is_dir() and bool(_components(path))
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the segments that have poses."""
+        """Return the names of the segments that have poses."""
         return _segments(path) if (path / _POSES).is_dir() else []
 
     def open(self, path: Path, options: Mapping[str, str]) -> WaymoRecording:
@@ -152,7 +155,7 @@ def _segments(root: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class WaymoRecording:
-    """One segment.
+    """One segment of the Waymo Open Dataset.
 
     Attributes:
         root: the folder of components.
@@ -172,7 +175,7 @@ class WaymoRecording:
 
     @cached_property
     def info(self) -> DriveInfo:
-        """Light, weather and city come from the component ``stats`` if it was downloaded."""
+        """The drive; light, weather and city are from the component ``stats`` if it was downloaded."""
         name = to_identifier(f"waymo_{self.segment}")
         file = self._find(_STATS)
         stats: dict[str, str] = {}
@@ -238,7 +241,7 @@ class WaymoRecording:
         return RigInfo(rig_id, cameras, cameras[0].name)
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The components that are read and exist; lidar is not read."""
+        """Return the components that are read and exist; lidar is not read."""
         self._require(_POSES)
         components = (_BOXES, _CALIBRATIONS, _IMAGES, _STATS, _POSES)
         return [
@@ -248,7 +251,7 @@ class WaymoRecording:
         ]
 
     def track(self) -> Track:
-        """The vehicle's poses at the frames and at the images, each at its own stamp."""
+        """Return the vehicle's poses at the frames and at the images, each at its own stamp."""
         file = self._require(_POSES)
         table = read_parquet(file, _POSE_SCHEMA)
         stamps, matrices = [np.asarray(table.column(_STAMP))], [_matrices(table.column(_POSE))]
@@ -287,7 +290,7 @@ class WaymoRecording:
         return replace(track, **columns)
 
     def calibrations(self) -> pa.Table:
-        """The cameras that have images."""
+        """Return the cameras that have images."""
         calibrations: list[tuple[Stage, Calibration]] = []
         if self._streams:
             file = self._require(_CALIBRATIONS)
@@ -336,11 +339,11 @@ class WaymoRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """The images of each camera, read from the component's file."""
+        """Return the images of each camera, read from the component's file."""
         return {_NAMES[number]: stream for number, stream in self._streams.items()}
 
     def boxes(self) -> pa.Table | None:
-        """The boxes of the lidar labels; None: they were not downloaded."""
+        """Return the boxes of the lidar labels; None: they were not downloaded."""
         file = self._find(_BOXES)
         if file is None:
             return None

@@ -32,7 +32,7 @@ class ParquetStream:
     codec: str = "jpeg"
 
     def path(self, index: int) -> None:
-        """None: the images lie in one file."""
+        """Return None: the images lie in one file."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield the bytes of images.

@@ -105,20 +105,20 @@ EXTINCTION: Final = np.stack([_AIR, _HAZE_TAKES * _HAZE, _OZONE])
 
 
 def densities(height_m: Float64) -> Float64:
-    """Densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
+    """Return the densities (..., 3) of air, haze and ozone, relative to the maximum of each."""
     height = np.maximum(height_m, 0.0)
     ozone = np.maximum(1.0 - np.abs(height - _OZONE_M) / _OZONE_HALF_M, 0.0)
     return np.stack([arrays.exp(-height / _AIR_M), arrays.exp(-height / _HAZE_M), ozone], axis=-1)
 
 
 def distance_to_sphere(start: Float64, away: Float64, radius: float) -> Float64:
-    """Distances (N,) from points inside a sphere around the earth's centre to the sphere."""
+    """Return the distances (N,) from points inside a sphere around the earth's centre to the sphere."""
     along = np.einsum("ni,ni->n", start, away)
     return -along + np.sqrt(along**2 - np.einsum("ni,ni->n", start, start) + radius**2)
 
 
 def optical_depth_to_sun(points: Float64, sun: Float64) -> Float64:
-    """Optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
+    """Return the optical depths (N, 3) from points (N, 3) to the sun; huge where the earth hides the sun."""
     reach = distance_to_sphere(points, np.broadcast_to(sun, points.shape), _TOP_M)
     along = arrays.matmul(points, sun)
     passing = np.sqrt(np.maximum(np.einsum("ni,ni->n", points, points) - along**2, 0.0))

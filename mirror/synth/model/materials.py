@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Material(IntEnum):
-    """Material of a surface."""
+    """A material of a surface of the synthetic street."""
 
     PLAIN = 0
     """One colour, diffuse."""

@@ -32,7 +32,7 @@ def _striped_length(x: float, period: float, duty: float) -> float:
 
 @per_pixel(inline="always")
 def stripe_share(x: float, width: float, low: float, high: float, period: float, duty: float, phase: float) -> float:
-    """Share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
+    """Return the share of the interval of ``width`` about x that lies on stripes between ``low`` and ``high``.
 
     Args:
         x: middle of the interval, metres.
@@ -53,7 +53,7 @@ def stripe_share(x: float, width: float, low: float, high: float, period: float,
 
 @per_pixel()
 def mark_share(mark: Records, u: float, v: float, fu: float, fv: float) -> float:
-    """Share of a footprint that a MARK covers."""
+    """Return the share of a footprint that a MARK covers."""
     across = stripe_share(v, fv + mark.soft, mark.v_low, mark.v_high, mark.v_period, mark.v_duty, mark.v_phase)
     if across <= 0.0:
         return 0.0

@@ -167,7 +167,7 @@ def _is_any_set(mask: Float32, top: int, left: int) -> bool:
 def ray_steps(
     rays: Float64, rotation: Float64, top: int, left: int, bottom: int, right: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Change of a tile's rays from pixel to pixel, to the right and downwards, in the world frame."""
+    """Return the change of a tile's rays from pixel to pixel, to the right and downwards, in the world frame."""
     row, column = (top + bottom) // 2, (left + right) // 2
     over, under = (left, right) if right > left else (max(left - 1, 0), right)
     above, below = (top, bottom) if bottom > top else (max(top - 1, 0), bottom)

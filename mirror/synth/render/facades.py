@@ -48,7 +48,7 @@ def _panes_up(low: float, high: float, foot: float, height: float, transom: floa
 
 @per_pixel()
 def wall_grain(face: Records, patterns: Records) -> int:
-    """Grain of the wall of a FACADE face."""
+    """Return the grain of the wall of a FACADE face."""
     return patterns[face.layout].grain
 
 

@@ -18,7 +18,7 @@ _NOTHING_M: Final = -1e9
 
 
 class ShadowMap(NamedTuple):
-    """A shadow map.
+    """A shadow map of the sun.
 
     Attributes:
         height: (rows, columns) metres along the sun's direction; very low where there is no surface.

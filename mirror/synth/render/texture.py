@@ -37,7 +37,7 @@ def noise(x: float, y: float, seed: int) -> float:
 
 @per_pixel()
 def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float:
-    """Noise with a grain size; it fades out where the footprint is wider than the grain."""
+    """Return the noise with a grain size; it fades out where the footprint is wider than the grain."""
     visible = 1.5 - footprint / size
     if visible <= 0.0:
         return 0.0
@@ -46,7 +46,7 @@ def grain(x: float, y: float, size: float, footprint: float, seed: int) -> float
 
 @per_pixel()
 def band(x: float, low: float, high: float, footprint: float) -> float:
-    """Share of the footprint around x that is within [low, high]."""
+    """Return the share of the footprint around x that is within [low, high]."""
     width = max(footprint, 1e-6)
     covered = min(high, x + 0.5 * width) - max(low, x - 0.5 * width)
     return min(max(covered / width, 0.0), 1.0)
@@ -60,6 +60,6 @@ def _stripes_before(x: float, duty: float) -> float:
 
 @per_pixel()
 def stripes(x: float, period: float, duty: float, footprint: float) -> float:
-    """Share of the footprint around x that is on stripes, which fill the first ``duty`` of every period."""
+    """Return the share of the footprint around x that is on stripes, which fill the first ``duty`` of every period."""
     x, width = x / period, max(footprint / period, 1e-6)
     return (_stripes_before(x + 0.5 * width, duty) - _stripes_before(x - 0.5 * width, duty)) / width

@@ -54,13 +54,13 @@ class Pedestrian(Body):
         return STRIDE * self.person.height_m
 
     def model_at(self, placement: Placement) -> Model:
-        """The walking or standing pose, rounded to a fixed set of poses; steps are shorter at low speed."""
+        """Return the walking or standing pose, rounded to a fixed set of poses; steps are shorter at low speed."""
         phase = round(_PHASES * placement.along_m / self.stride_m) % _PHASES
         pace = round(_PACES * min(placement.speed_mps / _FULL_PACE_MPS, 1.0))
         return self.model if pace <= 0 else _cached_pose(self.person, phase, pace)
 
     def walking(self, phase: float, pace: float = 1.0) -> Model:
-        """A pose of the walk; it stays within the box at every phase and pace.
+        """Return a pose of the walk; it stays within the box at every phase and pace.
 
         Args:
             phase: walked distance divided by ``stride_m``; the gait repeats after 1.

@@ -63,7 +63,7 @@ def _left_right_rows(x: float | Float64, y: float | Float64, z: float | Float64)
 
 
 def head_half_m(height_m: float) -> float:
-    """Half the height of a head; children's heads are larger relative to their height."""
+    """Return half the height of a head; children's heads are larger relative to their height."""
     return 0.5 * (0.160 + 0.037 * height_m)
 
 

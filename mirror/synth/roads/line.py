@@ -52,11 +52,11 @@ class Line:
     headings: Float64
 
     def heading(self, station_m: npt.ArrayLike) -> Float64:
-        """Headings (...,) at stations, radians; beyond an end, the heading at that end."""
+        """Return the headings (...,) at stations, radians; beyond an end, the heading at that end."""
         return np.asarray(np.interp(np.asarray(station_m, np.float64), self.stations, self.headings))
 
     def at(self, station_m: npt.ArrayLike, offset_m: npt.ArrayLike = 0.0) -> Float64:
-        """Points (..., 2) at stations and offsets to the left; the line continues straight beyond its ends."""
+        """Return points (..., 2) at stations and offsets to the left; the line continues straight beyond its ends."""
         station, offset = np.broadcast_arrays(np.asarray(station_m, np.float64), np.asarray(offset_m, np.float64))
         heading = self.heading(station)
         beyond = station - np.clip(station, self.stations[0], self.stations[-1])
@@ -66,7 +66,7 @@ class Line:
         return np.stack([x + beyond * cos - offset * sin, y + beyond * sin + offset * cos], axis=-1)
 
     def locate(self, points: npt.ArrayLike) -> tuple[Float64, Float64]:
-        """Stations (N,) and offsets (N,) of points (N, 2): feet of their perpendiculars, by Newton's method.
+        """Return the stations (N,) and offsets (N,) of points (N, 2): feet of their perpendiculars, by Newton's method.
 
         The line continues straight beyond its ends.
         """
@@ -89,7 +89,7 @@ class Line:
         return station, gap[:, 1] * arrays.cos(heading) - gap[:, 0] * arrays.sin(heading)
 
     def until(self, distance_m: float) -> Line:
-        """The stretch around station 0 that lies within ``distance_m`` of (0, 0)."""
+        """Return the stretch around station 0 that lies within ``distance_m`` of (0, 0)."""
         far = arrays.hypot(*self.points.T) > distance_m
         middle = int(np.argmin(np.abs(self.stations)))
         before, after = np.flatnonzero(far[:middle]), np.flatnonzero(far[middle:])

@@ -72,17 +72,17 @@ _ALONG: Final = (-FAR_M, FAR_M)
 
 
 def solid_line(v_m: float, half_m: float) -> Mark:
-    """A continuous line at offset v."""
+    """Return a continuous line at offset v."""
     return Mark(_ALONG, (v_m - half_m, v_m + half_m))
 
 
 def dashed_line(v_m: float, half_m: float, period_m: float, length_m: float) -> Mark:
-    """A dashed line at offset v."""
+    """Return a dashed line at offset v."""
     return replace(solid_line(v_m, half_m), u_stripes=(period_m, length_m / period_m, 0.0))
 
 
 def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
-    """Parking bays beside the lane: a dashed line, and ticks between the bays."""
+    """Return the parking bays beside the lane: a dashed line, and ticks between the bays."""
     low, high = min(inner_m, outer_m), max(inner_m, outer_m)
     return (
         replace(dashed_line(inner_m, 0.05, 6.0, 1.6), worn=0.5),
@@ -91,7 +91,7 @@ def parking_bays(inner_m: float, outer_m: float) -> tuple[Mark, ...]:
 
 
 def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
-    """A red cycle lane between two white lines."""
+    """Return a red cycle lane between two white lines."""
     return (
         Mark(_ALONG, (low_m, high_m), colour=RED, strength=0.85, worn=0.3),
         dashed_line(low_m if low_m > 0 else high_m, 0.06, 2.0, 1.0),
@@ -99,7 +99,7 @@ def cycle_lane(low_m: float, high_m: float) -> tuple[Mark, ...]:
 
 
 def wheel_tracks(v_m: float) -> tuple[Mark, ...]:
-    """Polished wheel tracks of a lane with its middle at v."""
+    """Return the polished wheel tracks of a lane with its middle at v."""
     return tuple(
         Mark(
             _ALONG, (v_m + side - 0.28, v_m + side + 0.28), colour=(0.15, 0.15, 0.15), strength=0.20, worn=0.6,
@@ -110,27 +110,27 @@ def wheel_tracks(v_m: float) -> tuple[Mark, ...]:
 
 
 def oil_stain(v_m: float) -> Mark:
-    """The oil stain along the middle of a lane."""
+    """Return the oil stain along the middle of a lane."""
     return Mark(_ALONG, (v_m - 0.3, v_m + 0.3), colour=(0.05, 0.05, 0.05), strength=0.24, worn=0.7, soft_m=0.4)
 
 
 def zebra_marks(u_m: tuple[float, float], half_m: float) -> Mark:
-    """A zebra crossing between two stations, over a carriageway of width ``2 * half_m``."""
+    """Return a zebra crossing between two stations, over a carriageway of width ``2 * half_m``."""
     return Mark(u_m, (-half_m + 0.25, half_m - 0.25), v_stripes=(1.0, 0.5, 0.25))
 
 
 def stop_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
-    """A stop line across a lane."""
+    """Return a stop line across a lane."""
     return Mark(u_m, v_m)
 
 
 def yield_line(u_m: tuple[float, float], v_m: tuple[float, float]) -> Mark:
-    """A broken yield line across a lane."""
+    """Return a broken yield line across a lane."""
     return Mark(u_m, v_m, v_stripes=(0.75, 0.5 / 0.75, v_m[0] + 0.12))
 
 
 def hatched_area(u_m: tuple[float, float], v_m: tuple[float, float], slant: float) -> Mark:
-    """A hatched area that is closed to traffic."""
+    """Return a hatched area that is closed to traffic."""
     return Mark(u_m, v_m, u_stripes=(2.0, 0.4, 0.0), slant=slant)
 
 

@@ -43,7 +43,10 @@ class Turning:
 def cubic_curve(
     start: Float64, heading_rad: float, goal: Float64, goal_heading_rad: float, step_m: float = _STEP_M
 ) -> Float64:
-    """A cubic curve (N, 2) between two positions with headings; an arc if both are equally far from their corner."""
+    """Return a cubic curve (N, 2) between two positions with headings.
+
+    It is an arc if both are equally far from their corner.
+    """
     turn = _wrap_angle(goal_heading_rad - heading_rad)
     ahead = np.array([scalars.cos(heading_rad), scalars.sin(heading_rad)])
     after = np.array([scalars.cos(goal_heading_rad), scalars.sin(goal_heading_rad)])
@@ -103,7 +106,7 @@ def build_turnings(crossing: Crossing, ports: Sequence[Port], lanes: Mapping[str
 
 
 def link_lanes(ports: Sequence[Port]) -> dict[str, tuple[str, ...]]:
-    """Successors of each lane that continues directly in another one, as where lanes branch off and merge."""
+    """Return the successors of lanes that continue directly in another one, where lanes branch and merge."""
     return {
         start.lane_id: tuple(
             goal.lane_id for goal in ports if not goal.arrives and arrays.hypot(*(goal.place - start.place)) < _SAME_M

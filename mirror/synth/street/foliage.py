@@ -124,7 +124,7 @@ def _color_insides(pieces: Records, bodies: Int64, season: float) -> Float64:
 
 
 def crown_share(seeds: Int64, season: float) -> Float64:
-    """Expected share (N,) of leaves at a season, for the plants with these seeds."""
+    """Return the expected share (N,) of leaves at a season, for the plants with these seeds."""
     share = np.ones(len(seeds))
     for species, year in _YEARS.items():
         out = np.clip((season - year.out) / year.out_span, 0.0, 1.0)

@@ -46,7 +46,7 @@ class Lot:
     kind: LotKind
 
     def outline(self) -> shapely.Polygon:
-        """The lot's rectangle on the ground plane."""
+        """Return the lot's rectangle on the ground plane."""
         along = np.array([scalars.cos(self.yaw_rad), scalars.sin(self.yaw_rad)])
         half, deep = 0.5 * self.length_m * along, self.depth_m * np.array([-along[1], along[0]])
         front = self.origin[:2]

@@ -23,7 +23,7 @@ BUILT: Final[list[Atlas]] = []
 
 @dataclass(frozen=True)
 class Atlas:
-    """Images and grains.
+    """All images and grains of the synthetic street's surfaces.
 
     Attributes:
         grains: (T,) texels of all grains and levels, the finest level first, each row by row; rows run along v.

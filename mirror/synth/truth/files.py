@@ -34,7 +34,7 @@ class TruthObject(Document):
 
 
 class TruthDocument(Document):
-    """``truth.json``.
+    """``truth.json``: the exact truth of a synthetic recording.
 
     Attributes:
         scene: the scene; the east-north-up frame at its centre is the world frame.

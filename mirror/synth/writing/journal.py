@@ -39,7 +39,7 @@ class Counts(Document):
 
 
 class SynthDocument(Document):
-    """``synth.json``.
+    """``synth.json``: the arguments and the drives of a folder of `mirror synth`.
 
     Attributes:
         format: always ``mirror-synth``.

@@ -56,7 +56,7 @@ class Users(NamedTuple):
 
 @inner_njit
 def pace_at(ways: Ways, way: int, along: float) -> float:
-    """Speed that a way allows at a length along it."""
+    """Return the speed that a way allows at a length along it."""
     first, last = ways.first[way], ways.first[way + 1] - 1
     place = min(max(along / STEP_M, 0.0), float(last - first))
     i = min(first + int(place), last - 1)
@@ -66,7 +66,10 @@ def pace_at(ways: Ways, way: int, along: float) -> float:
 
 @inner_njit
 def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float) -> float:
-    """Acceleration on a free road: towards the desired speed, which is lower before bends and varies a little."""
+    """Return the acceleration on a free road towards the desired speed.
+
+    The desired speed is lower before bends and varies a little.
+    """
     easing = 1.0 - 0.10 * (0.5 + 0.5 * scalars.sin(s / 17.0 + road_users.phase[u]))
     free = road_users.eager[u] * easing
     now = min(pace_at(ways, road_users.way[u], s) * free, road_users.fastest_mps[u])
@@ -76,7 +79,7 @@ def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float)
 
 @inner_njit
 def following_acceleration(u: int, road_users: Users, v: float, gap: float, speed: float) -> float:
-    """Acceleration behind a road user at a gap, metres, and a speed, m/s."""
+    """Return the acceleration behind a road user at a gap, metres, and a speed, m/s."""
     room = max(gap, 0.3)
     ease = 2.0 * math.sqrt(road_users.pick_up_mps2[u] * road_users.brake_mps2[u])
     desired_gap = STANDSTILL_M + max(0.0, v * road_users.headway_s[u] + v * (v - speed) / ease)
@@ -88,13 +91,16 @@ def following_acceleration(u: int, road_users: Users, v: float, gap: float, spee
 
 @inner_njit
 def stopping_acceleration(u: int, road_users: Users, v: float, gap: float) -> float:
-    """Acceleration towards a stop line."""
+    """Return the acceleration towards a stop line."""
     return following_acceleration(u, road_users, v, gap + STANDSTILL_M, 0.0) if gap > -STANDSTILL_M else -_HARDEST_MPS2
 
 
 @inner_njit
 def advance_along(s: float, v: float, a: float, wish: float, tick_s: float) -> tuple[float, float, float]:
-    """Length, speed and acceleration after a tick; the acceleration changes gradually, the speed is never negative."""
+    """Return the length, speed and acceleration after a tick.
+
+    The acceleration changes gradually, the speed is never negative.
+    """
     a_new = min(max(wish, a - 12.0 * tick_s), a + 4.0 * tick_s)
     v_new = v + 0.5 * (a + a_new) * tick_s
     if v_new <= 0.0:

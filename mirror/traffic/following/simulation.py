@@ -30,7 +30,7 @@ _SIFT: Final = 10
 
 @njit(cache=True, nogil=True)
 def signal_at(green_s: Float64, cycle_s: float, group: int, clock_s: float) -> int:
-    """State of a signal group: 0 green, 1 amber, 2 red, 3 red and amber."""
+    """Return the state of a signal group: 0 green, 1 amber, 2 red, 3 red and amber."""
     since = (clock_s - green_s[group, 0]) % cycle_s
     green = green_s[group, 1] - green_s[group, 0]
     if since < green:

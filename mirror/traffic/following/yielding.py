@@ -60,7 +60,7 @@ class Meetings(NamedTuple):
 
 @inner_njit
 def limit_position(e: int, k: int, road_users: Users, meetings: Meetings, s: Float64) -> float:
-    """The position up to which user k of a meeting may advance behind the other."""
+    """Return the position up to which user k of a meeting may advance behind the other."""
     other = meetings.road_users[e, 1 - k]
     place = (s[other] - road_users.length_m[other] - meetings.begin_m[e, 1 - k]) / GRID_M
     first = meetings.table[e, k]

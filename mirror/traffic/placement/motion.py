@@ -56,7 +56,7 @@ class Placement:
         )
 
     def world_SE3_body(self) -> Poses:  # noqa: N802
-        """The pose of the body in the world."""
+        """Return the pose of the body in the world."""
         return Poses(quaternion_from_matrix(self.rotation[None]), self.translation[None])
 
 
@@ -64,7 +64,7 @@ class Motion(Protocol):
     """The placement of a road user at any time of a drive."""
 
     def at(self, time_s: float) -> Placement:
-        """The placement ``time_s`` seconds after the drive's start."""
+        """Return the placement ``time_s`` seconds after the drive's start."""
         ...
 
 
@@ -75,5 +75,5 @@ class StaticMotion:
     placement: Placement
 
     def at(self, time_s: float) -> Placement:
-        """The placement; it is the same at all times."""
+        """Return the placement, which does not change with time."""
         return self.placement

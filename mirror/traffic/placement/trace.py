@@ -75,7 +75,7 @@ class Aside:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The placements of a vehicle along its way: uniform cubic B-splines, twice continuously differentiable.
+    """The placements of a vehicle along its way: uniform cubic B-splines, twice differentiable.
 
     The length along the way refers to the vehicle's front end. The trace continues straight beyond the ends of the way.
 
@@ -124,7 +124,7 @@ class Schedule:
         return self.begin_s + self.step_s * (len(self.along_m) - 1)
 
     def since(self, start_s: float) -> Schedule:
-        """Return the same schedule with times relative to ``start_s``."""
+        """Return the schedule with times relative to ``start_s``."""
         return replace(self, begin_s=self.begin_s - start_s)
 
     def time_of(self, along_m: float) -> float:

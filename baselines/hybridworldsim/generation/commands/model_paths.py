@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def find_model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, Path]:
-    """The files of a generator and its autoencoder, from a folder of `mirror generate train` or from files.
+    """Return the files of a generator and its autoencoder, from a folder of `mirror generate train` or from files.
 
     Args:
         generator: the folder, or ``model.safetensors`` of a generator.
@@ -34,5 +34,5 @@ def find_model_files(generator: Path, autoencoder: Path | None) -> tuple[Path, P
 
 
 def describe_training(model: Path, outcome: GenerationOutcome) -> str:
-    """One line about a model that was trained or distilled."""
+    """Describe a trained or distilled model in one line."""
     return f"{model}: {outcome.steps} steps, {outcome.core_s / 60.0:.1f} core-minutes, loss {outcome.loss:.5f}"

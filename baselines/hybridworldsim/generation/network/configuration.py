@@ -14,7 +14,9 @@ CAMERA_NUMBERS: Final = 11
 
 @dataclass(frozen=True)
 class AdapterConfig:
-    """An adapter turns images into features that are added to the tokens before the first transformer layers.
+    """The configuration of an adapter, which turns images into features that are added to the tokens.
+
+    They are added before the first transformer layers.
 
     Attributes:
         channels: channels of the images.

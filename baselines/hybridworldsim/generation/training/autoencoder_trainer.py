@@ -20,7 +20,7 @@ _CLIP = 1.0
 
 @dataclass(frozen=True)
 class AutoencoderSettings:
-    """How an autoencoder is trained.
+    """Settings of an autoencoder's training.
 
     Attributes:
         model: its size.
@@ -76,14 +76,14 @@ class AutoencoderTrainer:
 
     @torch.no_grad()
     def finish(self, count: int = 512) -> TinyAutoencoder:
-        """Normalise the latents with some of the images, evenly chosen; returns the autoencoder."""
+        """Normalise the latents by evenly chosen images, and return the autoencoder."""
         chosen = self._images[:: max(1, len(self._images) // count)]
         parts = [self.model.encode(to_tensor(chosen[first : first + 32])) for first in range(0, len(chosen), 32)]
         self.model.set_statistics(torch.cat(parts))
         return self.model
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a run needs to continue, by name."""
+        """Return everything that a run needs to continue, by name."""
         return dump(self.model, self._optimizer)
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
@@ -98,7 +98,7 @@ class AutoencoderTrainer:
 
 @torch.no_grad()
 def reconstruction_psnr_db(model: TinyAutoencoder, images: UInt8) -> float:
-    """Mean PSNR of reconstructed images (N, H, W, 3), in dB: it bounds what is generated from latents."""
+    """Return the mean PSNR of reconstructed images (N, H, W, 3), in dB: it bounds what is generated from latents."""
     errors = []
     for first in range(0, len(images), 32):
         batch = to_tensor(images[first : first + 32])

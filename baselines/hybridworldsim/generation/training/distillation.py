@@ -31,7 +31,7 @@ from mirror.errors import UsageError
 
 @dataclass(frozen=True)
 class DistillationSettings:
-    """How a teacher is distilled.
+    """Settings of a distillation.
 
     Attributes:
         segments: steps of the student.
@@ -55,12 +55,12 @@ class DistillationSettings:
 
 
 def segment_end(level: Tensor, segments: int) -> Tensor:
-    """The lower end of the segment of each level; the upper end of a segment belongs to it."""
+    """Return the lower end of the segment of each level; the upper end of a segment belongs to it."""
     return (torch.ceil(level * segments - 1e-6) - 1.0) / segments
 
 
 class ConsistencyLoss(nn.Module):
-    """Square error between the student's jump and that of its average one small teacher's step later.
+    """The squared error between the student's jump and that of its average, a small teacher's step later.
 
     Args:
         student: the network in training.
@@ -83,7 +83,10 @@ class ConsistencyLoss(nn.Module):
         self._averaged, self._settings = averaged, settings
 
     def forward(self, batch: WindowBatch, level: Tensor, reference_level: Tensor, noise: Tensor) -> Tensor:
-        """Mean over the views that exist; the error is that of the velocity which leads to the segment's end."""
+        """Compute the mean error over the views that exist.
+
+        The error is that of the velocity which leads to the segment's end.
+        """
         count = batch.references.shape[1]
         noisy = add_noise(batch.target, noise[:, count:], level)
         references = add_noise(batch.references, noise[:, :count], reference_level)

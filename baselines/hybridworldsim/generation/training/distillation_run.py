@@ -37,7 +37,7 @@ _LOSS = "velocity"
 
 @dataclass(frozen=True)
 class DistillationOptions:
-    """Options of a distillation.
+    """Options of a distillation run.
 
     Attributes:
         steps: steps of the student's training.

@@ -36,7 +36,7 @@ _CLIP = 1.0
 
 @dataclass(frozen=True)
 class GeneratorSettings:
-    """How a generator is trained.
+    """Settings of a generator's training.
 
     Attributes:
         network: its configuration.
@@ -136,7 +136,7 @@ def predict_velocity(
     level: Tensor,
     reference_level: Tensor,
 ) -> Tensor:
-    """The velocity of a noisy target, in training.
+    """Return the velocity of a noisy target, in training.
 
     Args:
         network: the network.
@@ -160,7 +160,7 @@ def predict_velocity(
 
 
 def mean_over_present(values: Tensor, present: Tensor) -> Tensor:
-    """Mean of values (B, 1, V) over the views that exist (B, 1, V)."""
+    """Return the mean of values (B, 1, V) over the views that exist (B, 1, V)."""
     return (values * present).sum() / present.sum().clamp(min=1)
 
 
@@ -290,7 +290,7 @@ class GeneratorTrainer:
         return references
 
     def averaged_network(self) -> Transformer:
-        """A copy of the network with the averaged parameters."""
+        """Return a copy of the network with the averaged parameters."""
         with torch.device("meta"):
             network = Transformer(self._settings.network)
         state = {name: tensor.detach().clone() for name, tensor in self.network.state_dict().items()}
@@ -299,7 +299,7 @@ class GeneratorTrainer:
         return network.eval().requires_grad_(False)
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a run needs to continue, by name."""
+        """Return everything that a run needs to continue, by name."""
         return dump(self.network, self._optimizer) | {f"{_EMA}{name}": one for name, one in self._averaged.items()}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:

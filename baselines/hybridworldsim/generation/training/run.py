@@ -47,7 +47,7 @@ from mirror.weights.resolve import file_sha256
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """Options of a training.
+    """Options of a training run.
 
     Attributes:
         steps: steps of the generator.
@@ -80,7 +80,7 @@ class TrainingOptions:
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What was trained.
+    """The files and figures of a finished training.
 
     Attributes:
         generator: file of the generator.
@@ -216,13 +216,13 @@ def _flat(images: UInt8) -> UInt8:
 
 
 def rates_of(clips: Sequence[Clip]) -> tuple[float, float]:
-    """The lowest and highest rate of clips, frames per second."""
+    """Return the lowest and highest rate of clips, frames per second."""
     rates = [clip.rate_hz for clip in clips]
     return min(rates), max(rates)
 
 
 def with_text_of(settings: GeneratorSettings, captions: Path) -> GeneratorSettings:
-    """The same settings for a network that takes captions of the width that a file of embeddings has.
+    """Return settings for a network that takes captions as wide as those of a file of embeddings.
 
     Raises:
         WeightsUnavailableError: the file is missing or broken, or its embeddings differ in width.
@@ -248,12 +248,15 @@ def read_clip_captions(path: Path | None, config: TransformerConfig, clips: list
 
 
 def captions_document(path: Path | None) -> dict[str, str]:
-    """Return what a run's settings state of its captions; nothing without, so that such runs keep documents."""
+    """Describe the captions of a run's settings, for its document.
+
+    It is empty without captions, so that such runs keep their documents.
+    """
     return {} if path is None else {"captions": file_sha256(path)}
 
 
 def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:
-    """SHA-256 over the ids and files of clips.
+    """Return the SHA-256 over the ids and files of clips.
 
     Raises:
         DatasetError: a file is missing.
@@ -270,12 +273,12 @@ def hash_clips(folder: Path, clip_ids: tuple[str, ...]) -> str:
 
 
 def without_background(settings: GeneratorSettings) -> GeneratorSettings:
-    """The same settings for a network that does not receive the background."""
+    """Return settings for a network that does not receive the background."""
     return replace(settings, network=replace(settings.network, background=None))
 
 
 def with_map(settings: GeneratorSettings) -> GeneratorSettings:
-    """The same settings for a network that is also shown the lines of a map.
+    """Return settings for a network that is also shown the lines of a map.
 
     Raises:
         UsageError: the network takes no layout.

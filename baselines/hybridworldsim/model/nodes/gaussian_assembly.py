@@ -58,7 +58,10 @@ def anchors_to_gaussians(
 
 
 def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
-    """Return indices (G,) among all Gaussians of a node, of the slots (G,) among those of the anchors ``ids`` (M,)."""
+    """Return the rows (G,) of slots (G,) among all Gaussians of a node.
+
+    The slots are those of the anchors ``ids`` (M,).
+    """
     rows: AnyArray = empty_aligned(len(slots), np.int64)
     write_rows(slots.numpy(), ids.numpy(), k, rows)
     return torch.from_numpy(rows)

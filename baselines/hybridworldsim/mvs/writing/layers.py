@@ -42,7 +42,7 @@ class InitialisationLayers:
         return work_folder(self.layout, DEPTH, self.name, hash_values(dict(self.input_hashes)))
 
     def folder(self, traversal_id: str, kind: str) -> Path:
-        """The folder of one layer."""
+        """Return the folder of one layer."""
         return self.layout.layer(traversal_id, kind, self.source, self.version)
 
     def layer(self, traversal_id: str, kind: str) -> DerivedLayer:

@@ -78,7 +78,7 @@ class TinyAnnotator:
         )
 
     def close(self) -> None:
-        """Nothing is held but memory."""
+        """Do nothing: nothing is held but memory."""
 
 
 class _Installed:

@@ -45,16 +45,16 @@ class DenseOutput:
     pitch: Tensor
 
     def of_frames(self, batch: int) -> DenseOutput:
-        """The same with leading axes (B, N, H, W)."""
+        """Return the output with leading axes (B, N, H, W)."""
         return replace(self, **{name: value.unflatten(0, (batch, -1)) for name, value in vars(self).items()})
 
     def gather(self, cells: Tensor) -> DenseOutput:
-        """The cells (B, P) of outputs (B, N, H, W)."""
+        """Return the cells (B, P) of outputs (B, N, H, W)."""
         rows = torch.arange(cells.shape[0], device=cells.device)[:, None]
         return replace(self, **{name: value.flatten(1, 3)[rows, cells] for name, value in vars(self).items()})
 
     def peaks(self) -> Tensor:
-        """(B, N, H, W) best logit of a cell; far below all others if a neighbouring cell has a better one."""
+        """Return the best logits (B, N, H, W) of cells; far below all others beside a cell with a better one."""
         best = self.logits.amax(-1)
         around = nn.functional.max_pool2d(best.flatten(0, 1)[:, None], 3, 1, 1)[:, 0].unflatten(0, best.shape[:2])
         return torch.where(best >= around, best, best - 100.0)
@@ -62,7 +62,7 @@ class DenseOutput:
 
 @dataclass(frozen=True, eq=False)
 class CellBoxes:
-    """Boxes of cells.
+    """Boxes that cells of the dense head predict.
 
     Attributes:
         logits: (..., classes).
@@ -74,7 +74,7 @@ class CellBoxes:
 
 
 def decode_cells(dense: DenseOutput) -> CellBoxes:
-    """The boxes of cells."""
+    """Return the boxes of cells."""
     azimuth, elevation = ray_angles(dense.direction)
     azimuth = azimuth + dense.shift[..., 0] * dense.pitch
     elevation = elevation + dense.shift[..., 1] * dense.pitch
@@ -91,12 +91,12 @@ def decode_cells(dense: DenseOutput) -> CellBoxes:
 
 
 def ray_angles(direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Azimuth and elevation (...,) of unit vectors (..., 3)."""
+    """Return the azimuth and elevation (...,) of unit vectors (..., 3)."""
     return torch.atan2(direction[..., 1], direction[..., 0]), direction[..., 2].clamp(-0.9999, 0.9999).asin()
 
 
 def ray_pitch(directions: Tensor) -> Tensor:
-    """Mean angle (N, H, W) between a ray and its horizontal neighbours, of rays (N, H, W, 3)."""
+    """Return the mean angle (N, H, W) between a ray and its horizontal neighbours, of rays (N, H, W, 3)."""
     step = (directions[:, :, 1:] - directions[:, :, :-1]).norm(dim=-1).clamp(1e-3, 1.0)
     padded = torch.cat((step[:, :, :1], step, step[:, :, -1:]), 2)
     return 0.5 * (padded[:, :, 1:] + padded[:, :, :-1])
@@ -121,7 +121,7 @@ class DenseHead(nn.Module):
             self.out.get_parameter("bias")[:classes] = _RARE
 
     def forward(self, features: Tensor, directions: Tensor, origins: Tensor) -> tuple[DenseOutput, Tensor]:
-        """Outputs (N, H, W), and the features (N, C, H, W) mixed with the geometry of the rays.
+        """Return the outputs (N, H, W), and the features (N, C, H, W) mixed with the geometry of the rays.
 
         Args:
             features: (N, C, H, W).

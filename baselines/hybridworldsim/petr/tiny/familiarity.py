@@ -70,7 +70,7 @@ class FamiliarInputs(Document):
     limit: float
 
     def distances(self, images: UInt8) -> Float64:
-        """Mahalanobis distances (N,) of RGB images (N, H, W, 3) in the network's size."""
+        """Return the Mahalanobis distances (N,) of RGB images (N, H, W, 3) in the network's size."""
         return _distances(image_statistics(images), np.array(self.mean), np.array(self.covariance))
 
     def are_unfamiliar(self, images: UInt8) -> Bool:
@@ -79,7 +79,7 @@ class FamiliarInputs(Document):
 
 
 def image_statistics(images: UInt8) -> Float64:
-    """Statistics (N, K) of RGB images (N, H, W, 3), in the order of `STATISTICS`."""
+    """Return the statistics (N, K) of RGB images (N, H, W, 3), in the order of `STATISTICS`."""
     return np.stack([_statistics(image) for image in images])
 
 

@@ -43,7 +43,7 @@ class BatchBoxes:
 
 
 def tiny_loss(output: HeadOutput, dense: DenseOutput, truth: BatchBoxes) -> dict[str, Tensor]:
-    """All losses by name, weighted."""
+    """Return all losses by name, weighted."""
     batch = output.logits.shape[1]
     weights = output.codes.new_tensor(_CODE_WEIGHTS)
     decoder = detection_loss(output, _true_boxes(truth, batch), weights)
@@ -57,7 +57,7 @@ def _true_boxes(truth: BatchBoxes, batch: int) -> Sequence[TrueBoxes]:
 
 
 def dense_loss(dense: DenseOutput, truth: BatchBoxes) -> dict[str, Tensor]:
-    """Losses of the dense head, (B, N, H, W)."""
+    """Return the losses of the dense head, (B, N, H, W)."""
     batch, cameras, height, width = dense.pitch.shape
     box, camera = torch.nonzero(~truth.cell[..., 0].isnan(), as_tuple=True)
     image = truth.frame[box] * cameras + camera

@@ -27,7 +27,7 @@ CLASS_OF: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """Sizes of the network.
+    """Sizes of the layers of petr-tiny.
 
     Attributes:
         width_px: width of the network's images, a multiple of 16.
@@ -60,7 +60,7 @@ class NetworkSettings:
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """How the network is trained.
+    """Settings of the training of petr-tiny.
 
     Attributes:
         batch: frames of a step.
@@ -84,7 +84,7 @@ class TrainingSettings:
 
 
 def training_settings(given: Mapping[str, str]) -> TrainingSettings:
-    """Training settings from text by name.
+    """Return the training settings from text by name.
 
     Raises:
         UsageError: a name is unknown, or a value is not a number in its range.
@@ -105,5 +105,5 @@ def training_settings(given: Mapping[str, str]) -> TrainingSettings:
 
 
 def document(settings: NetworkSettings | TrainingSettings) -> dict[str, Any]:
-    """Settings as JSON values."""
+    """Return the settings as JSON values."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}

@@ -32,7 +32,7 @@ class Budget:
             raise UsageError(f"a budget of {self.steps or self.core_minutes}", expected="more than nothing")
 
     def progress(self, steps: int, spent_s: float) -> float:
-        """Progress from 0 to 1, where training ends.
+        """Return the progress from 0 to 1, where training ends.
 
         Args:
             steps: number of steps so far.

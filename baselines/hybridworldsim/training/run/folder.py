@@ -72,7 +72,7 @@ class RunFolder(Generic[OutcomeT]):
 
     @contextmanager
     def claim(self, run: Document) -> Iterator[None]:
-        """Lock the run that began, and replace the document of another one that had learned nothing.
+        """Replace, under the `lock`, the document of another run that had learned nothing.
 
         The lock ends with its process, even if the process is killed.
 

@@ -100,4 +100,4 @@ class Position:
 
 
 class CheckpointPosition(RootModel[Position]):
-    """The position as JSON."""
+    """The progress of a run as JSON, in a checkpoint."""

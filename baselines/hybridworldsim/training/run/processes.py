@@ -50,7 +50,7 @@ class Processes:
 
     @contextmanager
     def leader_first(self) -> Iterator[None]:
-        """The leading process runs the block first, then the others; each waits for the other part.
+        """Run the block in the leading process first, then in the others; each waits for the other part.
 
         Raises:
             DatasetError: the leading process failed or was interrupted, in the others.

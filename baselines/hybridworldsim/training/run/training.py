@@ -22,7 +22,7 @@ class Stateful(Protocol):
     """A model with its optimisers, whose state a checkpoint holds."""
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that training needs to continue exactly, by name."""
+        """Return everything that training needs to continue exactly, such as parameters, moments and generators."""
         ...
 
     def restore(self, state: Mapping[str, Tensor]) -> None:

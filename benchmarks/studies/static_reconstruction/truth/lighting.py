@@ -15,19 +15,19 @@ EDITS: Final = (("day", "night"), ("night", "day"))
 
 
 def measure_lighting(trained: TrainedModel) -> list[dict[str, Any]]:
-    """A row for each edit between two lights that the model was trained on."""
+    """Return a row for each edit between two lights that the model was trained on."""
     lights = {one.light for one in trained.training_sources}
     return [_edit_row(trained, *edit) for edit in EDITS if lights >= set(edit)]
 
 
 def target_traversal(trained: TrainedModel, light: str, view: RenderView) -> str:
-    """The traversal whose appearance a view gets if a light is the policy."""
+    """Return the traversal whose appearance a view gets if a light is the policy."""
     selector = AppearanceSelector(trained.training_sources, light, trained.plan.views, everywhere=True)
     return selector.select(view).colours[0][0].traversal_id
 
 
 def views_in(trained: TrainedModel, light: str) -> list[RenderView]:
-    """Views of the training traversals that were recorded in a light."""
+    """Return the views of the training traversals that were recorded in a light."""
     known = {one.traversal_id for one in trained.training_sources if one.light == light}
     return [view for view in trained.views(TRAINING) if view.traversal_id in known]
 

@@ -33,13 +33,13 @@ _Item = TypeVar("_Item")
 
 
 def evenly_chosen(items: Sequence[_Item], most: int) -> list[_Item]:
-    """At most `most` items, evenly chosen, with the first and the last."""
+    """Return at most `most` items, evenly chosen, with the first and the last."""
     places = np.unique(np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int))
     return [items[place] for place in places]
 
 
 def done_jobs(folder: Path) -> list[Job]:
-    """Jobs whose models are fully trained, by name."""
+    """Return the jobs whose models are fully trained, by name."""
     models = sorted(models_folder(folder).glob("*/reconstruction.json"))
     return [parse_job(path.parent.name) for path in models if read_reconstruction(path.parent).done is not None]
 
@@ -111,7 +111,7 @@ class TrainedModel:
         return whole.hexdigest()
 
     def views(self, group: str) -> list[RenderView]:
-        """Views of a group: a few evenly chosen frames of each traversal, with all their cameras."""
+        """Return the views of a group: a few evenly chosen frames of each traversal, with all their cameras."""
         own = self._request.views(group)
         frames: dict[str, list[int]] = {}
         for view in own:
@@ -120,6 +120,6 @@ class TrainedModel:
         return [view for view in own if view.frame_index in chosen[view.traversal_id]]
 
     def open(self, policy: str | None = None, *, everywhere: bool = False) -> Renderer:
-        """Renderer of the model, with the declared appearance or that of a policy."""
+        """Return the renderer of the model, with the declared appearance or that of a policy."""
         appearance = AppearancePolicy(policy or self.declaration.policy, self.plan.views, everywhere)
         return self.entry.method.open(self.model, appearance)

@@ -110,7 +110,7 @@ class LogRecording:
         return contents is None or bool(contents.intrinsics) or not contents.declared_uncalibrated
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The logs, the topics file, and the files of lenses and masks that it names."""
+        """Return the logs, the topics file, and the files of lenses and masks that it names."""
         cameras = self.document.cameras.values()
         named = {self._lens_file(entry.lens)[0] for entry in cameras if entry.lens is not None}
         named |= {self.topics_file.parent / entry.static_mask for entry in cameras if entry.static_mask is not None}
@@ -155,7 +155,7 @@ class LogRecording:
         return (pose.header.frame if isinstance(pose, FixMessage) else pose.child).lstrip("/")
 
     def track(self) -> Track:
-        """The poses, in the ego frame where the body's mounting is known; unreadable messages count as bad rows."""
+        """Return poses, in the ego frame where the body's mounting is known; unreadable messages count as bad rows."""
         if self.document.pose.transform is not None:
             return self._track_of_transforms(*self.document.pose.transform)
         rows = self._contents.poses
@@ -277,7 +277,10 @@ class LogRecording:
         return np.array(stamps, np.int64)
 
     def calibrations(self) -> pa.Table:
-        """Intrinsics and mountings of the cameras with a topic of intrinsics; a changed lens gives another row."""
+        """Return the intrinsics and mountings of the cameras with a topic of intrinsics.
+
+        A changed lens gives another row.
+        """
         found: list[tuple[Stage, Calibration]] = []
         for name, entry in self.document.cameras.items():
             contents = self._contents.cameras.get(name)
@@ -355,7 +358,10 @@ class LogRecording:
         )
 
     def images(self) -> Mapping[str, ImageStream]:
-        """One stream per camera with images, in the order of stamps; of repeated stamps the first image is kept."""
+        """Return one stream per camera with images, in the order of stamps.
+
+        Of repeated stamps the first image is kept.
+        """
         return {
             name: self._stream(name, contents) for name, contents in self._contents.cameras.items() if contents.places
         }
@@ -393,4 +399,4 @@ class LogRecording:
         return MessageVideo(name, stamps[first:], stored, is_key[first:], contents.format)
 
     def boxes(self) -> None:
-        """None: there is no common message type for 3D boxes."""
+        """Return None: there is no common message type for 3D boxes."""

@@ -56,7 +56,7 @@ _FIELDS: Final = {
 
 
 def definition_of(kind: str) -> str | None:
-    """The definition of a message type with all types that it contains, in the format ``ros2msg``.
+    """Return the definition of a message type with all types that it contains, in the format ``ros2msg``.
 
     Args:
         kind: e.g. ``sensor_msgs/msg/NavSatFix``.

@@ -25,7 +25,7 @@ _STRICT: Final = "a topics file as docs/recordings.md describes it"
 
 
 class PoseTopics(Document):
-    """Where the poses come from: a topic, or a chain of transforms.
+    """The source of the poses: a topic, or a chain of transforms.
 
     Attributes:
         topic: satellite fixes (WGS 84), or poses in a local metric frame.
@@ -47,7 +47,7 @@ class PoseTopics(Document):
 
 
 class CameraTopics(Document):
-    """Topics of one camera.
+    """The topics of one camera.
 
     Attributes:
         images: compressed images, or packets of a compressed video.
@@ -78,7 +78,7 @@ class CameraTopics(Document):
 
 
 class TopicsFile(Document):
-    """The document.
+    """The topics file of a log: which topics are cameras and poses.
 
     Attributes:
         drive_id: None: from the name of the log.
@@ -174,7 +174,9 @@ def require_topics(document: TopicsFile, topics: Mapping[str, Topic], file: Path
 
 
 def propose_topics(topics: Mapping[str, Topic], name: str) -> str:
-    """A topics file for a log, as text: what can be decided from names and types is filled in, choices are comments.
+    """Propose a topics file for a log, as text.
+
+    Decisions that names and types allow are filled in, choices are comments.
 
     Args:
         topics: the log's topics.

@@ -39,11 +39,11 @@ class Transforms:
         self._values[edge].append(pose)
 
     def frames(self) -> set[str]:
-        """Names of all frames."""
+        """Return the names of all frames."""
         return {name for edge in self._stamps for name in edge}
 
     def mounting(self, ego: str, frame: str) -> Poses | None:
-        """``ego_SE3_frame`` of a frame that is fixed to the vehicle; None: no chain of transforms leads there.
+        """Return ``ego_SE3_frame`` of a frame that is fixed to the vehicle; None: no chain of transforms leads there.
 
         Raises:
             RecordingError: a transform of the chain is invalid, or changes over time.
@@ -69,7 +69,7 @@ class Transforms:
         return pose
 
     def motion(self, fixed: str, ego: str) -> tuple[Int64, Poses]:
-        """``fixed_SE3_ego`` at the stamps of the chain's most frequent transform.
+        """Return ``fixed_SE3_ego`` at the stamps of the chain's most frequent transform.
 
         Returns:
             (N,) stamps in ascending order, repeated ones included, and N poses. Stamps outside the range of another

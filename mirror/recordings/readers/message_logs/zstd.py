@@ -27,12 +27,12 @@ _lock = Lock()
 
 
 def without_suffix(path: Path) -> Path:
-    """The path without the suffix of a compressed file."""
+    """Return the path without the suffix of a compressed file."""
     return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
 
 
 def stored_file(path: Path) -> Path:
-    """The file to open for a log: itself, or the unpacked one of a compressed file.
+    """Return the file to open for a log: itself, or the unpacked one of a compressed file.
 
     Raises:
         RecordingError: the file is missing, not a regular file, or cannot be unpacked; or the extra is not installed.
@@ -53,7 +53,7 @@ def stored_file(path: Path) -> Path:
 
 
 def plain_message(data: bytes, path: Path) -> bytes:
-    """The bytes of a message in CDR, unpacked if the recorder compressed single messages.
+    """Return the bytes of a message in CDR, unpacked if the recorder compressed single messages.
 
     A CDR message begins with the byte 0, and so never with the mark of Zstandard.
 

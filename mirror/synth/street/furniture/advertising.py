@@ -24,7 +24,7 @@ def _changing_image(rng: np.random.Generator, numbers: range, label: Label) -> F
 
 
 def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 2.4) -> Model:
-    """A 3:2 board on posts that faces +x; its image changes between traversals.
+    """Make a 3:2 board on posts that faces +x; its image changes between traversals.
 
     Args:
         rng: random generator that chooses the images.
@@ -44,12 +44,12 @@ def billboard(rng: np.random.Generator, *, width_m: float = 3.9, low_m: float = 
 
 
 def high_billboard(rng: np.random.Generator) -> Model:
-    """A large board high on a post, as used beside motorways."""
+    """Make a large board high on a post, as used beside motorways."""
     return billboard(rng, width_m=8.4, low_m=5.5)
 
 
 def city_light(rng: np.random.Generator) -> Model:
-    """A poster in an illuminated case, visible from both sides (+x and -x)."""
+    """Make a poster in an illuminated case, visible from both sides (+x and -x)."""
     pieces = Pieces()
     half, low, high = 0.6, 0.55, 2.35
     pieces.block((-0.08, -0.2, FOOT_M), (0.08, 0.2, low), _FRAME, without=("-z", "+z"))
@@ -60,7 +60,7 @@ def city_light(rng: np.random.Generator) -> Model:
 
 
 def advertising_column(rng: np.random.Generator) -> Model:
-    """A round column with posters, a plinth and a cap."""
+    """Make a round column with posters, a plinth and a cap."""
     pieces = Pieces()
     count, radius = 10, 0.68
     angle = 2.0 * np.pi * np.arange(count) / count
@@ -80,7 +80,10 @@ def advertising_column(rng: np.random.Generator) -> Model:
 
 
 def bus_shelter(rng: np.random.Generator) -> Model:
-    """A bus shelter that is open to +x: roof, posts, glass at the back, a bench, a poster and the sign of the stop."""
+    """Make a bus shelter that is open to +x.
+
+    It has a roof, posts, glass at the back, a bench, a poster and the sign of the stop.
+    """
     pieces = Pieces()
     half, back, front, high = 2.0, -0.75, 0.75, 2.45
     steel = Finish((0.10, 0.11, 0.12), Material.METAL, Label.FURNITURE)

@@ -28,7 +28,7 @@ def _ring(count: int, radius_m: float) -> np.ndarray[tuple[int, ...], np.dtype[n
 
 
 def bench(rng: np.random.Generator) -> Model:
-    """A bench that faces +x."""
+    """Make a bench that faces +x."""
     pieces = Pieces()
     half = rng.uniform(0.8, 1.0)
     for x in (-0.02, 0.16):
@@ -42,7 +42,7 @@ def bench(rng: np.random.Generator) -> Model:
 
 
 def bin_(rng: np.random.Generator) -> Model:
-    """A litter bin."""
+    """Make a litter bin."""
     pieces = Pieces()
     colour = ((0.05, 0.055, 0.055), (0.05, 0.13, 0.08), (0.55, 0.20, 0.03), (0.25, 0.26, 0.26))[int(rng.integers(4))]
     coat = Finish(colour, Material.METAL, Label.FURNITURE)
@@ -54,7 +54,7 @@ def bin_(rng: np.random.Generator) -> Model:
 
 
 def bollards(rng: np.random.Generator) -> Model:
-    """A row of bollards along y."""
+    """Make a row of bollards along y."""
     pieces = Pieces()
     steel = _IRON if rng.random() < 0.6 else _GREY
     for y in (-1.5, 0.0, 1.5):
@@ -64,7 +64,7 @@ def bollards(rng: np.random.Generator) -> Model:
 
 
 def hydrant(rng: np.random.Generator) -> Model:
-    """A fire hydrant."""
+    """Make a fire hydrant."""
     pieces = Pieces()
     colour = ((0.50, 0.05, 0.03), (0.06, 0.12, 0.30), (0.52, 0.36, 0.04))[int(rng.integers(3))]
     coat = Finish(colour, Material.METAL, Label.FURNITURE)
@@ -77,7 +77,7 @@ def hydrant(rng: np.random.Generator) -> Model:
 
 
 def post_box(rng: np.random.Generator) -> Model:
-    """A post box that faces +x."""
+    """Make a post box that faces +x."""
     pieces = Pieces()
     colour = ((0.55, 0.38, 0.02), (0.45, 0.03, 0.02), (0.05, 0.12, 0.32))[int(rng.integers(3))]
     coat = Finish(colour, Material.PAINT, Label.FURNITURE)
@@ -90,7 +90,7 @@ def post_box(rng: np.random.Generator) -> Model:
 
 
 def electrical_box(rng: np.random.Generator) -> Model:
-    """A grey cabinet, on some of which posters are stuck."""
+    """Make a grey cabinet, on some of which posters are stuck."""
     pieces = Pieces()
     half, high = rng.uniform(0.35, 0.7), rng.uniform(1.05, 1.4)
     coat = Finish((0.36, 0.38, 0.36), Material.METAL, Label.FURNITURE, int(rng.integers(1 << 20)))
@@ -106,7 +106,7 @@ def electrical_box(rng: np.random.Generator) -> Model:
 
 
 def bicycle_stands(rng: np.random.Generator) -> Model:
-    """Steel hoops side by side along y."""
+    """Make the steel hoops side by side along y."""
     pieces = Pieces()
     for y in np.arange(int(rng.integers(2, 5))) * 0.9:
         ends = (-0.35, y, -0.2), (-0.35, y, 0.8), (0.35, y, 0.8), (0.35, y, -0.2)
@@ -116,7 +116,7 @@ def bicycle_stands(rng: np.random.Generator) -> Model:
 
 
 def cafe_table(rng: np.random.Generator) -> Model:
-    """A small table with chairs, some under a parasol."""
+    """Make a small table with chairs, some under a parasol."""
     pieces = Pieces()
     pieces.prism(_ring(10, 0.34), 0.72, 0.75, _WOOD if rng.random() < 0.5 else _GREY, bottom=True)
     pieces.tube((0, 0, -0.2), (0, 0, 0.72), 0.035, _IRON)
@@ -142,7 +142,7 @@ def cafe_table(rng: np.random.Generator) -> Model:
 
 
 def planter(rng: np.random.Generator) -> Model:
-    """A tub with a plant."""
+    """Make a tub with a plant."""
     pieces = Pieces()
     tub = Finish((0.36, 0.35, 0.33), Material.CONCRETE, Label.FURNITURE)
     half = rng.uniform(0.35, 0.6)
@@ -161,7 +161,7 @@ def planter(rng: np.random.Generator) -> Model:
 
 
 def recycling_bank(rng: np.random.Generator) -> Model:
-    """Containers for glass and paper, side by side along y."""
+    """Make the containers for glass and paper, side by side along y."""
     pieces = Pieces()
     colours = ((0.05, 0.15, 0.08), (0.06, 0.12, 0.26), (0.45, 0.42, 0.36))
     for number, colour in enumerate(colours[: int(rng.integers(2, 4))]):
@@ -179,7 +179,7 @@ def recycling_bank(rng: np.random.Generator) -> Model:
 
 
 def works_barrier(rng: np.random.Generator) -> Model:
-    """Red and white barrier boards on feet, as around road works."""
+    """Make the red and white barrier boards on feet, as around road works."""
     pieces = Pieces()
     count, width = 5, 0.44
     for number in range(int(rng.integers(1, 3))):
@@ -199,7 +199,7 @@ def works_barrier(rng: np.random.Generator) -> Model:
 
 
 def cones(rng: np.random.Generator) -> Model:
-    """A few traffic cones."""
+    """Make a few traffic cones."""
     pieces = Pieces()
     orange = Finish((0.60, 0.12, 0.02), Material.PLAIN, Label.FURNITURE)
     for number in range(int(rng.integers(2, 5))):
@@ -212,7 +212,7 @@ def cones(rng: np.random.Generator) -> Model:
 
 
 def parking_meter(rng: np.random.Generator) -> Model:
-    """A ticket machine that faces +x."""
+    """Make a ticket machine that faces +x."""
     pieces = Pieces()
     coat = Finish((0.10, 0.14, 0.22) if rng.random() < 0.5 else (0.20, 0.21, 0.21), Material.METAL, Label.FURNITURE)
     pieces.block((-0.12, -0.16, FOOT_M), (0.12, 0.16, 1.55), coat)

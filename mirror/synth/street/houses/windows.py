@@ -149,12 +149,12 @@ PATTERNS: Final[dict[Windows, Pattern]] = {
 
 
 def pattern_table() -> Records:
-    """The patterns as a record array (rows,) with :class:`Pattern`'s fields, for compiled kernels."""
+    """Return the patterns as a record array (rows,) with :class:`Pattern`'s fields, for compiled kernels."""
     kind = np.dtype([(name, np.int64 if name in ("grain", "panes") else np.float64) for name in Pattern._fields])
     return np.array([tuple(PATTERNS[row]) for row in Windows], kind)
 
 
 def window_grid(windows: Windows, width_m: float, height_m: float) -> tuple[int, int]:
-    """Numbers of columns and storeys of windows on a face; the renderer computes the same numbers."""
+    """Return the numbers of columns and storeys of windows on a face; the renderer computes the same numbers."""
     pattern = PATTERNS[windows]
     return max(int(width_m / pattern.pitch_m + 0.5), 1), max(int(height_m / pattern.storey_m + 0.5), 1)

@@ -13,7 +13,7 @@ _SHIFT = 4
 
 
 def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Blades of grass in tufts over dark soil, with some dry ones."""
+    """Draw blades of grass in tufts over dark soil, with some dry ones."""
     tone = np.full((size, size), 62, np.uint8)
     count, texel = 12000, period_m / size
     tufts = waves(rng, size, 0.3, 0.04, 0.5)
@@ -33,7 +33,7 @@ def grass(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Ridges along v, separated by dark fissures."""
+    """Draw ridges along v, separated by dark fissures."""
     ridges = np.abs(waves(rng, size, 0.30, 0.06, 0.4, 6.0))
     plates = waves(rng, size, 0.08, 0.012, 0.4, 2.0)
     fissures = arrays.exp(-((ridges / 0.22) ** 2))
@@ -41,7 +41,7 @@ def bark(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def leaves(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Overlapping leaves of 5 to 9 cm with ribs: dark inside, light outside.
+    """Draw overlapping leaves of 5 to 9 cm with ribs: dark inside, light outside.
 
     They form clumps with dark gaps, which stay visible from a distance.
     """
@@ -74,14 +74,14 @@ def _leaf() -> Float64:
 
 
 def cloth(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Folds along v, with a faint weave."""
+    """Draw folds along v, with a faint weave."""
     folds = waves(rng, size, 0.5, 0.06, 0.9, 2.5)
     weave = waves(rng, size, 0.03, 0.008, 0.0, 0.2) + waves(rng, size, 0.03, 0.008, 0.0, 5.0)
     return 1.0 + 0.085 * folds + 0.035 * weave
 
 
 def metal(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Metal brushed along u, with scratches and streaks of dirt along v."""
+    """Draw metal brushed along u, with scratches and streaks of dirt along v."""
     brushed = waves(rng, size, 0.04, 0.004, 0.1, 0.01)
     runs = np.clip(waves(rng, size, 0.06, 0.01, 0.4, 25.0) - 0.8, 0.0, None)
     marks = np.clip(waves(rng, size, 0.03, 0.005, 0.0, 0.12) - 2.6, 0.0, None)

@@ -32,7 +32,7 @@ def _bevel(inside: Float64, piece_m: float, width_m: float) -> Float64:
 
 
 def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Concrete slabs of 0.4 m in a running bond, with joints, worn edges and chewing gum."""
+    """Draw concrete slabs of 0.4 m in a running bond, with joints, worn edges and chewing gum."""
     pitch, texel = 0.4, period_m / size
     tone, along, up = _lay_units(rng, size, 6, 6, 0.5, 0.055)
     joint = np.maximum(joints(along * pitch, pitch, 0.010, texel), joints(up * pitch, pitch, 0.010, texel))
@@ -44,7 +44,7 @@ def paving(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Bricks of 0.26 m by 0.08 m with mortar in a stretcher bond; some are darker."""
+    """Draw bricks of 0.26 m by 0.08 m with mortar in a stretcher bond; some are darker."""
     texel = period_m / size
     tone, along, up = _lay_units(rng, size, 26, 8, 0.5, 0.11)
     tone = tone - 0.12 * (tone < -0.15)
@@ -58,7 +58,7 @@ def brick(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Pantiles of 0.2 m by 0.3 m with a round profile; each row overlaps the one below."""
+    """Draw pantiles of 0.2 m by 0.3 m with a round profile; each row overlaps the one below."""
     texel = period_m / size
     tone, along, up = _lay_units(rng, size, 8, 12, 0.0, 0.09)
     rolled = arrays.sin(2.0 * np.pi * along) * 0.16 + 0.06 * arrays.cos(4.0 * np.pi * along)
@@ -72,7 +72,7 @@ def roof(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def wood(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Planks of 0.15 m along u with their grain, knots, and gaps between them."""
+    """Draw planks of 0.15 m along u with their grain, knots, and gaps between them."""
     texel = period_m / size
     tone, _, up = _lay_units(rng, size, 10, 1, 0.0, 0.09)
     gap = joints(up * 0.15, 0.15, 0.008, texel)

@@ -17,7 +17,7 @@ _PEBBLE: Final = ((1.15, 0.7, 0.2), (0.9, 1.0, 0.0))
 
 
 def asphalt(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Stones of 4 to 11 mm in bitumen; some are bright, some are missing."""
+    """Draw stones of 4 to 11 mm in bitumen; some are bright, some are missing."""
     stones = waves(rng, size, 0.02, 0.0035, 0.0)
     bright = np.clip(stones - 0.9, 0.0, None)
     pits = np.clip(-stones - 1.3, 0.0, None)
@@ -26,7 +26,7 @@ def asphalt(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def gravel(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Stones of 1 to 5 cm, lit from one side, over dark gaps and sand."""
+    """Draw stones of 1 to 5 cm, lit from one side, over dark gaps and sand."""
     tone = np.full((size, size), 70, np.uint8)
     texel = period_m / size
     radii = np.sort(0.008 * rng.pareto(2.8, 4000) + 0.008).clip(None, 0.03)[::-1] / texel
@@ -51,7 +51,7 @@ def plaster(rng: np.random.Generator, size: int, period_m: float) -> Float32:
 
 
 def concrete(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Panels of 2 m by 1 m with joints, tie holes, pores and soft patches."""
+    """Draw panels of 2 m by 1 m with joints, tie holes, pores and soft patches."""
     at, texel = scatter_centres(size, period_m), period_m / size
     line = np.maximum(joints(at, 2.0, 0.012, texel)[None, :], joints(at, 1.0, 0.010, texel)[:, None])
     panel = rng.normal(0.0, 0.035, (4, 2)).repeat(size // 4, axis=0).repeat(size // 2, axis=1)
@@ -71,7 +71,7 @@ def _disc(tone: UInt8, x: float, y: float, radius: float, shade: int) -> None:
 
 
 def stains(rng: np.random.Generator, size: int, period_m: float) -> Float32:
-    """Dirt: large soft patches and a few darker spots."""
+    """Draw dirt: large soft patches and a few darker spots."""
     soft = waves(rng, size, 0.7, 0.02, 1.15)
     spots = np.clip(waves(rng, size, 0.12, 0.012, 0.8) - 1.2, 0.0, None)
     return 1.0 + 0.075 * soft - 0.10 * spots + 0.02 * waves(rng, size, 0.05, 0.006, 0.4)

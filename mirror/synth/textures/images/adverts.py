@@ -66,7 +66,7 @@ _PAINTS: Final[tuple[Colour, ...]] = (
 
 
 def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """An advertisement: a motif, a slogan, a name."""
+    """Draw an advertisement: a motif, a slogan, a name."""
     slogan, name = _SLOGANS[turn % len(_SLOGANS)]
     image = new_image(wide, high, choose_colour(rng, PALE))
     motif = MOTIFS[turn % len(MOTIFS)]
@@ -106,7 +106,7 @@ def billboard(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt
 
 
 def poster(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A poster for an event: a motif or plain colour, large words, place and day."""
+    """Draw a poster for an event: a motif or plain colour, large words, place and day."""
     title, place, day = _EVENTS[turn % len(_EVENTS)]
     ground, ink = (
         (choose_colour(rng, DEEP), (238, 234, 224))
@@ -145,7 +145,7 @@ def poster(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
 
 
 def livery(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """The side of a van or a truck: its colour, stripes, a firm's name."""
+    """Draw the side of a van or a truck: its colour, stripes, a firm's name."""
     firm, trade, contact = _FIRMS[turn % len(_FIRMS)]
     ground = _PAINTS[turn % len(_PAINTS)]
     light = sum(ground) > 480

@@ -29,7 +29,7 @@ def new_image(wide: int, high: int, colour: Colour) -> UInt8:
 
 
 def part(image: UInt8, box: Box) -> UInt8:
-    """Return a view of a part of an image, which clips what is drawn on it."""
+    """Return a view of a part of an image; drawings on it are clipped."""
     left, top, right, bottom = (max(round(edge), 0) for edge in box)
     return image[top:bottom, left:right]
 

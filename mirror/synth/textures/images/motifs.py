@@ -39,7 +39,7 @@ Motif = Callable[[UInt8, np.random.Generator], None]
 
 
 def hills(image: UInt8, rng: np.random.Generator) -> None:
-    """Several ridges under an evening or a midday sky."""
+    """Draw several ridges under an evening or a midday sky."""
     high, wide = image.shape[:2]
     warm = rng.random() < 0.5
     sky = ((92, 120, 176), (238, 176, 110)) if warm else ((88, 150, 206), (206, 226, 236))
@@ -57,7 +57,7 @@ def hills(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def skyline(image: UInt8, rng: np.random.Generator) -> None:
-    """Towers with lit windows."""
+    """Draw towers with lit windows."""
     high, wide = image.shape[:2]
     gradient(image, (22, 28, 66), (196, 110, 120))
     for depth, tone in ((0.45, (70, 58, 96)), (0.8, (30, 28, 52))):
@@ -74,7 +74,7 @@ def skyline(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def bottle(image: UInt8, rng: np.random.Generator) -> None:
-    """A bottle with a label and drops of water."""
+    """Draw a bottle with a label and drops of water."""
     high, wide = image.shape[:2]
     base = choose_colour(rng, BRIGHT)
     gradient(image, mix(base, (255, 255, 255), 0.55), base)
@@ -114,7 +114,7 @@ def bottle(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def car(image: UInt8, rng: np.random.Generator) -> None:
-    """A car on a road at dusk, seen from the side."""
+    """Draw a car on a road at dusk, seen from the side."""
     high, wide = image.shape[:2]
     gradient(image, (44, 50, 80), (226, 160, 110))
     road = 0.74 * high
@@ -151,7 +151,7 @@ def car(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def cup(image: UInt8, rng: np.random.Generator) -> None:
-    """A steaming cup of coffee with beans around it."""
+    """Draw a steaming cup of coffee with beans around it."""
     high, wide = image.shape[:2]
     gradient(image, (104, 66, 42), (46, 28, 20))
     x, y, r = 0.5 * wide, 0.62 * high, min(0.26 * wide, 0.30 * high)
@@ -179,7 +179,7 @@ def cup(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def fruit(image: UInt8, rng: np.random.Generator) -> None:
-    """Apples, oranges and leaves in a heap."""
+    """Draw apples, oranges and leaves in a heap."""
     high, wide = image.shape[:2]
     gradient(image, (210, 226, 196), (120, 168, 96))
     high = high
@@ -193,7 +193,7 @@ def fruit(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def figure(image: UInt8, rng: np.random.Generator) -> None:
-    """The silhouette of a leaping person in front of coloured rays."""
+    """Draw the silhouette of a leaping person in front of coloured rays."""
     high, wide = image.shape[:2]
     x, y = 0.5 * wide, 0.52 * high
     one, other = choose_colour(rng, BRIGHT), choose_colour(rng, PALE)
@@ -231,7 +231,7 @@ def figure(image: UInt8, rng: np.random.Generator) -> None:
 
 
 def shapes(image: UInt8, rng: np.random.Generator) -> None:
-    """Circles, bars and triangles of a few colours."""
+    """Draw circles, bars and triangles of a few colours."""
     high, wide = image.shape[:2]
     ground = choose_colour(rng, PALE)
     gradient(image, ground, shade(ground, 0.92))

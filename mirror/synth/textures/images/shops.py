@@ -46,7 +46,7 @@ _INKS: Final[tuple[Colour, ...]] = ((34, 34, 38), (30, 44, 92), (120, 26, 30), (
 
 
 def shop_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A shop sign: the name of a shop on a board."""
+    """Draw a shop sign: the name of a shop on a board."""
     name, trade = _NAMES[turn % len(_NAMES)]
     chinese = ord(name[0]) > 0x2E80
     style: Style = "uni" if chinese else "italic" if rng.random() < 0.25 else "sans"

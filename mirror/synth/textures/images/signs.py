@@ -36,7 +36,7 @@ _TOWNS: Final = (
 
 
 def traffic_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """The traffic sign with index ``turn`` in `Sign`."""
+    """Draw the traffic sign with index ``turn`` in `Sign`."""
     sign = Sign(Sign.SPEED_30 + turn)
     # Drawn on a square of 1 by 1, y down.
     image = new_image(wide, high, _GREY)
@@ -190,7 +190,7 @@ def _plate(image: UInt8, size: int, sign: Sign) -> None:
 
 
 def direction_sign(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """Towns, their distances, arrows and the road's number; blue for motorways, yellow or white for others."""
+    """Draw towns, their distances, arrows and the road's number; blue for motorways, yellow or white for others."""
     blue = turn % 2 == 0
     ground, ink = (_BLUE, _WHITE) if blue else ((_YELLOW, _BLACK) if turn % 4 == 1 else (_WHITE, _BLACK))
     image = new_image(wide, high, ink)

@@ -33,7 +33,7 @@ _NAMES: Final = ("RAZE", "KOJO", "ZEN9", "FLUX", "MONK", "ASTR", "BOLO", "VEX2")
 
 
 def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """A house door with panels or panes, a handle, a letter slot and a number."""
+    """Draw a house door with panels or panes, a handle, a letter slot and a number."""
     leaf = _DOORS[turn % len(_DOORS)]
     image = new_image(wide, high, shade(leaf, 0.62))
     rectangle(image, (0.06 * wide, 0.03 * high, 0.94 * wide, high), leaf)
@@ -69,7 +69,7 @@ def door(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
 
 
 def graffiti(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """Graffiti: thick outlined letters over patches of colour and tags."""
+    """Draw graffiti: thick outlined letters over patches of colour and tags."""
     ground = choose_colour(rng, PALE)
     image = new_image(wide, high, shade(ground, 0.8))
     cloud, body, edge = (BRIGHT[int(n)] for n in rng.permutation(len(BRIGHT))[:3])

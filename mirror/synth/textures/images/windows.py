@@ -35,7 +35,7 @@ _WORDS: Final = ("SALE", "NEU", "-30 %", "OFFEN", "Mo-Fr 9-18", "Angebot", "Mitt
 
 
 def shop_window(rng: np.random.Generator, wide: int, high: int, turn: int) -> UInt8:
-    """The interior of a shop seen through its window: walls, lamps, goods, words on the pane."""
+    """Draw the interior of a shop seen through its window: walls, lamps, goods, words on the pane."""
     image = new_image(wide, high, (90, 80, 70))
     wall = shade(choose_colour(rng, PALE), rng.uniform(0.50, 0.75))
     _room(image, rng, wall)

@@ -34,7 +34,7 @@ _SLACK: Final = np.float32(1e-3)
 
 
 class Splats(NamedTuple):
-    """The packed Gaussians.
+    """Gaussians as the blending kernels read them.
 
     Attributes:
         rows: (M * stride,) rows with the columns above.

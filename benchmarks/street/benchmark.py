@@ -22,7 +22,7 @@ from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import RenderOutput, Street
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
 
 WIDTH, HEIGHT = 480, 270

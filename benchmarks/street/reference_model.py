@@ -13,7 +13,7 @@ from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.street import RenderOutput, Street, render
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
 def run_mlp(network: ModulatedMLP, codes: Tensor, beside: Tensor, latent: Tensor) -> Tensor:

@@ -23,9 +23,9 @@ import mirror
 from hybridworldsim.methods.layers import Layers, layer_source, layers_for
 from hybridworldsim.methods.street import StreetRenderer
 from hybridworldsim.model.blocks import Block, divide, select_views
+from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import lock_run
-from hybridworldsim.training.training_image import TrainingImage
 from hybridworldsim.training.views import training_views
 from mirror.arrays import UInt8
 from mirror.cli.main import main

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 from tests.golden.plugins_before import ENTRY_POINTS
@@ -51,3 +52,14 @@ def test_a_wheel_of_an_earlier_version_loads(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "the verb was called with --word 1" in done.stdout and "all used" in done.stdout
+
+
+def test_import_paths_of_methods_of_an_earlier_version_go_on() -> None:
+    moved = {
+        "training.viewpoint": ("trainable.viewpoint", ("Source", "Viewpoint", "to_viewpoint")),
+        "training.training_image": ("trainable.training_image", ("TrainingImage",)),
+        "training.trainable_method": ("trainable.method", ("Rendering", "StepReport", "TrainableMethod")),
+    }
+    for old, (new, names) in moved.items():
+        before, now = (import_module(f"hybridworldsim.{path}") for path in (old, new))
+        assert all(getattr(before, name) is getattr(now, name) for name in names)

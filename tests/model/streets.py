@@ -9,7 +9,7 @@ from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.street import Street
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.protocols.views.view import RenderView
 
 SOURCES = [Source("s.a.0", "front_wide"), Source("s.a.0", "rear")]

@@ -14,7 +14,7 @@ from hybridworldsim.model.splats import concatenate_splats
 from hybridworldsim.model.street import Street
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
-from hybridworldsim.training.viewpoint import to_viewpoint
+from hybridworldsim.trainable.viewpoint import to_viewpoint
 from mirror.metrics.images.psnr import psnr
 from tests.model.streets import SOURCES, shifted, street, view
 from tests.rasterizer.covers import assert_covers_are

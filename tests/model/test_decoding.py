@@ -10,7 +10,7 @@ from benchmarks.street.reference_model import plain_anchors, plain_gaussians
 from hybridworldsim.model.nodes.fused_networks import run_fused
 from hybridworldsim.model.nodes.network_inputs import network_inputs
 from hybridworldsim.model.visible import select_visible
-from hybridworldsim.training.viewpoint import to_viewpoint
+from hybridworldsim.trainable.viewpoint import to_viewpoint
 from tests.model.streets import SOURCES, street, view
 
 PLACES = (view(-25.0), view(3.0, 5.0), view(200.0))

@@ -21,7 +21,7 @@ from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from tests.model.streets import view
 
 K = 2

@@ -10,7 +10,7 @@ import torch
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.storage import FORMAT, load_block, save_block
-from hybridworldsim.training.viewpoint import Source, to_viewpoint
+from hybridworldsim.trainable.viewpoint import Source, to_viewpoint
 from mirror.errors import DatasetError, SchemaError
 from mirror.metrics.images.psnr import psnr
 from tests.model.streets import SOURCES, street, view

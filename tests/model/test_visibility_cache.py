@@ -6,7 +6,7 @@ import torch
 
 import hybridworldsim.model.visibility_cache as module
 from hybridworldsim.model.visibility_cache import VisibilityCache
-from hybridworldsim.training.viewpoint import to_viewpoint
+from hybridworldsim.trainable.viewpoint import to_viewpoint
 from tests.model.streets import view
 from tests.training.street import Painted, trainer, views
 

@@ -11,8 +11,8 @@ import torch
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.protocols.views.view import RenderView
 
 WIDTH, HEIGHT = 32, 20

@@ -8,9 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import AppearanceSelector, trained_cameras
 from hybridworldsim.training.driven_lines import DrivenLines, chamfer_m, densify_line
-from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView
 from tests.training.street import Painted, trainer, view

@@ -23,6 +23,8 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import initial_street
 from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
+from hybridworldsim.trainable.method import StepReport
+from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.block_training import Options, train_block
 from hybridworldsim.training.documents import Run, TrainingOutcome, read_run
 from hybridworldsim.training.parameters import read_parameters, set_parameters, write_parameters
@@ -33,8 +35,6 @@ from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.document import is_occupied
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import REPORTS
-from hybridworldsim.training.trainable_method import StepReport
-from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT

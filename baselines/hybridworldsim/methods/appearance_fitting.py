@@ -10,10 +10,10 @@ import torch
 from hybridworldsim.model.blocks import Block, select_views
 from hybridworldsim.model.losses import colour_loss
 from hybridworldsim.model.street import Street
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.documents import Run, TrainedCamera
-from hybridworldsim.training.viewpoint import Source
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.protocols.rectangle import Rectangle

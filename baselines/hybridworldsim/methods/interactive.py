@@ -19,10 +19,10 @@ from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition, Decoded
 from hybridworldsim.model.street import Street
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.documents import TrainedCamera
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.previews import pixels
-from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import UInt8
 from mirror.methods.interactive import TrainedAppearance
 from mirror.protocols.views.view import RenderView

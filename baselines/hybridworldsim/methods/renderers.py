@@ -12,14 +12,14 @@ from torch import Tensor
 
 from hybridworldsim.methods.overrides import settings_adapter
 from hybridworldsim.model.initialization import InitialGeometry
+from hybridworldsim.trainable.method import CoverRenderableModel, RenderableModel, Rendering
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint, to_viewpoint
 from hybridworldsim.training.appearance import FITTED, MEAN, SWEEP, AppearanceSelector
 from hybridworldsim.training.documents import Run, read_run
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.parameters import read_parameters, set_parameters
 from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL
-from hybridworldsim.training.trainable_method import CoverRenderableModel, RenderableModel, Rendering
-from hybridworldsim.training.viewpoint import Source, Viewpoint, to_viewpoint
 from mirror.arrays import Float32, Float64, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy

@@ -13,11 +13,11 @@ from hybridworldsim.methods.layers import KINDS, Layers, layers_for
 from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import SceneGeometry, driven_m, read_scene_geometry
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.documents import Run
 from hybridworldsim.training.previews import Preview
-from hybridworldsim.training.viewpoint import Source
 from hybridworldsim.training.views import TrainingViews, training_views
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset

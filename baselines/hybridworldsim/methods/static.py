@@ -17,6 +17,8 @@ from hybridworldsim.methods.scene_preparation import BlockTraining, Scene, prepa
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry
+from hybridworldsim.trainable.method import RenderableModel, TrainableMethod
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import trained_cameras
 from hybridworldsim.training.block_training import Options, train_block
 from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImageCache
@@ -24,8 +26,6 @@ from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
 from hybridworldsim.training.run.folder import RunFolder
-from hybridworldsim.training.trainable_method import RenderableModel, TrainableMethod
-from hybridworldsim.training.viewpoint import Source
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.methods.appearance import AppearancePolicy

@@ -23,12 +23,12 @@ from hybridworldsim.model.storage import load_block, save_block
 from hybridworldsim.model.street import Street
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
+from hybridworldsim.trainable.method import Rendering, TrainableMethod
 from hybridworldsim.training.appearance import FITTED, AppearanceSelector, Blend
 from hybridworldsim.training.documents import Run, read_run
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL
-from hybridworldsim.training.trainable_method import Rendering, TrainableMethod
 from mirror.arrays import Float32, UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.errors import UsageError
 
 _SPREAD = 0.1

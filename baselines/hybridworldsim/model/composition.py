@@ -14,7 +14,7 @@ from hybridworldsim.model.parts import MIN_WEIGHT, LatentSelector, Part, fade, s
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.street import RenderOutput, Street, render
 from hybridworldsim.model.visible import select_visible
-from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.protocols.views.view import RenderView
 

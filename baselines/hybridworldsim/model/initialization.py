@@ -15,7 +15,7 @@ from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.street import Street
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))

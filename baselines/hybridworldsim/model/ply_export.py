@@ -22,7 +22,7 @@ from hybridworldsim.model.street import Street
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_harmonics
-from hybridworldsim.training.viewpoint import Viewpoint, to_viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView

@@ -11,7 +11,7 @@ import numpy as np
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground, read_driven_poses
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError

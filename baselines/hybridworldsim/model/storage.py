@@ -17,8 +17,8 @@ from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.street import Street
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.run.state import load
-from hybridworldsim.training.viewpoint import Source
 from mirror.errors import DatasetError
 from mirror.schema.files import parse_json, write_bytes
 

@@ -12,7 +12,7 @@ from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
 from hybridworldsim.model.splats import Splats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
 class NodeRows(NamedTuple):

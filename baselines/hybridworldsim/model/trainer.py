@@ -18,17 +18,17 @@ from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
 from hybridworldsim.model.street import NodeRows, RenderOutput, Street
 from hybridworldsim.model.visibility_cache import VisibilityCache
+from hybridworldsim.trainable.method import Rendering, StepReport
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Viewpoint
 from hybridworldsim.training.run.state import dump, load
-from hybridworldsim.training.trainable_method import Rendering, StepReport
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Viewpoint
 
 _SENSOR_RATE_SHARE = 0.1
 """Learning rate of a sensor's latent, as a share of the learning rate of its traversal's latent."""
 
 
 class StreetTrainer:
-    """Trains a street; a `hybridworldsim.training.trainable_method.TrainableMethod`.
+    """Trains a street; a `hybridworldsim.trainable.method.TrainableMethod`.
 
     Args:
         street: the model, changed in place.

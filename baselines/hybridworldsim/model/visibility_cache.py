@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 from mirror.arrays import Bool, Int64, UInt8
 
 _FULL_EVERY: Final = 4

@@ -11,7 +11,7 @@ from torch import Tensor
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
 def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tensor:

@@ -15,9 +15,9 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.documents import TrainedCamera
 from hybridworldsim.training.driven_lines import DrivenLines
-from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 from mirror.protocols.views.view import RenderView

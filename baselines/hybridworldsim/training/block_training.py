@@ -10,6 +10,8 @@ from typing import Final
 
 from torch import Tensor
 
+from hybridworldsim.trainable.method import TrainableMethod
+from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.chart import write_chart
 from hybridworldsim.training.data_loader import TrainingImageCache, stream_images
 from hybridworldsim.training.documents import PREVIEWS, TrainingOutcome
@@ -20,8 +22,6 @@ from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.position import Position, Step
 from hybridworldsim.training.run.training import Ending, Training
-from hybridworldsim.training.trainable_method import TrainableMethod
-from hybridworldsim.training.training_image import TrainingImage
 from mirror.errors import DatasetError
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.views.view import RenderView

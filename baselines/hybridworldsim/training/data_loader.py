@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 import torch
 
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import to_viewpoint
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import to_viewpoint
 from mirror.arrays import Float32, Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import DepthImage, Image, Mask

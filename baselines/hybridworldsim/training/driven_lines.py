@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.documents import TrainedCamera
-from hybridworldsim.training.viewpoint import Source
 from mirror.arrays import Float64
 from mirror.protocols.views.view import RenderView
 

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import torch
 
-from hybridworldsim.training.trainable_method import TrainableMethod
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.method import TrainableMethod
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import UInt8
 from mirror.schema.files import write_bytes
 

@@ -6,7 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 from hybridworldsim.stationary import STATIONARY_M, select_moving
-from hybridworldsim.training.viewpoint import require_pinhole
+from hybridworldsim.trainable.viewpoint import require_pinhole
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
 from mirror.methods.training_images import ImageKey

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from hybridworldsim.model.settings import Rate
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror.errors import UsageError
 from mirror_baselines.splatting.appearance import AppearanceModel, FinishedImage
 from mirror_baselines.splatting.per_image import PerImageTable

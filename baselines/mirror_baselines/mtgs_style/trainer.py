@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror_baselines.mtgs_style.appearance import TraversalAppearance
 from mirror_baselines.mtgs_style.settings import MtgsStyle
 from mirror_baselines.splatting.gaussian_init import initial_gaussians, no_gaussians

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror_baselines.omnire_style.sky_cube import SkyCube
 from mirror_baselines.splatting.appearance import AppearanceModel, FinishedImage
 from mirror_baselines.splatting.per_image import PerImageTable

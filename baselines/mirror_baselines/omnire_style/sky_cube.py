@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 _GREY = 0.5
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror_baselines.omnire_style.appearance import AffineAppearance
 from mirror_baselines.omnire_style.settings import OmnireStyle
 from mirror_baselines.splatting.gaussian_init import initial_gaussians, no_gaussians

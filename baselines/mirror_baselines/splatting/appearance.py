@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 
 
 @dataclass(frozen=True, eq=False)

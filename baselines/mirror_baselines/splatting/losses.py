@@ -7,7 +7,7 @@ from torch import Tensor
 
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
-from hybridworldsim.training.training_image import TrainingImage
+from hybridworldsim.trainable.training_image import TrainingImage
 from mirror_baselines.splatting.appearance import FinishedImage
 from mirror_baselines.splatting.settings import Weights
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.model.visible import select_visible
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.appearance import AppearanceModel
 
 GEOMETRY: Final = ("means", "quats", "scales", "opacities")

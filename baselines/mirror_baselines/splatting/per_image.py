@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.row_adam import RowAdam
 
 _KEY = 17

@@ -1,4 +1,4 @@
-"""Renders explicit Gaussians; a `hybridworldsim.training.trainable_method.CoverRenderableModel`."""
+"""Renders explicit Gaussians; a `hybridworldsim.trainable.method.CoverRenderableModel`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
-from hybridworldsim.training.trainable_method import Rendering
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.method import Rendering
+from hybridworldsim.trainable.viewpoint import Viewpoint
 from mirror.arrays import Float32
 from mirror.methods.capabilities import Capabilities
 from mirror_baselines.splatting.appearance import FinishedImage

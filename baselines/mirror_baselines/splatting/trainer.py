@@ -1,4 +1,4 @@
-"""Trains explicit Gaussians on images; a `hybridworldsim.training.trainable_method.TrainableMethod`."""
+"""Trains explicit Gaussians on images; a `hybridworldsim.trainable.method.TrainableMethod`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.optim import SGD, Optimizer
 
+from hybridworldsim.trainable.method import StepReport
+from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.run.state import dump, load
-from hybridworldsim.training.trainable_method import StepReport
-from hybridworldsim.training.training_image import TrainingImage
 from mirror_baselines.splatting.density import DensityControl
 from mirror_baselines.splatting.losses import image_losses, surface_losses
 from mirror_baselines.splatting.model import Gaussians

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror_baselines.splatting.appearance import AppearanceModel
 from mirror_baselines.splatting.gaussian_init import initial_gaussians, no_gaussians
 from mirror_baselines.splatting.model import Gaussians

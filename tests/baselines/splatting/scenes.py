@@ -9,8 +9,8 @@ import torch
 
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.settings import Rate
-from hybridworldsim.training.training_image import TrainingImage
-from hybridworldsim.training.viewpoint import Source, Viewpoint
+from hybridworldsim.trainable.training_image import TrainingImage
+from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror_baselines.splatting.settings import Densification, Splatting
 
 WIDTH, HEIGHT = 48, 32

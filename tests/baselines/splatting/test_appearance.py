@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from hybridworldsim.model.settings import Rate
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.errors import UsageError
 from mirror_baselines import mtgs_style, omnire_style
 from mirror_baselines.omnire_style.sky_cube import SkyCube

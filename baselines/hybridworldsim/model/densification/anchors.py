@@ -13,7 +13,7 @@ from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.settings import Refinement
 from hybridworldsim.model.splats import Splats
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 _MIN_VISITS = 10
 _MIN_RENDERS = 2.0

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.model.street import RenderOutput
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
 def image_gradients(output: RenderOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:

@@ -15,7 +15,7 @@ from hybridworldsim.model.nodes.network_inputs import select_rows
 from hybridworldsim.model.nodes.networks import run_networks
 from hybridworldsim.model.splats import Splats
 from hybridworldsim.model.visible import select_visible
-from hybridworldsim.training.viewpoint import Viewpoint
+from hybridworldsim.trainable.viewpoint import Viewpoint
 
 _OPACITY = 0.3
 _SPREAD = 0.5

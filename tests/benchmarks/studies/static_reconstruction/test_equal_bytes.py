@@ -14,7 +14,7 @@ from benchmarks.studies.static_reconstruction.equal_bytes import count_parameter
 from benchmarks.studies.static_reconstruction.methods import BASELINES
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.settings import Refinement, Settings
-from hybridworldsim.training.viewpoint import Source
+from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64
 
 

@@ -81,6 +81,7 @@ RAISED_BY: Final = {
     "baselines/hybridworldsim/methods/": ("reconstruct", "render"),
     "baselines/hybridworldsim/model/": ("reconstruct", "render"),
     "baselines/hybridworldsim/mvs/": ("depth", "reconstruct"),
+    "baselines/hybridworldsim/trainable/": ("reconstruct", "render"),
     "baselines/hybridworldsim/training/": ("reconstruct", "generate train", "annotate train"),
     "leaderboard/": ("leaderboard add", "leaderboard build", "leaderboard sign"),
 }

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
 
 from mirror.dataset.dataset import Dataset
-from mirror.html import style_sheet
+from mirror.pages.rendering import render_page
 from mirror.schema.files import write_bytes
 from mirror.view.images import legend, rig_images
-
-_CSS: Final = ".against path{stroke-dasharray:5 4}svg.line{width:34px;height:10px;background:#333}"
-_LINE: Final = (
-    '<span><svg class="line boxes {kind}" viewBox="0 0 34 10"><path d="M0 5H34" class="c0"/></svg> {name}</span>'
-)
-_ORDER: Final = (
-    "The worst frame comes first: boxes without a partner of their group within 2 m in the other layer, tracks that "
-    "break within 25 m of the vehicle, a tenth of the doubt, and the shift, of which a tenth of the width counts as a "
-    "box. Doubt is the sum of 1 - score over the boxes: 0 where the annotator is sure of each, or states no score."
-)
 
 
 def write_annotation_page(
@@ -50,29 +38,24 @@ def write_annotation_page(
     Raises:
         DatasetError: the file cannot be written, or an image is broken.
     """
-    sections, categories = [], set()
+    frames, categories = [], set()
     for traversal_id, timestamp_ns, caption in rows:
         view = dataset.where(traversal=traversal_id, time=(timestamp_ns, timestamp_ns + 1))
         for number, frame in enumerate(view.frames()[:1]):
             other = None if against is None else view.with_layers(boxes=against).frames()[number]
             categories |= set(frame.boxes().category)
             categories |= set() if other is None else set(other.boxes().category)
-            head = f"<h2>{escape(traversal_id)}, frame {frame.frame_index}</h2><p>{escape(caption)}</p>"
-            sections.append(head + rig_images(frame, boxes=True, width_px=width_px, against=other))
-    key = "" if against is None else _lines_key(str(dataset.layers.boxes), against)
-    write_bytes(out, _page(title, note, key, sections, sorted(categories)).encode())
-    return len(sections)
-
-
-def _lines_key(solid: str, dashed: str) -> str:
-    lines = (("", f"solid: {escape(solid)}"), ("against", f"dashed: {escape(dashed)}"))
-    return f'<p class="key">{"".join(_LINE.format(kind=kind, name=name) for kind, name in lines)}</p>'
-
-
-def _page(title: str, note: str, key: str, sections: Sequence[str], categories: Sequence[str]) -> str:
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{style_sheet()}{_CSS}</style></head><body><main><h1>{escape(title)}</h1><p>{escape(note)}</p>"
-        f'<p class="dim">{_ORDER}</p>{key}{legend(categories)}'
-        f"{''.join(sections)}</main></body></html>\n"
+            about = {"traversal_id": traversal_id, "frame_index": frame.frame_index, "caption": caption}
+            frames.append({**about, "images": rig_images(frame, boxes=True, width_px=width_px, against=other)})
+    page = render_page(
+        "mirror.view",
+        "annotation.html",
+        title=title,
+        note=note,
+        boxes=str(dataset.layers.boxes),
+        against=against,
+        legend=legend(sorted(categories)),
+        frames=frames,
     )
+    write_bytes(out, page.encode())
+    return len(frames)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,9 +13,13 @@ from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.geometry.box_projection import project_boxes
-from mirror.html import inline_image
+from mirror.pages.images import inline_image
+from mirror.pages.rendering import render_part
 from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.view.times import longitude_of, utc_and_solar
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 CATEGORY_HUES: Final = ("car", "truck", "bus", "van", "pedestrian", "cyclist", "motorcycle", "bicycle")
 _EDGE_POINTS: Final = 6
@@ -48,7 +51,7 @@ def condition_order(light: str, weather: str) -> tuple[int, str]:
     return (_LIGHTS.index(light) if light in _LIGHTS else len(_LIGHTS), weather)
 
 
-def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | None = None) -> str:
+def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | None = None) -> Markup:
     """Format all images of one frame; those of a MIRROR rig are arranged by the directions of its seven cameras.
 
     Args:
@@ -57,17 +60,16 @@ def rig_images(frame: Frame, *, boxes: bool, width_px: int, against: Frame | Non
         width_px: maximum width; wider images are scaled down.
         against: the same frame with another layer of boxes, which are drawn dashed; None: none.
     """
-    is_canonical = set(frame.images) >= set(CANONICAL_CAMERAS)
-    figures = [
-        _figure(
-            _inline(frame, camera, width_px),
-            _overlay(frame, against, camera) if boxes else "",
-            escape(camera),
-            camera if is_canonical else "",
-        )
+    shots = [
+        {
+            "camera": camera,
+            "image": _inline(frame, camera, width_px),
+            "overlay": _overlay(frame, against, camera) if boxes else None,
+        }
         for camera in frame.images
     ]
-    return f'<div class="{"rig seven" if is_canonical else "rig"}">{"".join(figures)}</div>'
+    is_canonical = set(frame.images) >= set(CANONICAL_CAMERAS)
+    return render_part("mirror.view", "images.html", "rig", shots, is_canonical)
 
 
 def middle_frame(dataset: Dataset, traversal_id: str) -> Frame:
@@ -139,33 +141,45 @@ def choose_passages(passages: Sequence[Passage], most: int) -> list[Passage]:
     return [passages[number] for number in sorted(number for _, number in sorted(turns)[:most])]
 
 
-def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int) -> str:
+def place_images(dataset: Dataset, passages: Sequence[Passage], *, width_px: int) -> Markup:
     """Format the same view in every traversal: forward, or backward if the traversal drives the other way."""
-    figures = []
+    shots = []
     for passage in passages:
         frame = frame_of(dataset, passage.traversal["traversal_id"], passage.frame_index)
         preferred = "front_wide" if passage.is_same_direction else "rear"
         camera = preferred if preferred in frame.images else next(iter(frame.images))
-        light, weather = passage.traversal["light"], passage.traversal["weather"]
-        caption = (
-            f'<i class="dot {escape(light)}"></i><b>{escape(light)}, {escape(weather)}</b> '
-            f"{utc_and_solar(frame.timestamp_ns, longitude_of(passage.traversal))}<br>"
-            f"{escape(passage.traversal['vehicle_type'])}, {escape(camera)}"
-            f"{'' if passage.is_same_direction else ', driving the other way'}"
+        row = passage.traversal
+        shots.append(
+            {
+                **{name: row[name] for name in ("light", "weather", "vehicle_type")},
+                "times": utc_and_solar(frame.timestamp_ns, longitude_of(row)),
+                "camera": camera,
+                "is_same_direction": passage.is_same_direction,
+                "image": _inline(frame, camera, width_px),
+            }
         )
-        figures.append(_figure(_inline(frame, camera, width_px), "", caption, ""))
-    return f'<div class="places">{"".join(figures)}</div>'
+    return render_part("mirror.view", "images.html", "places", shots)
 
 
-def category_colours(categories: Iterable[str]) -> dict[str, str]:
-    """Return the HTML attributes that colour each category, the same in legends and images.
+@dataclass(frozen=True)
+class Colour:
+    """The colour of a category of boxes, the same in legends and images.
 
-    Categories that are not MIRROR's get other hues, a golden angle apart.
+    Attributes:
+        kind: CSS class.
+        hue: hue of the class ``cx``, in degrees; None: the class has its own colour.
     """
+
+    kind: str
+    hue: int | None = None
+
+
+def category_colours(categories: Iterable[str]) -> dict[str, Colour]:
+    """Return the colour of each category; those that are not MIRROR's get other hues, a golden angle apart."""
     names = sorted(set(categories))
     others = [name for name in names if name not in CATEGORY_HUES]
-    hues = {name: f'cx" style="--hue:{_GOLDEN_DEG * number % 360:.0f}' for number, name in enumerate(others)}
-    return {name: hues.get(name) or f"c{CATEGORY_HUES.index(name)}" for name in names}
+    hues = {name: Colour("cx", round(_GOLDEN_DEG * number % 360)) for number, name in enumerate(others)}
+    return {name: hues.get(name) or Colour(f"c{CATEGORY_HUES.index(name)}") for name in names}
 
 
 def _heading(x: Float64, y: Float64, at: int) -> Float64:
@@ -176,31 +190,29 @@ def _heading(x: Float64, y: Float64, at: int) -> Float64:
     return np.array([x[last] - x[first], y[last] - y[first]])
 
 
-def _figure(image: str, overlay: str, caption: str, area: str) -> str:
-    style = f' style="grid-area:{area}"' if area else ""
-    return f'<figure{style}><div class="shot">{image}{overlay}</div><figcaption>{caption}</figcaption></figure>'
-
-
-def _inline(frame: Frame, camera: str, width_px: int) -> str:
+def _inline(frame: Frame, camera: str, width_px: int) -> Markup:
     return inline_image(frame.images[camera].decode(), camera, width_px)
 
 
-def _overlay(frame: Frame, against: Frame | None, camera: str) -> str:
-    """Draw the visible boxes of a frame as SVG in pixels, above dashed ones of another layer."""
+def _overlay(frame: Frame, against: Frame | None, camera: str) -> dict[str, Any]:
+    """Return the visible boxes of a frame as paths in pixels, and those of another layer."""
     lens = frame.images[camera].camera_model
-    dashed = "" if against is None else f'<g class="against">{_draw_boxes(against, camera)}</g>'
-    box = f"0 0 {lens.width_px} {lens.height_px}"
-    return f'<svg class="boxes" viewBox="{box}">{dashed}{_draw_boxes(frame, camera)}</svg>'
+    return {
+        "width_px": lens.width_px,
+        "height_px": lens.height_px,
+        "boxes": _trace_boxes(frame, camera),
+        "against": None if against is None else _trace_boxes(against, camera),
+    }
 
 
-def _draw_boxes(frame: Frame, camera: str) -> str:
-    """Draw the edges of the visible boxes, projected through the lens of the image, as paths in pixels."""
+def _trace_boxes(frame: Frame, camera: str) -> list[dict[str, Any]]:
+    """Return the edges of the visible boxes, projected through the lens of the image, as paths in pixels."""
     lens = frame.images[camera].camera_model
     boxes = frame.boxes(f"camera:{camera}")
     projected = project_boxes(lens, boxes.pose, boxes.size_m)
     fraction = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
     colours = category_colours(frame.boxes().category)
-    paths = []
+    traced = []
     # Far boxes first: near boxes are drawn over them.
     for row in np.argsort(-np.linalg.norm(boxes.pose.translation, axis=1)):
         if not projected.visible[row]:
@@ -210,8 +222,8 @@ def _draw_boxes(frame: Frame, camera: str) -> str:
         points = lens.project(ends[:, None, 0] * (1 - fraction) + ends[:, None, 1] * fraction)
         path = "".join(_polyline(line) for line in points.uv_px)
         category = boxes.category[row]
-        paths.append(f'<path class="{colours[category]}" d="{path}"><title>{escape(category)}</title></path>')
-    return "".join(paths)
+        traced.append({"path": path, "category": category, "colour": colours[category]})
+    return traced
 
 
 def _polyline(points: Float64) -> str:
@@ -219,8 +231,6 @@ def _polyline(points: Float64) -> str:
     return "M" + "L".join(f"{u:.1f} {v:.1f}" for u, v in finite) if len(finite) > 1 else ""
 
 
-def legend(categories: Iterable[str]) -> str:
+def legend(categories: Iterable[str]) -> Markup:
     """Format the legend of the categories' colours."""
-    colours = category_colours(categories)
-    entries = [f'<span><i class="swatch {colour}"></i>{escape(name)}</span>' for name, colour in colours.items()]
-    return f'<p class="key">{"".join(entries)}</p>'
+    return render_part("mirror.view", "images.html", "legend", category_colours(categories))

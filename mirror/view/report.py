@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -18,10 +17,9 @@ import pyarrow.compute as pc
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.statistics import TableRow, compute_table_row
-from mirror.html import style_sheet
+from mirror.pages.rendering import render_page, render_part
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
-from mirror.version import __version__
 from mirror.view.images import (
     busiest_frame,
     condition_order,
@@ -32,8 +30,11 @@ from mirror.view.images import (
     same_place,
 )
 from mirror.view.svg import Line, bars, scene_map, stacked_bars
-from mirror.view.tables import ledger, split_table, traversal_table
+from mirror.view.tables import describe_split, ledger_rows, traversal_rows
 from mirror.view.times import longitude_of, utc_and_solar
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 LEDGER_HEADING: Final = "<h2>The ledger of refused passes</h2>"
 """By this heading a report is recognised, which may be replaced by a later one."""
@@ -60,100 +61,83 @@ def write_report(dataset: Dataset, out: Path, title: str = "MIRROR dataset") -> 
     scenes = dataset.table("scenes").to_pylist()
     traversals = dataset.table("traversals").to_pylist()
     passes = dataset.passes().to_pylist()
-    tiles = format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
-    parts = [
-        f"<header><h1>{escape(title)}</h1>{tiles}</header>",
-        *_format_instant(dataset, traversals),
-        *_format_places(dataset, scenes, traversals),
-        "<h2>Maps</h2>",
-        map_legend({row["light"] for row in traversals}),
-        f'<div class="grid two">{"".join(draw_scene_map(dataset, scene, traversals) for scene in scenes)}</div>',
-        "<h2>Conditions and contents</h2>",
-        f'<div class="grid">{"".join(draw_charts(dataset, traversals))}</div>',
-        *_format_splits(dataset, traversals),
-        "<h2>Traversals</h2>",
-        traversal_table(traversals),
-        LEDGER_HEADING,
-        *ledger(passes),
-        *_format_rigs(dataset, traversals),
-        f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)}.</footer>",
-    ]
-    style = style_sheet()
-    page = (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<style>{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+    refused, ledger = ledger_rows(passes)
+    page = render_page(
+        "mirror.view",
+        "report.html",
+        title=title,
+        tiles=list_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes")),
+        instant=_show_instant(dataset, traversals),
+        places=list(_list_places(dataset, scenes, traversals)),
+        map_legend=map_legend({row["light"] for row in traversals}),
+        maps=[draw_scene_map(dataset, scene, traversals) for scene in scenes],
+        charts=list(draw_charts(dataset, traversals)),
+        splits=list(_list_splits(dataset, traversals)),
+        traversals=traversal_rows(traversals),
+        passes=len(passes),
+        refused=refused,
+        ledger=ledger,
+        rigs=list(_list_rigs(dataset, traversals)),
+        root=dataset.root,
     )
     write_bytes(out, page.encode())
 
 
-def format_tiles(
+def list_tiles(
     totals: TableRow,
     traversals: Sequence[Mapping[str, Any]],
     passes: Sequence[Mapping[str, Any]],
     boxes: int,
-) -> str:
-    """Format the figures at the head of a report."""
+) -> list[tuple[str, str]]:
+    """Return the figures at the head of a report, each with what it counts."""
     cameras = {camera for row in traversals for camera in row["cameras"]}
-    tiles = {
-        "scenes": f"{totals.scenes}",
-        "cities": f"{len(totals.cities)}",
-        "km² of scenes": f"{totals.area_km2:.3f}",
-        "traversals": f"{len(traversals):,}",
-        "passes refused": f"{sum(row['decision'] == 'refused' for row in passes):,}",
-        "minutes": f"{sum(row['duration_s'] for row in traversals) / 60:,.1f}",
-        "km driven": f"{sum(row['path_m'] for row in traversals) / 1000:,.2f}",
-        "cameras": f"{len(cameras)}",
-        "images": f"{sum(row['images'] for row in traversals):,}",
-        "boxes": f"{boxes:,}",
-    }
-    cells = "".join(f'<div class="tile"><b>{value}</b><span>{name}</span></div>' for name, value in tiles.items())
-    return f'<div class="tiles">{cells}</div>'
+    return [
+        (f"{totals.scenes}", "scenes"),
+        (f"{len(totals.cities)}", "cities"),
+        (f"{totals.area_km2:.3f}", "km² of scenes"),
+        (f"{len(traversals):,}", "traversals"),
+        (f"{sum(row['decision'] == 'refused' for row in passes):,}", "passes refused"),
+        (f"{sum(row['duration_s'] for row in traversals) / 60:,.1f}", "minutes"),
+        (f"{sum(row['path_m'] for row in traversals) / 1000:,.2f}", "km driven"),
+        (f"{len(cameras)}", "cameras"),
+        (f"{sum(row['images'] for row in traversals):,}", "images"),
+        (f"{boxes:,}", "boxes"),
+    ]
 
 
 def _count_box_layers(traversal: Mapping[str, Any]) -> int:
     return sum(layer.startswith("boxes/") for layer in traversal["layers"])
 
 
-def _format_instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Show one instant in large images, with its boxes."""
+def _show_instant(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Return one instant in large images, with its boxes; None: no traversal has images."""
     with_frames = [row for row in traversals if row["frames"]]
     if not with_frames:
-        yield '<p class="dim">No traversal has images.</p>'
-        return
+        return None
     clear = [row for row in with_frames if (row["light"], row["weather"]) == ("day", "clear")] or with_frames
     frame = busiest_frame(dataset, [row["traversal_id"] for row in clear[:_MAX_CANDIDATES]])
     row = next(row for row in clear if row["traversal_id"] == frame.traversal_id)
     # With several layers of boxes, no layer is preferred: none is drawn.
     boxes = _count_box_layers(row) == 1
-    cameras = "One camera" if len(frame.images) == 1 else f"{len(frame.images)} cameras"
-    yield f"<h2>One instant, {cameras.lower()}</h2>"
-    yield (
-        f'<p class="dim">{escape(row["scene_id"])}, {_times(frame, row)}, {escape(row["light"])}, '
-        f"{escape(row['weather'])}, {escape(row['vehicle_type'])}; "
-        f"frame {frame.frame_index} of {escape(row['traversal_id'])}</p>"
-    )
-    if boxes:
-        yield '<input type="checkbox" id="boxes" checked><label for="boxes">3D boxes</label>'
-        yield legend(sorted(set(frame.boxes().category)))
-    yield rig_images(frame, boxes=boxes, width_px=_LARGE_PX)
+    return {
+        "cameras": "one camera" if len(frame.images) == 1 else f"{len(frame.images)} cameras",
+        "row": row,
+        "times": _times(frame, row),
+        "frame_index": frame.frame_index,
+        "legend": legend(sorted(set(frame.boxes().category))) if boxes else None,
+        "images": rig_images(frame, boxes=boxes, width_px=_LARGE_PX),
+    }
 
 
-def _format_places(
+def _list_places(
     dataset: Dataset, scenes: Sequence[Mapping[str, Any]], traversals: Sequence[Mapping[str, Any]]
-) -> Iterable[str]:
-    """Show one place of each scene in every traversal that passes it."""
-    parts = []
+) -> Iterable[tuple[str, Markup]]:
+    """List one place of each scene in every traversal that passes it."""
     for scene in scenes:
         own = [row for row in traversals if row["scene_id"] == scene["scene_id"]]
         passages = same_place(dataset, own)
         if len(passages) > 1:
-            parts.append(f"<h3>{escape(scene_name(scene))}</h3>{place_images(dataset, passages, width_px=_SMALL_PX)}")
-    if parts:
-        yield "<h2>One place, every traversal</h2>"
-        yield '<p class="dim">The same view in every traversal that passes a place.</p>'
-        yield from parts
+            yield scene_name(scene), place_images(dataset, passages, width_px=_SMALL_PX)
 
 
 def scene_name(scene: Mapping[str, Any]) -> str:
@@ -162,17 +146,14 @@ def scene_name(scene: Mapping[str, Any]) -> str:
     return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 
 
-def map_legend(lights: Iterable[str]) -> str:
+def map_legend(lights: Iterable[str]) -> Markup:
     """Format the map's legend: a swatch for each light."""
     known = [light for light in _LIGHTS if light in lights]
     ordered = [*known, *sorted(set(lights) - set(known))]
-    entries = [f'<span><i class="swatch {escape(light)}"></i>{escape(light)}</span>' for light in ordered]
-    return (
-        f'<p class="key">{"".join(entries)}<span>● entry</span><span>▶ exit</span><span>┄ region of interest</span></p>'
-    )
+    return render_part("mirror.view", "charts.html", "map_legend", ordered)
 
 
-def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> str:
+def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence[Mapping[str, Any]]) -> Markup:
     """Draw the map of a scene with the lines of its traversals, over its recorded road map if there is one."""
     centre = (scene["x_m"], scene["y_m"]) if scene["frame"] is not None else (0.0, 0.0)
     lines = []
@@ -196,7 +177,7 @@ def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Seque
     )
 
 
-def draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+def draw_charts(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[Markup]:
     """Draw the charts of conditions, boxes, speeds, vehicles and images."""
     by_condition: dict[str, dict[str, float]] = {light: {} for light in _LIGHTS}
     for row in traversals:
@@ -222,33 +203,30 @@ def _count_values(dataset: Dataset, table: str, column: str) -> Counter[str]:
     return Counter({entry["values"]: entry["counts"] for entry in counts})
 
 
-def _format_splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    names = [name for name in dataset.store.list_files("splits") if name.endswith(".json")]
-    if names:
-        yield "<h2>Splits</h2>"
-    for name in names:
-        yield split_table(dataset.store.json(f"splits/{name}", SplitDocument), traversals)
+def _list_splits(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[dict[str, Any]]:
+    for name in dataset.store.list_files("splits"):
+        if name.endswith(".json"):
+            yield describe_split(dataset.store.json(f"splits/{name}", SplitDocument), traversals)
 
 
-def _format_rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Show all cameras of one frame for every condition, folded up."""
+def _list_rigs(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> Iterable[dict[str, Any]]:
+    """List all cameras of one frame for every condition."""
     by_condition: dict[tuple[str, str], Mapping[str, Any]] = {}
     for row in traversals:
         if row["frames"]:
             by_condition.setdefault((row["light"], row["weather"]), row)
-    if not by_condition:
-        return
-    yield "<h2>All cameras in every condition</h2>"
     for light, weather in sorted(by_condition, key=lambda key: condition_order(*key)):
         row = by_condition[light, weather]
         frame = middle_frame(dataset, row["traversal_id"])
-        yield (
-            f'<details><summary><i class="dot {escape(light)}"></i>{escape(light)}, {escape(weather)} '
-            f'<span class="dim">{escape(row["scene_id"])}, {_times(frame, row)}</span></summary>'
-            f"{rig_images(frame, boxes=False, width_px=_SMALL_PX)}</details>"
-        )
+        yield {
+            "light": light,
+            "weather": weather,
+            "scene_id": row["scene_id"],
+            "times": _times(frame, row),
+            "images": rig_images(frame, boxes=False, width_px=_SMALL_PX),
+        }
 
 
 def _times(frame: Frame, row: Mapping[str, Any]) -> str:
-    """The time of a frame in UTC, and its local solar time where the place is known."""
+    """Return the time of a frame in UTC, and its local solar time where the place is known."""
     return utc_and_solar(frame.timestamp_ns, longitude_of(row))

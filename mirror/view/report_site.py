@@ -5,23 +5,22 @@ The pages need no network: style sheet, script and data are inside. Rows are dra
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from html import escape
-from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_table_row
-from mirror.html import style_sheet
+from mirror.pages.rendering import read_script, render_page, script_data
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
-from mirror.version import __version__
 from mirror.view.images import choose_passages, place_images, same_place
-from mirror.view.report import draw_charts, draw_scene_map, format_tiles, map_legend, scene_name
+from mirror.view.report import draw_charts, draw_scene_map, list_tiles, map_legend, scene_name
 from mirror.view.times import longitude_of, solar_time, utc
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 MARK: Final = ".made-by-mirror-report"
 _MOST_PASSAGES: Final = 24
@@ -77,20 +76,19 @@ def write_site(
     longitudes = {scene["scene_id"]: scene["longitude_deg"] for scene in scenes}
     for row in passes:
         row["entry_solar"] = solar_time(row["entry_ns"], longitudes.get(row["scene_id"]))
-    tiles = format_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes"))
-    parts = [
-        f"<header><h1>{escape(title)}</h1>{tiles}</header>",
-        "<h2>Scenes</h2>",
-        f'<div class="scenes">{"".join(_scene_link(scene, pages) for scene in scenes)}</div>',
-        "<h2>Traversals</h2>",
-        _table("traversals", traversals, _TRAVERSALS, ("scene", "light", "weather", "vehicle"), pages, where=True),
-        "<h2>The ledger of passes</h2>",
-        _table("passes", passes, _PASSES, ("decision", "rule", "scene", "light", "weather"), pages),
-        "<h2>Conditions and contents</h2>",
-        f'<div class="grid">{"".join(draw_charts(dataset, traversals))}</div>',
-        f"<footer>Made by mirror {__version__} from the dataset {escape(dataset.root)}.</footer>",
-    ]
-    write_bytes(out / "index.html", _page(title, parts).encode())
+    page = _render_page(
+        "report_overview.html",
+        title=title,
+        tiles=list_tiles(compute_table_row(dataset), traversals, passes, dataset.count("boxes")),
+        scenes=[{"row": row, "name": scene_name(row), "page": pages.get(row["scene_id"])} for row in scenes],
+        traversals=_table_data(
+            "traversals", traversals, _TRAVERSALS, ("scene", "light", "weather", "vehicle"), pages, where=True
+        ),
+        passes=_table_data("passes", passes, _PASSES, ("decision", "rule", "scene", "light", "weather"), pages),
+        charts=list(draw_charts(dataset, traversals)),
+        root=dataset.root,
+    )
+    write_bytes(out / "index.html", page.encode())
     return out / "index.html"
 
 
@@ -98,41 +96,29 @@ def _scene_page(dataset: Dataset, scene: Mapping[str, Any], traversals: Sequence
     view = dataset.where(scene=scene["scene_id"])
     passing = same_place(view, traversals)
     passages = choose_passages(passing, _MOST_PASSAGES)
-    of_all = f"{len(passages)}{f' of {len(passing)}' if len(passages) < len(passing) else ''}"
-    parts = [
-        f'<p><a href="../index.html">{escape(title)}</a></p><h1>{escape(scene_name(scene))}</h1>',
-        f'<p class="where">dataset.where(scene={json.dumps(scene["scene_id"])})</p>',
-        map_legend({row["light"] for row in traversals}),
-        f'<div class="grid two">{draw_scene_map(view, scene, traversals)}</div>',
-    ]
+    places = None
     if len(passages) > 1:
-        parts += [
-            f"<h2>One place in {of_all} traversals</h2>",
-            place_images(view, passages, width_px=_IMAGE_PX),
-        ]
-    parts += [
-        "<h2>Traversals</h2>",
-        _table("traversals", traversals, _TRAVERSALS, ("light", "weather", "vehicle"), {}, where=True),
-        "<h2>Conditions and contents</h2>",
-        f'<div class="grid">{"".join(draw_charts(view, traversals))}</div>',
-    ]
-    return _page(f"{scene['scene_id']} - {title}", parts)
-
-
-def _scene_link(scene: Mapping[str, Any], pages: Mapping[str, str]) -> str:
-    name = scene["scene_id"]
-    text = (
-        f"<b>{escape(scene_name(scene))}</b><span>{scene['traversals']} traversals, {scene['images']:,} images,"
-        f" {scene['duration_s'] / 60:.1f} min</span>"
+        of_all = f"{len(passages)}{f' of {len(passing)}' if len(passages) < len(passing) else ''}"
+        places = {"of_all": of_all, "images": place_images(view, passages, width_px=_IMAGE_PX)}
+    return _render_page(
+        "report_scene.html",
+        title=f"{scene['scene_id']} - {title}",
+        site_title=title,
+        name=scene_name(scene),
+        scene_id=scene["scene_id"],
+        map_legend=map_legend({row["light"] for row in traversals}),
+        map=draw_scene_map(view, scene, traversals),
+        places=places,
+        traversals=_table_data("traversals", traversals, _TRAVERSALS, ("light", "weather", "vehicle"), {}, where=True),
+        charts=list(draw_charts(view, traversals)),
     )
-    return f'<a href="{escape(pages[name])}">{text}</a>' if name in pages else f"<a>{text}</a>"
 
 
-def _table(
+def _table_data(
     name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str], filters: Sequence[str],
     pages: Mapping[str, str], *, where: bool = False,
-) -> str:  # fmt: skip
-    """A table whose rows are data for the script."""
+) -> Markup:  # fmt: skip
+    """Encode the rows of a table, which the script draws."""
     data = {
         "name": name,
         "columns": [_SHORT.get(column, column) for column in columns],
@@ -141,25 +127,8 @@ def _table(
         "pages": pages,
         "rows": [[utc(row[key]) if key == "entry_ns" else row[key] for key in columns] for row in rows],
     }
-    # `</script>` in a name would end the element.
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<section class="table"><script type="application/json">{text}</script><div class="filters"></div>'
-        '<div class="actions"><span class="about"></span><button class="csv">CSV</button>'
-        '<button class="json">JSON</button><code class="where"></code></div>'
-        '<div class="scroll"><table><thead></thead><tbody></tbody></table></div>'
-        '<button class="more">more rows</button></section>'
-    )
+    return script_data(data)
 
 
-def _page(title: str, parts: Sequence[str]) -> str:
-    own = files("mirror.view")
-    style = style_sheet() + own.joinpath("report_site.css").read_text()
-    script = own.joinpath("report_site.js").read_text()
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<style>{style}</style></head><body><main>{''.join(parts)}</main><dialog></dialog>"
-        f"<script>{script}</script></body></html>\n"
-    )
+def _render_page(template: str, **values: object) -> str:
+    return render_page("mirror.view", template, script=read_script("mirror.view", "report_site.js"), **values)

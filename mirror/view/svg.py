@@ -5,36 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mirror.arrays import Float64
+from mirror.pages.rendering import render_part
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 _BAR_HEIGHT, _BAR_GAP, _LABEL_WIDTH, _BAR_WIDTH, _VALUE_WIDTH = 20, 7, 104, 190, 56
+_STEP = _BAR_HEIGHT + _BAR_GAP
 
 
-def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> str:
+def bars(title: str, values: Mapping[str, float], *, unit: str = "", digits: int = 0) -> Markup:
     """Draw a horizontal bar chart with one bar for each label, in the given order."""
     top = max(values.values(), default=0.0) or 1.0
-    height = len(values) * (_BAR_HEIGHT + _BAR_GAP)
-    width = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH
     rows = []
     for number, (label, value) in enumerate(values.items()):
-        y = number * (_BAR_HEIGHT + _BAR_GAP)
-        middle = y + _BAR_HEIGHT * 0.7
-        rows.append(
-            f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>'
-            f'<rect x="{_LABEL_WIDTH}" y="{y}" width="{_BAR_WIDTH * value / top:.1f}" height="{_BAR_HEIGHT}" rx="3"'
-            f' class="bar {_css(label)}"/>'
-            f'<text x="{_LABEL_WIDTH + _BAR_WIDTH * value / top + 6:.1f}" y="{middle:.1f}">'
-            f"{value:,.{digits}f}{escape(unit)}</text>"
-        )
-    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(rows)}</svg>'
-    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+        width = _BAR_WIDTH * value / top
+        bar = _bar(number, float(_LABEL_WIDTH), width, f"bar {_css(label)}")
+        rows.append(_row(number, label, [bar], _LABEL_WIDTH + width, f"{value:,.{digits}f}{unit}"))
+    return _draw_chart(title, len(values) * _STEP, rows, [])
 
 
-def stacked_bars(title: str, rows: Mapping[str, Mapping[str, float]], parts: Sequence[str]) -> str:
+def stacked_bars(title: str, rows: Mapping[str, Mapping[str, float]], parts: Sequence[str]) -> Markup:
     """Draw a horizontal bar chart with divided bars, and a legend of the parts.
 
     Args:
@@ -43,29 +39,38 @@ def stacked_bars(title: str, rows: Mapping[str, Mapping[str, float]], parts: Seq
         parts: the parts, in their order.
     """
     top = max((sum(row.values()) for row in rows.values()), default=0.0) or 1.0
-    step, elements = _BAR_HEIGHT + _BAR_GAP, []
+    drawn = []
     for number, (label, row) in enumerate(rows.items()):
-        y, x = number * step, float(_LABEL_WIDTH)
-        middle = y + _BAR_HEIGHT * 0.7
-        elements.append(f'<text x="{_LABEL_WIDTH - 8}" y="{middle:.1f}" class="end">{escape(label)}</text>')
+        x, own = float(_LABEL_WIDTH), []
         for part in parts:
             width = _BAR_WIDTH * row.get(part, 0.0) / top
             if width > 0.0:
-                elements.append(
-                    f'<rect x="{x:.1f}" y="{y}" width="{max(width - 1.5, 0.5):.1f}" height="{_BAR_HEIGHT}" rx="3"'
-                    f' class="part {_css(part)}"><title>{escape(part)}: {row[part]:g}</title></rect>'
-                )
+                about = f"{part}: {row[part]:g}"
+                own.append(_bar(number, x, max(width - 1.5, 0.5), f"part {_css(part)}", about))
             x += width
-        elements.append(f'<text x="{x + 6:.1f}" y="{middle:.1f}">{sum(row.values()):g}</text>')
-    x = float(_LABEL_WIDTH)
+        drawn.append(_row(number, label, own, x, f"{sum(row.values()):g}"))
+    x, y, key = float(_LABEL_WIDTH), len(rows) * _STEP + 6, []
     for part in parts:
-        y = len(rows) * step + 6
-        elements.append(f'<rect x="{x:.1f}" y="{y}" width="12" height="12" rx="3" class="part {_css(part)}"/>')
-        elements.append(f'<text x="{x + 17:.1f}" y="{y + 10.5}">{escape(part)}</text>')
+        kind = f"part {_css(part)}"
+        key.append({"x": f"{x:.1f}", "y": y, "text_x": f"{x + 17:.1f}", "text_y": y + 10.5, "kind": kind, "name": part})
         x += 38 + 7.5 * len(part)
-    width, height = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH, len(rows) * step + 24
-    drawing = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">{"".join(elements)}</svg>'
-    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+    return _draw_chart(title, len(rows) * _STEP + 24, drawn, key)
+
+
+def _bar(number: int, x: float, width: float, kind: str, title: str = "") -> dict[str, object]:
+    place = {"x": f"{x:.1f}", "y": number * _STEP, "width": f"{width:.1f}", "height": _BAR_HEIGHT}
+    return {**place, "kind": kind, "title": title}
+
+
+def _row(number: int, label: str, own: Sequence[object], end: float, value: str) -> dict[str, object]:
+    text_y = f"{number * _STEP + _BAR_HEIGHT * 0.7:.1f}"
+    labelled = {"label_x": _LABEL_WIDTH - 8, "text_y": text_y, "label": label}
+    return {**labelled, "bars": own, "value_x": f"{end + 6:.1f}", "value": value}
+
+
+def _draw_chart(title: str, height: int, rows: Sequence[object], key: Sequence[object]) -> Markup:
+    width = _LABEL_WIDTH + _BAR_WIDTH + _VALUE_WIDTH
+    return render_part("mirror.view", "charts.html", "bar_chart", title, width, height, rows, key)
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ def scene_map(
     north: bool,
     roads: Sequence[Sequence[Float64]] = (),
     lanes: Sequence[Float64] = (),
-) -> str:
+) -> Markup:
     """Draw a scene's circle with its traversals, y up; a dot marks each entry, an arrow head each exit.
 
     Later lines are thinner, so that lines in the same lane stay visible.
@@ -106,60 +111,59 @@ def scene_map(
         roads: parts of the drivable area as rings (K, 2), the outline first, relative to the scene's centre.
         lanes: middle lines (P, 2) of lanes.
     """
-    reach = radius_m * 1.12
-    parts = [f'<circle cx="0" cy="0" r="{radius_m:.1f}" class="roi"/>']
-    parts += [f'<path class="road" d="{"".join(f"M {_points(ring)} Z" for ring in rings)}"/>' for rings in roads]
-    parts += [f'<path class="lane" d="M {_points(lane)}"/>' for lane in lanes]
+    reach, bar, cross = radius_m * 1.12, _scale_bar(radius_m), radius_m * 0.03
+    drawn = []
     for number, line in enumerate(lines):
         if len(line.x_m) < 2:
             continue
-        width = radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines)))
-        points = _points(np.column_stack([line.x_m, line.y_m]))
-        tip = _arrow(line, radius_m * 0.04)
-        polyline = f'<polyline points="{points}" style="stroke-width:{width:.2f}px"/>'
-        parts.append(
-            f'<g class="{_css(line.kind)}"><title>{escape(line.title)}</title>{polyline}'
-            f'<circle cx="{line.x_m[0]:.1f}" cy="{-line.y_m[0]:.1f}" r="{radius_m * 0.02:.1f}" class="entry"/>{tip}</g>'
+        turn, arrow = _arrow(line, radius_m * 0.04)
+        drawn.append(
+            {
+                "kind": _css(line.kind),
+                "title": line.title,
+                "points": _points(np.column_stack([line.x_m, line.y_m])),
+                "width": f"{radius_m * (0.012 + 0.02 * (1.0 - (number + 1) / len(lines))):.2f}",
+                "entry_x": f"{line.x_m[0]:.1f}",
+                "entry_y": f"{-line.y_m[0]:.1f}",
+                "dot": f"{radius_m * 0.02:.1f}",
+                "turn": turn,
+                "arrow": arrow,
+            }
         )
-    bar = _scale_bar(radius_m)
-    parts.append(
-        f'<path d="M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}" class="scale"/>'
-        f'<text x="{-reach * 0.95:.1f}" y="{reach * 0.91:.1f}" style="font-size:{radius_m * 0.06:.1f}px">'
-        f"{bar} m</text>"
-    )
-    if north:
-        parts.append(
-            f'<text x="{reach * 0.8:.1f}" y="{-reach * 0.86:.1f}" style="font-size:{radius_m * 0.07:.1f}px">N ↑</text>'
-        )
-    box = f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}"
-    parts.insert(1, _cross(radius_m * 0.03))
-    drawing = (
-        f'<svg viewBox="{box}" class="map" style="--line:{radius_m * 0.012:.2f}px" role="img"'
-        f' aria-label="{escape(title)}">{"".join(parts)}</svg>'
-    )
-    return f"<figure><figcaption>{escape(title)}</figcaption>{drawing}</figure>"
+    scene = {
+        "box": f"{-reach:.1f} {-reach:.1f} {2 * reach:.1f} {2 * reach:.1f}",
+        "line": f"{radius_m * 0.012:.2f}",
+        "radius": f"{radius_m:.1f}",
+        "cross": f"M {-cross:.1f} 0 H {cross:.1f} M 0 {-cross:.1f} V {cross:.1f}",
+        "roads": ["".join(f"M {_points(ring)} Z" for ring in rings) for rings in roads],
+        "lanes": [f"M {_points(lane)}" for lane in lanes],
+        "lines": drawn,
+        "scale": f"M {-reach * 0.95:.1f} {reach * 0.95:.1f} h {bar}",
+        "scale_x": f"{-reach * 0.95:.1f}",
+        "scale_y": f"{reach * 0.91:.1f}",
+        "scale_px": f"{radius_m * 0.06:.1f}",
+        "scale_m": bar,
+        "north": north,
+        "north_x": f"{reach * 0.8:.1f}",
+        "north_y": f"{-reach * 0.86:.1f}",
+        "north_px": f"{radius_m * 0.07:.1f}",
+    }
+    return render_part("mirror.view", "charts.html", "scene_map", title, scene)
 
 
 def _points(line: Float64) -> str:
     return " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
 
 
-def _cross(size: float) -> str:
-    """Draw the centre of the scene."""
-    return f'<path class="centre" d="M {-size:.1f} 0 H {size:.1f} M 0 {-size:.1f} V {size:.1f}"/>'
-
-
-def _arrow(line: Line, size: float) -> str:
-    """Draw a triangle at the end of a line, along its last motion."""
+def _arrow(line: Line, size: float) -> tuple[str, str]:
+    """Return place and turn of the end of a line, along its last motion, and a triangle to draw there."""
     x, y = float(line.x_m[-1]), float(line.y_m[-1])
     for px, py in zip(line.x_m[::-1], line.y_m[::-1]):
         if math.hypot(x - px, y - py) > 1.0:
             break
     angle = math.degrees(math.atan2(-(y - py), x - px))
-    return (
-        f'<path class="exit" transform="translate({x:.1f} {-y:.1f}) rotate({angle:.1f})"'
-        f' d="M {size:.1f} 0 L {-size * 0.5:.1f} {size * 0.6:.1f} L {-size * 0.5:.1f} {-size * 0.6:.1f} Z"/>'
-    )
+    triangle = f"M {size:.1f} 0 L {-size * 0.5:.1f} {size * 0.6:.1f} L {-size * 0.5:.1f} {-size * 0.6:.1f} Z"
+    return f"translate({x:.1f} {-y:.1f}) rotate({angle:.1f})", triangle
 
 
 def _scale_bar(radius_m: float) -> int:

@@ -124,9 +124,9 @@ def test_boxes_are_projected_through_the_lens(dataset: Dataset) -> None:
     assert set(frame.images) == set(CANONICAL_CAMERAS)
     html = rig_images(frame, boxes=True, width_px=640)
     shown = 0
-    for figure in re.findall(r"<figure.*?</figure>", html):
+    for figure in re.findall(r"<figure.*?</figure>", html, re.DOTALL):
         camera = re.search(r'alt="(\w+)"', figure).group(1)
-        drawing = ElementTree.fromstring(re.search(r"<svg.*</svg>", figure).group(0))
+        drawing = ElementTree.fromstring(re.search(r"<svg.*</svg>", figure, re.DOTALL).group(0))
         lens = frame.images[camera].camera_model
         assert drawing.get("viewBox") == f"0 0 {lens.width_px} {lens.height_px}"
         boxes = frame.boxes(f"camera:{camera}")
@@ -200,8 +200,10 @@ def test_unknown_light_has_a_legend_entry() -> None:
 def test_other_categories_have_different_colours() -> None:
     colours = category_colours(["car", "Car", "Truck", "Pedestrian"])
     assert len(set(colours.values())) == 4
-    for colour in colours.values():
-        assert f'class="swatch {colour}"' in legend(["car", "Car", "Truck", "Pedestrian"])
+    shown = legend(["car", "Car", "Truck", "Pedestrian"])
+    assert 'class="swatch c0"></i>car<' in shown
+    for name in ("Car", "Truck", "Pedestrian"):
+        assert f'class="swatch cx" style="--hue:{colours[name].hue}"></i>{name}<' in shown
 
 
 def test_truncated_image_is_an_error(dataset: Dataset, tmp_path: Path) -> None:

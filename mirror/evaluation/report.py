@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from html import escape
-from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -21,18 +19,21 @@ from mirror.evaluation.report_tables import (
     breakdown_tables,
     find_headline,
     format_value,
-    metrics_list,
+    list_measures,
     summary_table,
 )
 from mirror.evaluation.result import Result
 from mirror.evaluation.run import Evaluation
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import ScoredJob
-from mirror.html import inline_image, style_sheet
 from mirror.metrics.catalogue import find_measure
+from mirror.pages.images import inline_image
+from mirror.pages.rendering import render_page
 from mirror.protocols.views.view import RenderView
 from mirror.schema.files import write_bytes
-from mirror.version import __version__
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 _WIDTH_PX: Final = 480
 _EXAMPLES_EACH: Final = 2
@@ -59,25 +60,19 @@ def write_report(done: Evaluation, out: Path, baselines: Sequence[Result] = ()) 
     _require_comparable(result, baselines)
     title = f"{result.submission.method.name}: {result.protocol.name}"
     notes = Footnotes()
-    parts = [
-        f"<header><h1>{escape(title)}</h1>{_format_header(done, result, baselines)}</header>",
-        "<h2>Figures</h2>",
-        summary_table(result, baselines, notes),
-        _format_unavailable(result),
-        *breakdown_tables(result, notes),
-        notes.format(),
-        "<h2>Metrics</h2>",
-        metrics_list(result),
-        *_list_examples(result, done.scored, done.inputs),
-        f"<footer>Made by mirror {__version__}; protocol {result.protocol_hash[:12]}, "
-        f"result {result.hash[:12]}.</footer>",
-    ]
-    style = style_sheet() + files("mirror.evaluation").joinpath("report.css").read_text()
-    page = (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<style>{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+    page = render_page(
+        "mirror.evaluation",
+        "report.html",
+        title=title,
+        headline=_find_headline(result, baselines),
+        lines=_list_lines(done, result),
+        summary=summary_table(result, baselines, notes),
+        unavailable=_list_unavailable(result),
+        breakdowns=list(breakdown_tables(result, notes)),
+        remarks=list(notes.numbers),
+        measures=list_measures(result),
+        examples=list(_list_examples(result, done.scored, done.inputs)),
+        result=result,
     )
     write_bytes(out, page.encode())
 
@@ -105,7 +100,8 @@ def cover(image: UInt8, hidden: Bool) -> UInt8:
     return covered
 
 
-def _format_header(done: Evaluation, result: Result, baselines: Sequence[Result]) -> str:
+def _list_lines(done: Evaluation, result: Result) -> list[str]:
+    """List what was evaluated on what, and the warnings."""
     submission, dataset = result.submission, result.dataset
     views = done.plan.views
     scenes, traversals = ({getattr(view, key) for view in views} for key in ("scene_id", "traversal_id"))
@@ -113,21 +109,19 @@ def _format_header(done: Evaluation, result: Result, baselines: Sequence[Result]
     authors = f", {submission.method.authors}" if submission.method.authors else ""
     appearance = f"{submission.appearance.policy} {submission.appearance.description}".strip()
     root = "" if done.inputs is None else Path(done.inputs.dataset.root).name
-    lines = [
+    return [
         f"{submission.method.name} {submission.method.version}{authors}; appearance: {appearance}",
         f"dataset {dataset.dataset_hash[:12]} (folder {root}), split {dataset.split}: {', '.join(parts)}; protocol "
         f"version {result.protocol.version}",
         *result.warnings,
     ]
-    texts = "".join(f'<p class="dim">{escape(line)}</p>' for line in lines)
-    return _format_headline(result, baselines) + texts
 
 
-def _format_headline(result: Result, baselines: Sequence[Result]) -> str:
-    """Format the figure that ranks, with those of the baselines; empty if no group has a figure."""
+def _find_headline(result: Result, baselines: Sequence[Result]) -> tuple[str, str] | None:
+    """Return the figure that ranks and its name, with those of the baselines; None: no group has a figure."""
     figure = find_headline(result)
     if figure is None:
-        return ""
+        return None
     beside = [
         f"{one.submission.method.name} {format_value(other)}"
         for one in baselines
@@ -135,9 +129,7 @@ def _format_headline(result: Result, baselines: Sequence[Result]) -> str:
         if (other.level, other.group, other.metric) == ("group", figure.group, figure.metric)
     ]
     ranks = "ranks results" if result.protocol.ranking is not None else ""
-    words = "; ".join(filter(None, [f"{figure.group}: {figure.metric}", ranks, *beside]))
-    tile = f'<div class="tile"><b>{escape(format_value(figure))}</b><span>{escape(words)}</span></div>'
-    return f'<div class="tiles">{tile}</div>'
+    return format_value(figure), "; ".join(filter(None, [f"{figure.group}: {figure.metric}", ranks, *beside]))
 
 
 def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
@@ -151,15 +143,13 @@ def _require_comparable(result: Result, baselines: Sequence[Result]) -> None:
             )
 
 
-def _format_unavailable(result: Result) -> str:
-    """Format the metrics without weights or data in one line; empty if there are none."""
-    if not result.unavailable:
-        return ""
+def _list_unavailable(result: Result) -> str:
+    """List the metrics without weights or data in one line; empty if there are none."""
     parts = [f"{metric} ({reason.partition('; ')[0]})" for metric, reason in result.unavailable.items()]
-    return f'<p class="dim">Not scored: {escape("; ".join(parts))}.</p>'
+    return "; ".join(parts)
 
 
-def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[str]:
+def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Iterable[dict[str, object]]:
     """List the worst, median and best renders of each group by the metric that ranks, or by PSNR."""
     ranking = result.protocol.ranking
     metric = "psnr" if ranking is None else ranking.metric
@@ -173,13 +163,14 @@ def _list_examples(result: Result, scored: Sequence[ScoredJob], inputs: ScoringI
             ranked.setdefault(scored_job.job.views[0].group, []).append((value, scored_job))
     for group, group_ranked in ranked.items():
         group_ranked.sort(key=lambda item: item[0], reverse=find_measure(metric).better == "lower")
-        yield f"<h2>Renders of {escape(group)}</h2>"
-        yield '<p class="dim">Render, truth, and error: white is 64 of 255 levels or more, grey is not scored.</p>'
+        renders = []
         for title, ranks in _select_ranks(len(group_ranked)).items():
             for rank in ranks:
                 value, scored_job = group_ranked[rank]
-                shown = format_value(figure.model_copy(update={"value": value}))
-                yield _format_triple(f"{title}: {metric} {shown}", scored_job.job.views[0], inputs)
+                shown, view = format_value(figure.model_copy(update={"value": value})), scored_job.job.views[0]
+                about = {"title": f"{title}: {metric} {shown}", "view": view}
+                renders.append({**about, "images": _inline_triple(view, inputs)})
+        yield {"name": group, "renders": renders}
 
 
 def _select_ranks(count: int) -> dict[str, range]:
@@ -194,20 +185,13 @@ def _select_ranks(count: int) -> dict[str, range]:
     return ranks
 
 
-def _format_triple(title: str, view: RenderView, inputs: ScoringInputs) -> str:
+def _inline_triple(view: RenderView, inputs: ScoringInputs) -> list[tuple[str, Markup]]:
+    """Return a render, its truth and its error with their names."""
     render, truth, scored = inputs.render(view), inputs.truth.image(view), inputs.scored_mask(view)
     outside = inputs.truth.outside_lens(view)
-    images = (
-        ("render", cover(render, outside)),
-        ("truth", cover(truth, outside)),
-        ("error", error_map(render, truth, scored)),
-    )
-    figures = ""
-    for name, image in images:
-        inlined = inline_image(image, f"{name} of {view.path}", _WIDTH_PX)
-        figures += f"<figure>{inlined}<figcaption>{name}</figcaption></figure>"
-    return (
-        f'<p><b>{escape(title)}</b> <span class="dim">{escape(view.camera)}, frame {view.frame_index} of '
-        f"{escape(view.traversal_id)}, {escape(view.light)}, {escape(view.weather)}</span></p>"
-        f'<div class="triple">{figures}</div>'
-    )
+    images = {
+        "render": cover(render, outside),
+        "truth": cover(truth, outside),
+        "error": error_map(render, truth, scored),
+    }
+    return [(name, inline_image(image, f"{name} of {view.path}", _WIDTH_PX)) for name, image in images.items()]

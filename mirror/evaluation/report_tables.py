@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from typing import Final
 
 from mirror.evaluation.result import Figure, Level, Result
-from mirror.html import html_table
-from mirror.metrics.catalogue import find_measure
+from mirror.metrics.catalogue import Measure, find_measure
 
 _WIDEST: Final = 8
 """With more metrics a table has a row for each, since a page would not show so many columns."""
@@ -28,15 +26,55 @@ class Footnotes:
 
     numbers: dict[str, int] = field(default_factory=dict)
 
-    def mark(self, remarks: Iterable[str]) -> str:
-        """Return the marks of remarks; new remarks get the next numbers."""
-        found = sorted({self.numbers.setdefault(remark, len(self.numbers) + 1) for remark in remarks})
-        return f"<sup>{','.join(map(str, found))}</sup>" if found else ""
+    def mark(self, remarks: Iterable[str]) -> list[int]:
+        """Return the numbers of remarks; new remarks get the next ones."""
+        return sorted({self.numbers.setdefault(remark, len(self.numbers) + 1) for remark in remarks})
 
-    def format(self) -> str:
-        """Format the list of remarks; empty if there are none."""
-        items = "".join(f"<li>{escape(remark)}</li>" for remark in self.numbers)
-        return f'<ol class="notes">{items}</ol>' if items else ""
+
+@dataclass(frozen=True)
+class FigureCell:
+    """A figure as a page shows it.
+
+    Attributes:
+        text: its value, without the unit.
+        marks: numbers of its footnotes.
+        interval: both ends of its interval; empty without one.
+    """
+
+    text: str
+    marks: Sequence[int]
+    interval: str
+
+
+@dataclass(frozen=True)
+class FigureRow:
+    """A row of a table of figures.
+
+    Attributes:
+        labels: its labels.
+        cells: its figures; None: there is none.
+        n: the numbers of samples.
+    """
+
+    labels: Sequence[str]
+    cells: Sequence[FigureCell | None]
+    n: str
+
+
+@dataclass(frozen=True)
+class FigureTable:
+    """A table of figures: heads, of which those of numbers begin with ``n:``, and rows."""
+
+    head: Sequence[str]
+    rows: Sequence[FigureRow]
+
+
+@dataclass(frozen=True)
+class Breakdown:
+    """The figures of the parts of a level, such as those of all cameras, below their title."""
+
+    title: str
+    table: FigureTable
 
 
 @dataclass(frozen=True)
@@ -45,19 +83,19 @@ class _Row:
     figures: dict[str, Figure]
 
 
-def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes) -> str:
-    """Format the figures of every group: a row for the method, and one for each baseline."""
+def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes) -> FigureTable:
+    """Arrange the figures of every group: a row for the method, and one for each baseline."""
     rows = []
     for group in dict.fromkeys(figure.group for figure in result.figures):
         for one in (result, *baselines):
             figures = [figure for figure in one.figures if (figure.level, figure.group) == ("group", group)]
             name = one.submission.method.name if one is result else f"{one.submission.method.name} (baseline)"
             rows.append(_Row((group, name), {figure.metric: figure for figure in figures}))
-    return _format(("group", "method"), [row for row in rows if row.figures], notes)
+    return _arrange(("group", "method"), [row for row in rows if row.figures], notes)
 
 
-def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, str] = LEVELS) -> Iterator[str]:
-    """Format the figures of each level under its title; a level with one part repeats the groups."""
+def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, str] = LEVELS) -> Iterator[Breakdown]:
+    """Arrange the figures of each level under its title; a level with one part repeats the groups."""
     for level, title in levels.items():
         rows: dict[tuple[str, str], dict[str, Figure]] = {}
         for figure in result.figures:
@@ -65,14 +103,12 @@ def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, st
                 rows.setdefault((figure.group, figure.key), {})[figure.metric] = figure
         if rows:
             parts = [_Row(labels, figures) for labels, figures in rows.items()]
-            yield f"<h3>{title}</h3>{_format(('group', level), parts, notes)}"
+            yield Breakdown(title, _arrange(("group", level), parts, notes))
 
 
-def metrics_list(result: Result) -> str:
-    """Format the sentence and the direction of every metric of a result."""
-    measures = [find_measure(metric) for metric in dict.fromkeys(figure.metric for figure in result.figures)]
-    items = (f"<li><b>{escape(one.name)}</b>: {escape(one.about)}; {one.better} is better.</li>" for one in measures)
-    return f'<ul class="notes">{"".join(items)}</ul>'
+def list_measures(result: Result) -> list[Measure]:
+    """List every metric of a result, with its sentence and direction."""
+    return [find_measure(metric) for metric in dict.fromkeys(figure.metric for figure in result.figures)]
 
 
 def find_headline(result: Result) -> Figure | None:
@@ -89,27 +125,26 @@ def format_value(figure: Figure) -> str:
     return "none" if figure.value is None else f"{_number(figure, figure.value)} {figure.unit}".strip()
 
 
-def _format(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> str:
+def _arrange(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> FigureTable:
     metrics = dict.fromkeys(metric for row in rows for metric, one in row.figures.items() if one.value is not None)
     metrics = metrics or dict.fromkeys(metric for row in rows for metric in row.figures)
     if len(metrics) > _WIDEST:
-        return _format_long(labels, rows, notes)
-    head = [*labels, *(f"n:{_head(metric)}" for metric in metrics), "n:n"]
-    cells = []
+        return _arrange_long(labels, rows, notes)
+    arranged = []
     for row in rows:
-        values = [_format_cell(row.figures.get(metric), notes) for metric in metrics]
+        cells = [_format_cell(row.figures.get(metric), notes) for metric in metrics]
         counts = dict.fromkeys(str(figure.n) for figure in row.figures.values())
-        cells.append([*map(escape, row.labels), *values, ", ".join(counts)])
-    return html_table(head, cells)
+        arranged.append(FigureRow(row.labels, cells, ", ".join(counts)))
+    return FigureTable([*labels, *(f"n:{_head(metric)}" for metric in metrics), "n:n"], arranged)
 
 
-def _format_long(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> str:
-    cells = [
-        [*map(escape, row.labels), escape(metric), _format_cell(figure, notes), str(figure.n)]
+def _arrange_long(labels: Sequence[str], rows: Sequence[_Row], notes: Footnotes) -> FigureTable:
+    arranged = [
+        FigureRow([*row.labels, metric], [_format_cell(figure, notes)], str(figure.n))
         for row in rows
         for metric, figure in row.figures.items()
     ]
-    return html_table([*labels, "metric", "n:value", "n:n"], cells)
+    return FigureTable([*labels, "metric", "n:value", "n:n"], arranged)
 
 
 def _head(metric: str) -> str:
@@ -117,14 +152,14 @@ def _head(metric: str) -> str:
     return f"{metric}, {unit}" if unit else metric
 
 
-def _format_cell(figure: Figure | None, notes: Footnotes) -> str:
+def _format_cell(figure: Figure | None, notes: Footnotes) -> FigureCell | None:
     if figure is None:
-        return ""
+        return None
     text = "none" if figure.value is None else _number(figure, figure.value)
     interval = ""
     if figure.low is not None and figure.high is not None:
-        interval = f"<small>{_number(figure, figure.low)} to {_number(figure, figure.high)}</small>"
-    return f"{text}{notes.mark(_list_remarks(figure))}{interval}"
+        interval = f"{_number(figure, figure.low)} to {_number(figure, figure.high)}"
+    return FigureCell(text, notes.mark(_list_remarks(figure)), interval)
 
 
 def _list_remarks(figure: Figure) -> Iterator[str]:

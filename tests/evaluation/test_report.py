@@ -84,13 +84,13 @@ def test_tables_have_no_empty_column(scored: dict[str, Evaluation], tmp_path: Pa
 def test_remarks_stand_once_and_missing_weights_in_one_line(scored: dict[str, Evaluation], tmp_path: Path) -> None:
     mine = scored["mine"]
     assert mine.result is not None
-    unavailable = {"lpips_alex": "weights a are missing; and much more", "lpips_vgg": "weights b are missing"}
+    unavailable = {"lpips_alex": "weights <script> are missing; and much more", "lpips_vgg": "weights b are missing"}
     result = mine.result.model_copy(update={"unavailable": unavailable})
     write_report(Evaluation(mine.plan, mine.check, result, mine.inputs, mine.scored), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert page.count("Not scored:") == 1
-    line = "Not scored: lpips_alex (weights a are missing); lpips_vgg (weights b are missing)."
-    assert line in page
+    line = "Not scored: lpips_alex (weights &lt;script&gt; are missing); lpips_vgg (weights b are missing)."
+    assert line in page and "<script" not in page
     remarks = re.findall(r"<li>(.*?)</li>", page)
     assert remarks and len(set(remarks)) == len(remarks)
 

@@ -6,12 +6,10 @@ One image after the other is shown with the outlines of its regions. Keys: ``n``
 
 from __future__ import annotations
 
-import json
 import secrets
 from collections.abc import Mapping, Sequence
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
@@ -22,7 +20,7 @@ from mirror.dataset.layout import Layout, require_dataset
 from mirror.dataset.redaction import REDACTION, newest_redaction
 from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError
-from mirror.html import style_sheet
+from mirror.pages.rendering import read_script, render_page, script_data
 from mirror.privacy.log import LOG, ImageRecord, Review, read_log
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, ReviewedImage, choose_sample, read_reviews
 from mirror.schema.files import read_table
@@ -97,7 +95,7 @@ class ReviewSession:
         return self._uris[out_sha256].read_bytes() if out_sha256 in known else None
 
     def page(self) -> str:
-        """The page."""
+        """Render the page."""
         items = [
             {
                 "sha256": record.out_sha256,
@@ -110,10 +108,13 @@ class ReviewSession:
             }
             for record in self.sample
         ]
-        # `<` cannot end the script.
-        data = json.dumps({"token": self.token, "items": items}).replace("<", "\\u003c")
-        page = files("mirror.privacy.release").joinpath("review.html").read_text()
-        return page.replace("/*STYLE*/", style_sheet()).replace("/*DATA*/", data)
+        return render_page(
+            "mirror.privacy.release",
+            "review.html",
+            title="Review of redacted images",
+            data=script_data({"token": self.token, "items": items}),
+            script=read_script("mirror.privacy.release", "review.js"),
+        )
 
 
 def review_server(session: ReviewSession, port: int = 0) -> ThreadingHTTPServer:

@@ -1,43 +1,3 @@
-<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>Review of redacted images</title>
-<style>
-/*STYLE*/
-main{max-width:none;padding:12px 20px}
-h1{font-size:1.2rem;margin:0}
-header{display:flex;gap:8px 20px;align-items:baseline;flex-wrap:wrap}
-#stage{position:relative;margin:10px 0}
-#stage img{display:block;width:100%;background:#000}
-#stage svg{position:absolute;inset:0;width:100%;height:100%}
-rect{fill:none;stroke:#ff9d00;stroke-width:2;vector-effect:non-scaling-stroke}
-rect.plate{stroke:#00c2ff}
-#answers{display:flex;flex-wrap:wrap;gap:8px;margin:12px 0}
-button{font:inherit;padding:8px 14px;border:1px solid var(--rule);border-radius:6px;background:var(--panel);color:var(--ink)}
-kbd{border:1px solid var(--rule);border-radius:4px;padding:0 5px;background:var(--panel)}
-#verdict.ok{color:var(--ok)}#verdict.miss,#verdict.false{color:var(--held)}
-</style>
-</head>
-<body>
-<main>
-<header>
-<h1>Is a face or number plate left?</h1>
-<span id="place"></span><b id="verdict"></b><span id="name" class="dim"></span>
-</header>
-<div id="stage"><img alt="the redacted image" id="image"><svg id="regions" preserveAspectRatio="none"></svg></div>
-<div id="answers">
-<button data-verdict="ok"><kbd>n</kbd> next: nothing is left</button>
-<button data-verdict="miss"><kbd>m</kbd> miss: something is left</button>
-<button data-verdict="false"><kbd>f</kbd> false: a region shows neither</button>
-<button id="back"><kbd>b</kbd> back</button>
-<button id="toggle"><kbd>r</kbd> regions on and off</button>
-</div>
-<p class="dim"><span style="color:#ff9d00">Orange</span>: faces. <span style="color:#00a5d9">Blue</span>: number plates. Each answer is written at once; you may close the page and go on later.</p>
-</main>
-<script id="data" type="application/json">/*DATA*/</script>
-<script>
 const data = JSON.parse(document.getElementById("data").textContent);
 const items = data.items, find = id => document.getElementById(id);
 let at = items.findIndex(item => !item.verdict);
@@ -85,6 +45,3 @@ document.querySelectorAll("[data-verdict]").forEach(one => one.addEventListener(
 find("back").addEventListener("click", back);
 find("toggle").addEventListener("click", toggle);
 show();
-</script>
-</body>
-</html>

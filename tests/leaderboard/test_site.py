@@ -78,7 +78,7 @@ def test_text_of_entries_is_escaped(tmp_path: Path) -> None:
     quoted = measured("\"x' onload=y &amp;", 20.0, pairs=(), notes=("</script><script>alert(1)</script>",))
     text = build_site([quoted], [tmp_path], tmp_path / "site").read_text()
     assert "&lt;/script&gt;&lt;script&gt;alert(1)" in text
-    assert "&quot;x&#x27; onload=y &amp;amp;" in text
+    assert "&#34;x&#39; onload=y &amp;amp;" in text
     assert text.count("<script") == 1
 
 

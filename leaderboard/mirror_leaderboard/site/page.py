@@ -5,40 +5,26 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterable, Sequence
-from html import escape
-from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 from mirror.errors import DatasetError
-from mirror.html import style_sheet
 from mirror.metrics.catalogue import MEASURES
+from mirror.pages.rendering import read_script, render_page, style_sheet
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
-from mirror.version import __version__
 from mirror_leaderboard.boards import STATED, UNVERIFIED, Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
 from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, entry_file
-from mirror_leaderboard.site.guide import GUIDE
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
-from mirror_leaderboard.site.tables import board_table, format_notes, group_title
+from mirror_leaderboard.site.tables import board_tables, group_title
 from mirror_leaderboard.trust import require_trusted
 
 _TITLE: Final = "MIRROR leaderboard"
 _MARK: Final = ".made-by-mirror-leaderboard"
-_DRAFT: Final = "<p><b>Draft.</b> Nobody signed these rows: they may be wrong.</p>"
-_PRACTICE: Final = (
-    " <small><b>practice set</b>: anybody can make the images that are scored from the public seed in its name</small>"
-)
-_KINDS: Final = (
-    '<p><span class="tag measured">measured</span>: scored here; the hashes identify the result, the protocol and the '
-    'data. <span class="tag reported">reported</span>: printed in a paper, from its authors’ evaluation; never ranked '
-    'with measured figures. <span class="tag floor">floor</span>: a baseline that only shows recorded pixels; every '
-    "method must beat it. <b>Bold</b>: the best value of a table. Small figures: 95 % confidence intervals.</p>"
-)
 
 
 def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Path, *, draft: bool = False) -> Path:
@@ -72,53 +58,45 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
 
 
 def _format_page(boards: Sequence[Board], entries: Sequence[Entry], *, draft: bool) -> str:
-    style = style_sheet() + files("mirror_leaderboard.site").joinpath("site.css").read_text()
-    script = files("mirror_leaderboard.site").joinpath("site.js").read_text()
+    script = read_script("mirror_leaderboard.site", "site.js")
     policy = (
-        f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style)}'; "
+        f"default-src 'none'; img-src 'self' file:; style-src '{_source_hash(style_sheet())}'; "
         f"script-src '{_source_hash(script)}'; base-uri 'none'; form-action 'none'"
     )
-    sections = [(protocol, list(group)) for protocol, group in groupby(boards, key=lambda board: board.protocol)]
-    links = "".join(f'<li><a href="#{escape(protocol)}">{escape(protocol)}</a></li>' for protocol, _ in sections)
     measured = sum(isinstance(entry, Measured) for entry in entries)
-    counts = f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables."
-    body = (
-        f'<main><header><h1>{_TITLE}</h1><p class="dim">{counts}</p>{_DRAFT if draft else ""}{_KINDS}'
-        f'<nav aria-label="Protocols"><ul>{links}'
-        '<li><a href="#submit">how to submit</a></li></ul></nav></header>'
-        f"{''.join(_format_section(protocol, group, entries) for protocol, group in sections)}{GUIDE}"
-        f"<footer>Made by mirror {escape(__version__)}; static files, no server.</footer></main>"
-    )
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><title>{_TITLE}</title>'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<style>{style}</style></head><body>{body}<script>{script}</script></body></html>\n"
+    return render_page(
+        "mirror_leaderboard.site",
+        "board.html",
+        title=_TITLE,
+        policy=policy,
+        script=script,
+        counts=f"{len(entries)} entries, {measured} of them measured, in {len(boards)} tables.",
+        draft=draft,
+        sections=[
+            _arrange_section(protocol, list(group), entries)
+            for protocol, group in groupby(boards, key=lambda board: board.protocol)
+        ],
     )
 
 
-def _format_section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> str:
+def _arrange_section(protocol: str, boards: Sequence[Board], entries: Sequence[Entry]) -> dict[str, object]:
     about = " ".join(load_protocol(protocol).description.split())
     notes: dict[str, int] = {}
-    panels = "".join(_format_panel(board, notes, entries) for board in boards)
-    return (
-        f'<section id="{escape(protocol)}"><h2>{escape(protocol)}</h2>'
-        f"<details><summary>What the protocol scores</summary><p>{escape(about)}</p></details>"
-        f'<div class="tabs">{panels}</div>{format_notes(notes)}</section>'
-    )
+    panels = [_arrange_panel(board, notes, entries) for board in boards]
+    return {"protocol": protocol, "about": about, "panels": panels, "notes": notes}
 
 
-def _format_panel(board: Board, notes: dict[str, int], entries: Sequence[Entry]) -> str:
-    """Format a board. The script shows one panel of a section at a time; without it all are shown."""
-    kind = "reported" if board.hashes is None else "measured"
+def _arrange_panel(board: Board, notes: dict[str, int], entries: Sequence[Entry]) -> dict[str, object]:
     words = [*(["practice set"] if board.is_practice else []), *([_version_word(board)] if board.is_older else [])]
-    label = ", ".join([board.title, *words, *map(_tab_word, board.options)])
-    return (
-        f'<div class="panel" id="{board.id}" data-tab="{escape(label)}" data-kind="{kind}">'
-        f"{_format_heading(board)}{board_table(board, notes)}{time_quality_plot(board, entries)}{board_slider(board)}"
-        "</div>"
-    )
+    return {
+        "id": board.id,
+        "label": ", ".join([board.title, *words, *map(_tab_word, board.options)]),
+        "kind": "reported" if board.hashes is None else "measured",
+        "heading": _describe_board(board),
+        "tables": board_tables(board, notes),
+        "plot": time_quality_plot(board, entries),
+        "slider": board_slider(board),
+    }
 
 
 def _version_word(board: Board) -> str:
@@ -133,19 +111,21 @@ def _tab_word(option: tuple[str, str]) -> str:
     )
 
 
-def _format_heading(board: Board) -> str:
-    evidence = _PRACTICE if board.is_practice else ""
-    if board.split is not None and board.hashes is not None:
-        hashes = zip(("protocol", "data", "plan"), board.hashes)
-        codes = "".join(f' · {name} <code title="{digest}">{digest[:8]}</code>' for name, digest in hashes)
-        older = f" · {_version_word(board)}, an older version of the protocol" if board.is_older else ""
-        codes += "".join(f" · {escape(name)} {escape(value)}" for name, value in board.options)
-        evidence += f" <small>split {escape(board.split)}{codes}{older}</small>"
-    ranked = f"{group_title(board.ranked_by[0])}, {MEASURES[board.ranked_by[1]].title}"
-    word = "ordered" if MEASURES[board.ranked_by[1]].forgeable else "ranked"
-    separator = "· " if evidence else ""
-    download = f' <small>{separator}{word} by {escape(ranked)} · <a href="{csv_file(board)}" download>CSV</a></small>'
-    return f"<h3>{escape(board.title)}{evidence}{download}</h3>"
+def _describe_board(board: Board) -> dict[str, object]:
+    """Return what the heading of a board states."""
+    group, metric = board.ranked_by
+    is_measured = board.split is not None and board.hashes is not None
+    return {
+        "title": board.title,
+        "is_practice": board.is_practice,
+        "split": board.split if is_measured else None,
+        "hashes": list(zip(("protocol", "data", "plan"), board.hashes or ())),
+        "options": board.options,
+        "older": _version_word(board) if board.is_older else None,
+        "order": "ordered" if MEASURES[metric].forgeable else "ranked",
+        "ranked_by": f"{group_title(group)}, {MEASURES[metric].title}",
+        "csv": csv_file(board),
+    }
 
 
 def _copy_images(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:

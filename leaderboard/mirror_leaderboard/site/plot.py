@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
 from mirror.metrics.catalogue import MEASURES
@@ -30,8 +29,8 @@ class _Point:
     kind: str
 
 
-def time_quality_plot(board: Board, entries: Sequence[Entry]) -> str:
-    """Plot the methods of a board; empty if none has both a render time and a value.
+def time_quality_plot(board: Board, entries: Sequence[Entry]) -> dict[str, object] | None:
+    """Place the methods of a board on a plot; None: none has both a render time and a value.
 
     Values of different data are not comparable: each board has a plot of its own.
 
@@ -42,21 +41,25 @@ def time_quality_plot(board: Board, entries: Sequence[Entry]) -> str:
     column = board.ranked_by
     points = _list_points(board, column, entries)
     if not points:
-        return ""
+        return None
     measure = MEASURES[column[1]]
     head = f"{group_title(column[0])}: {measure.head} {measure.arrow}"
     x, y = _log_axis([point.seconds for point in points]), _linear_axis([point.value for point in points])
-    elements = [*_format_grid(x, y), *_format_points(points, x, y, measure.digits)]
     about = f"{board.title}: {head} against seconds per image: " + "; ".join(
         f"{point.label} {point.value:.{measure.digits}f} at {point.seconds:.3g} s" for point in points
     )
-    axis = f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}" y="{_HEIGHT - 8}" class="middle">seconds per image ↓</text>'
-    return (
-        f'<figure class="plot"><figcaption>{escape(head)}, against the stated render time of an image'
-        f"; {escape(board.title)}</figcaption>"
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(about)}">'
-        f"{''.join(elements)}{axis}</svg></figure>"
-    )
+    return {
+        "head": head,
+        "title": board.title,
+        "width": _WIDTH,
+        "height": _HEIGHT,
+        "about": about,
+        "x_ticks": [_place_x_tick(x, tick) for tick in x.ticks],
+        "y_ticks": [_place_y_tick(y, tick) for tick in y.ticks],
+        "points": _place_points(points, x, y, measure.digits),
+        "axis_x": f"{(_LEFT + _WIDTH - _RIGHT) / 2:.0f}",
+        "axis_y": _HEIGHT - 8,
+    }
 
 
 @dataclass(frozen=True)
@@ -111,38 +114,41 @@ def _linear_axis(values: Sequence[float]) -> _Axis:
     return _Axis(ticks[0], ticks[-1], ticks, logarithmic=False)
 
 
-def _format_grid(x: _Axis, y: _Axis) -> list[str]:
-    elements = []
-    for tick in x.ticks:
-        tick_x = _to_x(x, tick)
-        elements.append(f'<path class="rule" d="M{tick_x:.1f} {_TOP}V{_HEIGHT - _BOTTOM}"/>')
-        elements.append(f'<text x="{tick_x:.1f}" y="{_HEIGHT - _BOTTOM + 20}" class="middle dim">{tick:g}</text>')
-    for tick in y.ticks:
-        tick_y = _to_y(y, tick)
-        elements.append(f'<path class="rule" d="M{_LEFT} {tick_y:.1f}H{_WIDTH - _RIGHT}"/>')
-        elements.append(f'<text x="{_LEFT - 8}" y="{tick_y + 4:.1f}" class="end dim">{tick:.6g}</text>')
-    return elements
+def _place_x_tick(axis: _Axis, tick: float) -> dict[str, object]:
+    x = f"{_to_x(axis, tick):.1f}"
+    return {"rule": f"M{x} {_TOP}V{_HEIGHT - _BOTTOM}", "x": x, "y": _HEIGHT - _BOTTOM + 20, "text": f"{tick:g}"}
 
 
-def _format_points(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list[str]:
-    elements: list[str] = []
+def _place_y_tick(axis: _Axis, tick: float) -> dict[str, object]:
+    y = _to_y(axis, tick)
+    rule = f"M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}"
+    return {"rule": rule, "x": _LEFT - 8, "y": f"{y + 4:.1f}", "text": f"{tick:.6g}"}
+
+
+def _place_points(points: Sequence[_Point], x: _Axis, y: _Axis, digits: int) -> list[dict[str, object]]:
+    placed = []
     positions = [(_to_x(x, point.seconds), _to_y(y, point.value)) for point in points]
     radius = _POINT_RADIUS_PX
     occupied = [_Box(at_x - radius, at_x + radius, at_y - radius, at_y + radius) for at_x, at_y in positions]
     for point, (at_x, at_y) in sorted(zip(points, positions), key=lambda item: (-item[0].value, item[0].seconds)):
-        title = f"<title>{escape(point.label)}: {point.value:.{digits}f} at {point.seconds:.3g} s per image</title>"
-        if point.kind == "measured":
-            shape = f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="6" class="point">{title}</circle>'
-        else:
-            diamond = f"M{at_x:.1f} {at_y - 8:.1f}l8 8l-8 8l-8 -8z"
-            shape = f'<path d="{diamond}" class="point hollow">{title}</path>'
         side, rows, box = _place_label(at_x, at_y, _LETTER_PX * len(point.label), occupied)
         occupied.append(box)
         label_x, label_y = box.left if side > 0 else box.right, at_y + 4 + rows * _LABEL_PX
-        lead = f'<path class="lead" d="M{at_x:.1f} {at_y:.1f}L{label_x:.1f} {label_y - 5:.1f}"/>' if rows else ""
-        anchor = "" if side > 0 else ' class="end"'
-        elements.append(f'{lead}{shape}<text x="{label_x:.1f}"{anchor} y="{label_y:.1f}">{escape(point.label)}</text>')
-    return elements
+        placed.append(
+            {
+                "title": f"{point.label}: {point.value:.{digits}f} at {point.seconds:.3g} s per image",
+                "is_measured": point.kind == "measured",
+                "x": f"{at_x:.1f}",
+                "y": f"{at_y:.1f}",
+                "diamond": f"M{at_x:.1f} {at_y - 8:.1f}l8 8l-8 8l-8 -8z",
+                "lead": f"M{at_x:.1f} {at_y:.1f}L{label_x:.1f} {label_y - 5:.1f}" if rows else "",
+                "label": point.label,
+                "label_x": f"{label_x:.1f}",
+                "label_y": f"{label_y:.1f}",
+                "ends": side < 0,
+            }
+        )
+    return placed
 
 
 def _place_label(at_x: float, at_y: float, width: float, occupied: Sequence[_Box]) -> tuple[int, int, _Box]:

@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from html import escape
 from typing import Final
 
+from mirror.pages.rendering import script_data
 from mirror_leaderboard.boards import Board
 from mirror_leaderboard.entry import IMAGE_FOLDER, Measured, Pair
 
 _TRUTH: Final = "recorded"
 
 
-def board_slider(board: Board) -> str:
-    """Format the slider of a board; empty if none of its entries has images."""
+def board_slider(board: Board) -> dict[str, object] | None:
+    """Return what the slider of a board shows; None: none of its entries has images."""
     titles: dict[str, str] = {}
     images: dict[str, dict[str, str]] = {}
     for method, pair in _list_pairs(board):
         titles.setdefault(pair.truth, pair.view)
         images.setdefault(pair.truth, {_TRUTH: _image_address(pair.truth)})[method] = _image_address(pair.render)
     if not titles:
-        return ""
+        return None
     views = [{"view": titles[truth], "images": by_method} for truth, by_method in images.items()]
-    data = json.dumps(views, ensure_ascii=False).replace("<", "\\u003c")
     first = images[next(iter(titles))]
     names = list(first)
-    choices = (("View", list(titles.values()), 0), ("Left", names, 0), ("Right", names, 1))
-    choice = "".join(
-        f"<label>{label} <select>{_format_options(values, selected)}</select></label>"
-        for label, values, selected in choices
-    )
-    return (
-        f'<figure class="slider"><figcaption>Side by side</figcaption><div class="choice">{choice}</div>'
-        f'<div class="stage">{_format_side("right", names[1], first)}{_format_side("left", names[0], first)}'
-        '<span class="edge" aria-hidden="true"></span>'
-        '<input type="range" min="0" max="100" value="50" step="1" aria-label="Shown part of the left image">'
-        f'</div><script type="application/json">{data}</script></figure>'
-    )
+    return {
+        "choices": [("View", list(titles.values()), 0), ("Left", names, 0), ("Right", names, 1)],
+        "sides": [("right", names[1], first[names[1]]), ("left", names[0], first[names[0]])],
+        "data": script_data(views),
+    }
 
 
 def image_files(boards: Sequence[Board]) -> list[str]:
@@ -58,17 +49,3 @@ def _list_pairs(board: Board) -> Iterator[tuple[str, Pair]]:
 
 def _image_address(file: str) -> str:
     return f"{IMAGE_FOLDER}/{file}"
-
-
-def _format_side(side: str, name: str, images: dict[str, str]) -> str:
-    return (
-        f'<img class="{side}" src="{escape(images[name])}" alt="{escape(name)}" loading="lazy">'
-        f'<span class="name {side}" aria-hidden="true">{escape(name)}</span>'
-    )
-
-
-def _format_options(values: Sequence[str], selected: int) -> str:
-    return "".join(
-        f"<option{' selected' if place == selected else ''}>{escape(value)}</option>"
-        for place, value in enumerate(values)
-    )

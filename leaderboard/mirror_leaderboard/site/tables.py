@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from html import escape
+from dataclasses import dataclass
 from itertools import chain, groupby
 from math import ceil
 from typing import Final
 
-from mirror.metrics.catalogue import MEASURES
+from mirror.metrics.catalogue import MEASURES, Measure
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
-from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
+from mirror_leaderboard.entry import Entry, Figure, Measured
 from mirror_leaderboard.site.downloads import entry_file
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
@@ -35,8 +35,86 @@ _USUAL_HEAD: Final = 14
 """Letters of the longest head of a usual column."""
 
 
-def board_table(board: Board, notes: dict[str, int]) -> str:
-    """Format the table of a board; many groups are split into tables that fit a window.
+@dataclass(frozen=True)
+class Head:
+    """The head of a column.
+
+    Attributes:
+        measure: the metric.
+        lines: its lines.
+        marks: numbers of its footnotes.
+        sort: how the table is sorted by it, as ``aria-sort`` has it; empty: it is not.
+        opens_group: whether a group of columns begins with it.
+    """
+
+    measure: Measure
+    lines: Sequence[str]
+    marks: Sequence[int]
+    sort: str
+    opens_group: bool
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A figure of a row.
+
+    Attributes:
+        text: the figure as it is shown; None: the entry has none.
+        value: its value, by which the table is sorted; None: it has none.
+        is_best: whether it is the best of its column.
+        marks: numbers of its footnotes.
+        details: its interval and its number of samples.
+        opens_group: whether a group of columns begins with it.
+    """
+
+    text: str | None
+    value: float | None
+    is_best: bool
+    marks: Sequence[int]
+    details: Sequence[str]
+    opens_group: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a board.
+
+    Attributes:
+        entry: its entry.
+        file: the entry's file, relative to the site.
+        is_floor: whether the method is a floor.
+        details: what tells it from other rows of its method.
+        marks: numbers of its footnotes.
+        cells: its figures.
+    """
+
+    entry: Entry
+    file: str
+    is_floor: bool
+    details: str
+    marks: Sequence[int]
+    cells: Sequence[Cell]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a board.
+
+    Attributes:
+        caption: its name.
+        groups: titles of the groups of its columns, each with the number of columns.
+        heads: heads of its columns.
+        rows: its rows.
+    """
+
+    caption: str
+    groups: Sequence[tuple[str, int]]
+    heads: Sequence[Head]
+    rows: Sequence[Row]
+
+
+def board_tables(board: Board, notes: dict[str, int]) -> list[Table]:
+    """Arrange the table of a board; many groups are split into tables that fit a window.
 
     Args:
         board: the board.
@@ -44,17 +122,7 @@ def board_table(board: Board, notes: dict[str, int]) -> str:
     """
     # The table that ranks comes first.
     parts = sorted(_split_columns(board.columns), key=lambda part: board.ranked_by not in part)
-    return "".join(_format_table(board, part, notes, named=len(parts) > 1) for part in parts)
-
-
-def format_notes(notes: dict[str, int]) -> str:
-    """Format the footnotes of a section, each once; empty if there are none.
-
-    Without scripts the list stands below all tables of the section. The script puts it below the shown table, with the
-    footnotes of this table alone, which keep their numbers.
-    """
-    items = "".join(f'<li value="{number}">{escape(note)}</li>' for note, number in notes.items())
-    return f'<ol class="notes">{items}</ol>' if notes else ""
+    return [_arrange_table(board, part, notes, named=len(parts) > 1) for part in parts]
 
 
 def _split_columns(columns: Sequence[Column]) -> list[list[Column]]:
@@ -84,17 +152,17 @@ def _head_lines(head: str) -> list[str]:
     return head.split(", ")
 
 
-def _format_table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> str:
+def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> Table:
     best = {column: board.best(column) for column in part}
-    rows = "".join(_format_row(entry, board, part, best, notes) for entry in board.entries)
     caption = f"{board.protocol}, {board.title}"
     if named:
         caption += ": " + ", ".join(group_title(group) for group in dict.fromkeys(group for group, _ in part))
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table class="board">'
-        f'<caption class="hidden">{escape(caption)}; the heads of columns sort the table</caption>'
-        f"<thead>{_format_heads(board, part, notes)}</thead><tbody>{rows}</tbody></table></div>"
-    )
+    groups = [
+        (group_title(group), len(list(columns))) for group, columns in groupby(part, key=lambda column: column[0])
+    ]
+    # Footnotes are numbered by rows, then by heads.
+    rows = [_arrange_row(entry, board, part, best, notes) for entry in board.entries]
+    return Table(caption, groups, [_arrange_head(column, board, notes) for column in part], rows)
 
 
 def group_title(group: str) -> str:
@@ -105,50 +173,32 @@ def group_title(group: str) -> str:
     return _GROUPS.get(group, group.replace("-", " "))
 
 
-def _format_heads(board: Board, part: Sequence[Column], notes: dict[str, int]) -> str:
-    spans = [(group, len(list(columns))) for group, columns in groupby(part, key=lambda column: column[0])]
-    top = "".join(
-        f'<th colspan="{count}" scope="colgroup" class="group">{escape(group_title(group))}</th>'
-        for group, count in spans
-    )
-    heads = "".join(_format_head(column, board, notes) for column in part)
-    return (
-        f'<tr><th rowspan="2" scope="col" class="method"><button type="button">Method</button></th>{top}'
-        f'<th rowspan="2" scope="col" class="source">Source</th></tr><tr>{heads}</tr>'
-    )
-
-
-def _format_head(column: Column, board: Board, notes: dict[str, int]) -> str:
+def _arrange_head(column: Column, board: Board, notes: dict[str, int]) -> Head:
     measure = MEASURES[column[1]]
     direction = "descending" if measure.better == "higher" else "ascending"
-    sort = f' aria-sort="{direction}"' if column == board.ranked_by else ""
-    first = " first" if _opens_group(board.columns, column) else ""
-    marks = _format_marks([_FORGEABLE] if measure.forgeable else [], notes)
-    lines = ",<br>".join(map(escape, _head_lines(measure.head)))
-    return (
-        f'<th scope="col" class="n{first}" data-better="{measure.better}"{sort}>'
-        f'<button type="button" title="{escape(measure.about)}; {measure.better} is better">'
-        f'{lines}{marks} <span aria-hidden="true">{measure.arrow}</span></button></th>'
+    return Head(
+        measure=measure,
+        lines=_head_lines(measure.head),
+        marks=_number_notes([_FORGEABLE] if measure.forgeable else [], notes),
+        sort=direction if column == board.ranked_by else "",
+        opens_group=_opens_group(board.columns, column),
     )
 
 
-def _format_row(
+def _arrange_row(
     entry: Entry, board: Board, part: Sequence[Column], best: dict[Column, float | None], notes: dict[str, int]
-) -> str:
-    name = escape(entry.method)
-    if entry.link:
-        name = f'<a href="{escape(entry.link)}" rel="nofollow noopener">{name}</a>'
-    floor = '<span class="tag floor">floor</span>' if entry.method in (*FLOOR, *FLOOR_OF_EDITS) else ""
-    details = ", ".join(_list_variant(entry, board))
-    setting = f"<small>{escape(details)}</small>" if details else ""
+) -> Row:
     # A metric without any value has no column: its notes are shown with the row.
     without_column = [figure for figure in entry.figures if (figure.group, figure.metric) not in board.columns]
     metric_notes = dict.fromkeys(f"{MEASURES[figure.metric].title}: {figure.note}" for figure in without_column)
-    marks = _format_marks([*entry.notes, *metric_notes], notes)
-    cells = "".join(_format_cell(entry, column, board, best[column], notes) for column in part)
-    key = escape(entry.method.lower())
-    head = f'<th scope="row" class="method" data-value="{key}">{name}{marks} {floor}{setting}</th>'
-    return f'<tr>{head}{cells}<td class="source">{_format_source(entry)}</td></tr>'
+    return Row(
+        entry=entry,
+        file=entry_file(entry),
+        is_floor=entry.method in (*FLOOR, *FLOOR_OF_EDITS),
+        details=", ".join(_list_variant(entry, board)),
+        marks=_number_notes([*entry.notes, *metric_notes], notes),
+        cells=[_arrange_cell(entry, column, board, best[column], notes) for column in part],
+    )
 
 
 def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
@@ -160,20 +210,18 @@ def _list_variant(entry: Entry, board: Board) -> Iterator[str]:
         yield entry.setting
 
 
-def _format_cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> str:
-    first = " first" if _opens_group(board.columns, column) else ""
+def _arrange_cell(entry: Entry, column: Column, board: Board, best: float | None, notes: dict[str, int]) -> Cell:
+    opens_group = _opens_group(board.columns, column)
     figure = find_figure(entry, column)
     if figure is None:
-        return f'<td class="n{first}"><span class="dim" aria-label="none">–</span></td>'
+        return Cell(None, None, is_best=False, marks=[], details=[], opens_group=opens_group)
     measure = MEASURES[column[1]]
-    marks = _format_marks(list(_list_remarks(figure)), notes)
+    marks = _number_notes(list(_list_remarks(figure)), notes)
     if figure.value is None:
-        return f'<td class="n{first}"><span class="dim">n/a</span>{marks}</td>'
+        return Cell("n/a", None, is_best=False, marks=marks, details=[], opens_group=opens_group)
     text = measure.format(figure.value)
-    if best is not None and measure.format(best) == text:
-        text = f"<b>{text}</b>"
-    details = _format_details(entry, column, board)
-    return f'<td class="n{first}" data-value="{figure.value!r}">{text}{marks}{details}</td>'
+    is_best = best is not None and measure.format(best) == text
+    return Cell(text, figure.value, is_best, marks, _list_details(entry, column, board), opens_group)
 
 
 def _list_remarks(figure: Figure) -> Iterator[str]:
@@ -188,11 +236,11 @@ def _list_remarks(figure: Figure) -> Iterator[str]:
         yield f"{title}: {figure.n_infinite:,} equal to the truth (infinite, left out of the mean)"
 
 
-def _format_details(entry: Entry, column: Column, board: Board) -> str:
-    """Format the interval of a figure, and its sample count if it differs from that of the previous column."""
+def _list_details(entry: Entry, column: Column, board: Board) -> list[str]:
+    """List the interval of a figure, and its sample count if it differs from that of the previous column."""
     figure = find_figure(entry, column)
     if figure is None:
-        return ""
+        return []
     lines = []
     if figure.low is not None and figure.high is not None:
         measure = MEASURES[figure.metric]
@@ -201,27 +249,12 @@ def _format_details(entry: Entry, column: Column, board: Board) -> str:
     previous = None if _opens_group(board.columns, column) else find_figure(entry, board.columns[place - 1])
     if figure.n is not None and (previous is None or (previous.n, previous.n_missing) != (figure.n, figure.n_missing)):
         lines.append(f"n = {figure.n - figure.n_missing:,}" + (f" of {figure.n:,}" if figure.n_missing else ""))
-    return "".join(f"<small>{line}</small>" for line in lines)
+    return lines
 
 
-def _format_marks(notes: Sequence[str], known: dict[str, int]) -> str:
-    """Format the numbers of notes; equal notes of several rows share a number."""
-    numbers = sorted(known.setdefault(note, len(known) + 1) for note in notes)
-    return f"<sup>{','.join(map(str, numbers))}</sup>" if numbers else ""
-
-
-def _format_source(entry: Entry) -> str:
-    link = f'<a href="{escape(entry_file(entry))}">entry</a>'
-    if isinstance(entry, Reported):
-        paper = entry.paper
-        title = f'<a href="{escape(paper.url)}" rel="nofollow noopener">{escape(paper.title)}</a>'
-        return (
-            f'<span class="tag reported">reported</span> <time datetime="{paper.date}">{paper.date}</time>'
-            f"<small>{title}, Table {paper.table}, “{escape(paper.row)}” · {link}</small>"
-        )
-    code = f'<code title="{entry.result_hash}">{entry.result_hash[:8]}</code>'
-    day = "" if entry.added is None else f' <time datetime="{entry.added}">{entry.added}</time>'
-    return f'<span class="tag measured">measured</span>{day}<small>result {code} · {link}</small>'
+def _number_notes(notes: Sequence[str], known: dict[str, int]) -> list[int]:
+    """Return the numbers of notes; equal notes of several rows share a number."""
+    return sorted(known.setdefault(note, len(known) + 1) for note in notes)
 
 
 def _opens_group(columns: Sequence[Column], column: Column) -> bool:

@@ -10,8 +10,8 @@ import pytest
 from jinja2 import TemplateNotFound, UndefinedError
 from markupsafe import Markup
 
-from mirror.pages.rendering import render_page, render_part, script_data, style_sheet
-from tests.pages.templates import ROOT, TEMPLATES, package_of
+from mirror.pages.rendering import load_environment, render_page, render_part, script_data, style_sheet
+from tests.pages.templates import ROOT, SOURCES, TEMPLATES, package_of
 
 NASTY = "<script>alert(1)</script> \"'&"
 ESCAPED = "&lt;script&gt;alert(1)&lt;/script&gt; &#34;&#39;&amp;"
@@ -61,10 +61,17 @@ def test_each_page_has_the_layout_and_no_escape_is_turned_off(template: Path) ->
             assert word not in text
 
 
+def test_only_the_helper_marks_strings_as_html() -> None:
+    marking = [
+        path.relative_to(ROOT).as_posix()
+        for path in SOURCES
+        if "Markup(" in path.read_text() or "html import escape" in path.read_text()
+    ]
+    assert marking == ["mirror/pages/rendering.py"]
+
+
 def test_every_template_compiles() -> None:
     # Only a template's syntax and the names of its filters are checked here.
-    from mirror.pages.rendering import load_environment
-
     for template in TEMPLATES:
         load_environment(package_of(template)).get_template(template.name)
 

@@ -196,7 +196,7 @@ def _span(first_ns: int | None, last_ns: int | None, longitudes_deg: tuple[float
     from datetime import UTC, datetime
 
     first, last = (datetime.fromtimestamp(stamp / 1e9, UTC) for stamp in (first_ns, last_ns))
-    from mirror.view.times import solar_time
+    from mirror.dataset.times import solar_time
 
     local = "" if longitudes_deg is None else f"; from {solar_time(first_ns, longitudes_deg[0])} solar time"
     length = f"{(last_ns - first_ns) * 1e-9:,.1f} s"

@@ -13,13 +13,13 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from mirror.dataset.frames import Frame
+from mirror.dataset.times import longitude_of, solar_date
 from mirror.dataset.traversal import FrameBoxes
 from mirror.export.files import encode_image
 from mirror.export.layout import ExportLayout, Kept, Written
@@ -131,7 +131,8 @@ def _add_traversal(
     traversal = scene.traversals[traversal_id]
     log = tables.add(
         "log", traversal["drive_id"], logfile=traversal["drive_id"], vehicle=traversal["vehicle_id"],
-        date_captured=f"{datetime.fromtimestamp(traversal['entry_ns'] / 1e9, UTC):%Y-%m-%d}",
+        # nuScenes states the date of the place.
+        date_captured=solar_date(traversal["entry_ns"], longitude_of(traversal)),
         location=scene.scene["scene_id"],
     )  # fmt: skip
     token = tables.add(

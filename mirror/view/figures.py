@@ -10,6 +10,7 @@ import numpy as np
 from mirror.arrays import Float64, Int64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_statistics
+from mirror.dataset.times import longitude_of, utc_and_solar
 from mirror.view.cameras_figure import cameras_figure
 from mirror.view.images import choose_passages, condition_order, frame_of, same_place
 from mirror.view.plots import (
@@ -22,7 +23,6 @@ from mirror.view.plots import (
     whole_numbers,
 )
 from mirror.view.privacy_figure import RemovedRegions, privacy_figure
-from mirror.view.times import longitude_of, utc_and_solar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

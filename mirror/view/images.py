@@ -12,11 +12,11 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
+from mirror.dataset.times import longitude_of, utc_and_solar
 from mirror.geometry.box_projection import project_boxes
 from mirror.pages.images import inline_image
 from mirror.pages.rendering import render_part
 from mirror.schema.documents import CANONICAL_CAMERAS
-from mirror.view.times import longitude_of, utc_and_solar
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.statistics import TableRow, compute_table_row
+from mirror.dataset.times import longitude_of, utc_and_solar
 from mirror.pages.rendering import render_page, render_part
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_bytes
@@ -31,7 +32,6 @@ from mirror.view.images import (
 )
 from mirror.view.svg import Line, bars, scene_map, stacked_bars
 from mirror.view.tables import describe_split, ledger_rows, traversal_rows
-from mirror.view.times import longitude_of, utc_and_solar
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.statistics import compute_table_row
+from mirror.dataset.times import longitude_of, solar_time, utc
 from mirror.pages.rendering import read_script, render_page, script_data
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.view.images import choose_passages, place_images, same_place
 from mirror.view.report import draw_charts, draw_scene_map, list_tiles, map_legend, scene_name
-from mirror.view.times import longitude_of, solar_time, utc
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -13,7 +13,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
-from mirror.view.times import longitude_of, solar_time, utc
+from mirror.dataset.times import longitude_of, solar_time, utc
 
 _SMALLEST_M: Final = 40.0
 _GRID_COLUMNS: Final = 2

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from mirror.dataset.times import longitude_of, solar_time, utc
 from mirror.schema.documents import SplitDocument
-from mirror.view.times import longitude_of, solar_time, utc
 
 _MAX_ROWS: Final = 200
 _RULES: Final = {

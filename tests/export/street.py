@@ -42,14 +42,21 @@ def encoded(camera: str, drive: int) -> bytes:
 
 
 def make_street(
-    root: Path, cameras: tuple[str, ...] = tuple(LENSES), *, speed_mps: float = 10.0, frame: str | None = None
+    root: Path,
+    cameras: tuple[str, ...] = tuple(LENSES),
+    *,
+    speed_mps: float = 10.0,
+    frame: str | None = None,
+    longitude_deg: float = -79.4,
 ) -> Dataset:
     """Two traversals with 5 frames, on two drives; the first has boxes, masks and points.
 
     Cameras are exposed 1 ms after each other: at 10 m/s they are no rigid rig, at a few mm/s they are.
     """
     builder = Builder(root, cameras, SIZE, lenses={name: LENSES[name] for name in cameras})
-    more = {"frame": frame, "x_m": 5000.0, "y_m": 2000.0} if frame else {"height_m": 30.0}
+    more = (
+        {"frame": frame, "x_m": 5000.0, "y_m": 2000.0} if frame else {"height_m": 30.0, "longitude_deg": longitude_deg}
+    )
     builder.scene("a", **more)
     images = [{name: encoded(name, drive) for name in cameras} for drive in range(2)]
     (first,) = builder.drive("d0", [Pass("a", images=images[0], speed_mps=speed_mps)])

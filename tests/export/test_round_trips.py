@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import mirror
-from mirror.export.run import export
+from mirror.dataset.times import solar_date
+from mirror.export.run import ExportOptions, export
 from mirror.geometry.poses import Poses
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
@@ -218,3 +219,33 @@ def test_a_dataset_comes_back_from_colmap_with_its_lenses_and_stamps(tmp_path: P
             theirs = np.zeros(8)
             theirs[: len(row["distortion"])] = row["distortion"]
             np.testing.assert_array_equal(theirs, ours)
+
+
+@pytest.mark.parametrize(
+    ("entry_ns", "longitude_deg", "date"),
+    [
+        # n015-2018-07-24-11-22-45+0800 of nuScenes: the morning in Singapore.
+        (1532402565_000000000, 103.8, "2018-07-24"),
+        (1532386800_000000000, 103.8, "2018-07-24"),
+        (1532386800_000000000, -71.1, "2018-07-23"),
+        (1532386800_000000000, None, "2018-07-23"),
+    ],
+)
+def test_the_date_of_a_log_is_that_of_the_place(entry_ns: int, longitude_deg: float | None, date: str) -> None:
+    """1532386800 is 23:00 UTC of 23 July: 07:00 of the next day in Singapore, 19:00 in Boston."""
+    assert solar_date(entry_ns, longitude_deg) == date
+
+
+def test_nuscenes_states_the_date_of_the_place(tmp_path: Path) -> None:
+    # 22:13 UTC is the morning of the next day there.
+    street = make_street(tmp_path / "street", longitude_deg=103.8)
+    export(street, "nuscenes", tmp_path / "out", ExportOptions(undistort=True))
+    rows = {row["drive_id"]: row for row in street.table("traversals").to_pylist()}
+    logs = json.loads((tmp_path / "out" / "v1.0-mirror" / "log.json").read_text())
+    assert len(logs) == 2
+    for log in logs:
+        row = rows[log["logfile"]]
+        # Stated here by hand: four minutes of time a degree, east first.
+        local = row["entry_ns"] / 1e9 + 240.0 * row["bbox"]["xmin"]
+        assert row["bbox"]["xmin"] == pytest.approx(103.8, abs=0.01)
+        assert log["date_captured"] == str(np.datetime64(int(local), "s").astype("datetime64[D]"))

@@ -12,10 +12,10 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
+from mirror.dataset.times import solar_time
 from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES
 from mirror.view.rerun_log import RerunOptions, log_scene
-from mirror.view.times import solar_time
 from tests.export.street import make_street
 
 rerun_chunk = pytest.importorskip("rerun.chunk", reason="the extra view is not installed")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mirror.dataset.times import longitude_of, solar_time, utc_and_solar
 from mirror.recordings.light import solar_elevation_deg
 from mirror.schema.index_tables import TRAVERSALS
-from mirror.view.times import longitude_of, solar_time, utc_and_solar
 
 NOON_NS = 1_750_000_000 // 86400 * 86400 * 10**9 + 43200 * 10**9
 

@@ -25,9 +25,21 @@ def solar_time(stamp_ns: int, longitude_deg: float | None) -> str:
         stamp_ns: Unix time.
         longitude_deg: WGS 84; None in a local metric frame.
     """
-    if longitude_deg is None:
-        return ""
-    return datetime.fromtimestamp(stamp_ns // 10**9 + round(_SECONDS_PER_DEGREE * longitude_deg), UTC).strftime("%H:%M")
+    return "" if longitude_deg is None else _solar(stamp_ns, longitude_deg).strftime("%H:%M")
+
+
+def solar_date(stamp_ns: int, longitude_deg: float | None) -> str:
+    """Format the date at the place, such as ``2025-05-14``, by the local mean solar time; of UTC without a longitude.
+
+    Args:
+        stamp_ns: Unix time.
+        longitude_deg: WGS 84; None in a local metric frame.
+    """
+    return _solar(stamp_ns, longitude_deg or 0.0).strftime("%Y-%m-%d")
+
+
+def _solar(stamp_ns: int, longitude_deg: float) -> datetime:
+    return datetime.fromtimestamp(stamp_ns // 10**9 + round(_SECONDS_PER_DEGREE * longitude_deg), UTC)
 
 
 def utc_and_solar(stamp_ns: int, longitude_deg: float | None) -> str:

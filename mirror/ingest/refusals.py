@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from mirror.arrays import Bool, Float64, Int64
+from mirror.arrays import Bool, Float64, Int64, UInt8
 from mirror.errors import RecordingError
 from mirror.recordings.coordinates import is_invalid_rotation
 
@@ -84,6 +84,31 @@ def refuse_other_image_sizes(
                 expected="images of the calibrated raster",
                 remedy="scale the calibration to the images, or restore the images",
             )
+
+
+def refuse_other_mask_size(camera: str, mask: UInt8, width_px: Int64, height_px: Int64, files: Sequence[str]) -> None:
+    """Refuse images whose size is not that of their camera's mask: the mask would hide other pixels.
+
+    Args:
+        camera: the images' camera.
+        mask: (H, W) mask of the recording vehicle.
+        width_px: (N,) of each image.
+        height_px: (N,) of each image.
+        files: (N,) their files, for the message.
+
+    Raises:
+        RecordingError: naming the first such image.
+    """
+    height, width = mask.shape
+    other = (width_px != width) | (height_px != height)
+    if other.any():
+        first = int(np.argmax(other))
+        raise RecordingError(
+            f"{width_px[first]} x {height_px[first]} px, but the static mask of its camera has {width} x {height} px"
+            + _more(other, "images"),
+            file=files[first], place=f"camera {camera}", expected="a mask of the size of the images",
+            remedy="draw the mask on an image of the camera, or take static_mask out of the recording's document",
+        )  # fmt: skip
 
 
 def _more(bad: Bool, what: str) -> str:

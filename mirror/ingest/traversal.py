@@ -19,7 +19,7 @@ from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
 from mirror.errors import RecordingError
 from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
 from mirror.ingest.passes import DrivePasses
-from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes
+from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes, refuse_other_mask_size
 from mirror.ingest.staging import Staging
 from mirror.ingest.tables import assign_frames, build_pose_table
 from mirror.ingest.trigger import Pass
@@ -207,16 +207,14 @@ def _write(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    calibrations = _calibration_table(drive)
+    calibrations, rig = _calibration_table(drive), drive.recording.rig
+    masks = {} if rig is None else {one.name: one.static_mask for one in rig.cameras}
     for camera, (stream, indices, _) in streams.items():
         here = placed[camera]
-        refuse_other_image_sizes(
-            camera,
-            here.width_px,
-            here.height_px,
-            [str(stream.path(index) or stored) for index, stored in zip(indices.tolist(), here.names)],
-            calibrations,
-        )
+        sources = [str(stream.path(index) or stored) for index, stored in zip(indices.tolist(), here.names)]
+        refuse_other_image_sizes(camera, here.width_px, here.height_px, sources, calibrations)
+        if (mask := masks.get(camera)) is not None:
+            refuse_other_mask_size(camera, mask, here.width_px, here.height_px, sources)
     tables: list[tuple[Table, pa.Table]] = [
         (EGO_POSES, build_pose_table(drive.slices[number], roi, drive)),
         (IMAGES, _image_table(name, drive, streams, placed)),

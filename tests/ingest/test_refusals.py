@@ -70,6 +70,22 @@ def test_an_image_of_another_size_than_its_camera(base: Base, tmp_path: Path, ha
     assert f"{file}: camera front_wide: 48 x 64 px, but its camera is calibrated (factory) for 64 x 48 px" in said
 
 
+@pytest.mark.parametrize(("mask_px", "is_taken"), [((64, 48), True), ((48, 64), False)])
+def test_a_mask_has_the_size_of_the_images(
+    base: Base, tmp_path: Path, mask_px: tuple[int, int], is_taken: bool
+) -> None:
+    document = json.loads((base.path / "recording.json").read_text())
+    document["cameras"]["front_wide"]["static_mask"] = "mask.png"
+    (base.path / "recording.json").write_text(json.dumps(document))
+    width, height = mask_px
+    assert cv2.imwrite(str(base.path / "mask.png"), np.full((height, width), 255, np.uint8))
+    if is_taken:
+        assert not ingest_recordings([base.path], [base.roi], tmp_path / "d").failures
+        return
+    said = problem(base, tmp_path)
+    assert "camera front_wide: 64 x 48 px, but the static mask of its camera has 48 x 64 px" in said
+
+
 def test_without_a_calibration_every_image_has_its_own_size(base: Base, tmp_path: Path) -> None:
     (base.path / "calibrations" / "factory.json").unlink()
     file = sorted((base.path / "images" / "front_wide").iterdir())[20]

@@ -63,7 +63,8 @@ class Arguments:
     extractor: Annotated[str | None, help_text(default="diff-grabcut")] = None
     """Extractor of edited regions: diff-grabcut, file:FOLDER or onnx-sam:FOLDER."""
     measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
-    """Measure the rendering speed of an installed method (entry points mirror.methods) with this model folder."""
+    """Measure the rendering speed of a method, an installed one (entry points mirror.methods) or FILE.py:OBJECT, with
+    this model folder."""
     features: Annotated[Path | None, help_text(default="in --out", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))

@@ -28,6 +28,7 @@ from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.versions import list_versions
 from mirror.evaluation.workers import ScoreLog, score_jobs
 from mirror.installation import install_command
+from mirror.methods.registry import load_method
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
 from mirror.protocols.metrics import metric_name
@@ -59,7 +60,8 @@ class EvaluationOptions:
         workers: number of worker processes.
         resolver: finds the weights of networks.
         extractor: extractor of edited regions; None: `DEFAULT_EXTRACTOR` if the protocol needs one.
-        measured: an installed method and the folder of its model, for a measurement of its speed; None: no measurement.
+        measured: a method (an installed one, or ``FILE.py:OBJECT``) and the folder of its model, for a measurement of
+            its speed; None: no measurement.
         features: folder of cached features; None: a folder under the output folder.
     """
 
@@ -262,6 +264,13 @@ def _require_matching_options(plan: Plan, options: EvaluationOptions) -> None:
                 "no such folder", file=options.measured[1], place="--measure", expected="METHOD=MODEL, a trained model",
                 remedy="name the folder that `mirror reconstruct` wrote",
             )  # fmt: skip
+        # A method that cannot be loaded is said before the work.
+        try:
+            load_method(options.measured[0])
+        except UsageError as error:
+            raise UsageError(
+                error.problem, file=error.file, place="--measure", expected=error.expected, remedy=error.remedy
+            ) from error
 
 
 def _require_weights(resolver: WeightResolver, name: str) -> None:
@@ -290,7 +299,11 @@ def _list_required(names: Sequence[str], protocol: Protocol) -> list[str]:
 def _require_available(required: Sequence[str], unavailable: Mapping[str, str]) -> None:
     for metric in required:
         if metric in unavailable:
-            raise UsageError(f"{metric} is required and unavailable: {unavailable[metric]}", place="--require")
+            raise UsageError(
+                f"{metric} is required and unavailable: {unavailable[metric]}",
+                place="--require",
+                remedy=f"supply what it needs, or leave --require {metric} out",
+            )
 
 
 def _require_recorded_images(dataset: Dataset, jobs: Sequence[Job]) -> None:

@@ -7,7 +7,6 @@ import math
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from mirror.evaluation.extractors import make_extractor
 from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
 from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
-from mirror.evaluation.scorers import runtime as runtime_scorer
 from mirror.evaluation.scorers.distributions import split_into_clips
 from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
@@ -30,7 +28,6 @@ from mirror.evaluation.submission.template import expected_files, make_manifest,
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.methods import registry
-from mirror.methods.appearance import AppearancePolicy
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.protocols.document import Protocol, load_protocol
@@ -464,35 +461,48 @@ def test_run_time_is_taken_from_the_manifest(dataset: Dataset, root: Path, tmp_p
     assert math.isfinite(float(done.result.figures[0].value or 0.0))
 
 
-def test_speed_of_an_installed_method_is_measured(
+SLOW = """
+import time
+
+import numpy as np
+
+
+class Slow:
+    def reconstruct(self, dataset, task, out, progress): ...
+
+    def open(self, model, appearance):
+        def render(view):
+            with (model / "seen").open("a") as seen:
+                seen.write(".")
+            time.sleep(0.02)
+            return np.zeros((view.height_px, view.width_px, 3), np.uint8)
+
+        return render
+
+
+SLOW = Slow()
+"""
+
+
+def test_speed_of_a_method_in_a_file_is_measured(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[RenderView] = []
-
-    class Slow:
-        def open(self, model: Path, appearance: AppearancePolicy):
-            def render(view: RenderView) -> UInt8:
-                seen.append(view)
-                time.sleep(0.02)
-                return np.zeros((view.height_px, view.width_px, 3), np.uint8)
-
-            return render
-
-    monkeypatch.setattr(runtime_scorer, "installed_method", lambda name: Slow())
+    file = tmp_path / "slow.py"
+    file.write_text(SLOW)
     monkeypatch.setattr(speed, "MIN_DURATION_S", 0.3)
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     (tmp_path / "s").mkdir()
     write_manifest(tmp_path / "s", make_manifest(plan, Method(name="slow"), Appearance(policy="none")))
     done = evaluate(
-        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(measured=("slow", tmp_path))
+        tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(measured=(f"{file}:SLOW", tmp_path))
     )
     assert done.result is not None
     (figure,) = done.result.figures
     assert figure.group == "measured"
     assert figure.value is not None
     assert 20.0 < figure.value <= 50.5
-    assert len(seen) == figure.n + 3
+    assert len((tmp_path / "seen").read_text()) == figure.n + 3
 
 
 def test_missing_method_is_named() -> None:

@@ -23,7 +23,6 @@ from mirror.evaluation.result import Result
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import make_manifest, write_manifest
-from mirror.methods.appearance import AppearancePolicy
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.png import encode_png
@@ -190,6 +189,21 @@ def test_impossible_costs_are_a_problem_of_the_submission(figure: str, value: fl
         Runtime.model_validate({"device": "a GPU", figure: value})
 
 
+GREY = """
+import numpy as np
+
+
+class Grey:
+    def reconstruct(self, dataset, task, out, progress): ...
+
+    def open(self, model, appearance):
+        return lambda view: np.zeros((view.height_px, view.width_px, 3), np.uint8)
+
+
+GREY = Grey()
+"""
+
+
 def test_costs_are_stated_unless_they_are_measured_here(
     dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,14 +220,10 @@ def test_costs_are_stated_unless_they_are_measured_here(
     assert isinstance(entry, Measured) and not entry.verified
     (board,) = make_boards([entry])
     assert dict(board.options) == {"stated:": "by the submissions, not measured here"}
-
-    class Grey:
-        def open(self, model: Path, appearance: AppearancePolicy) -> Callable[[RenderView], UInt8]:
-            return lambda view: np.zeros((view.height_px, view.width_px, 3), np.uint8)
-
-    monkeypatch.setattr("mirror.evaluation.scorers.runtime.installed_method", lambda name: Grey())
+    method = tmp_path / "method.py"
+    method.write_text(GREY)
     monkeypatch.setattr("mirror.evaluation.scorers.speed.MIN_DURATION_S", 0.01)
-    measured_here = replace(sources, measured=("grey", tmp_path / "s"))
+    measured_here = replace(sources, measured=(f"{method}:GREY", tmp_path / "s"))
     add_result(path, tmp_path / "measured", "street", sources=measured_here)
     (entry,) = load_entries(tmp_path / "measured" / "entries")
     assert isinstance(entry, Measured) and entry.verified

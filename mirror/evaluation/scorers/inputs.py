@@ -38,7 +38,7 @@ class ScoringInputs:
         stand_ins: metrics that are computed in place of unavailable ones, under their own names.
         features: folder of cached features.
         extractor: extractor of edited regions, with its argument.
-        measured: name of an installed method and the folder of its model, to measure its speed; None: not measured.
+        measured: a method (name or ``FILE.py:OBJECT``) and the folder of its model, to measure its speed; None: not.
         made: objects made in this process by name, such as networks; they are not pickled.
     """
 

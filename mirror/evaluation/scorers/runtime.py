@@ -14,7 +14,7 @@ from mirror.evaluation.scorers.speed import frames_per_second
 from mirror.evaluation.submission.manifest import Runtime as Reported
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.registry import installed_method
+from mirror.methods.registry import load_method
 from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.metrics import metric_name
 from mirror.protocols.views.plan import Plan
@@ -74,7 +74,7 @@ class Runtime:
 
 
 def _measure_speed(plan: Plan, name: str, model: Path) -> Figure:
-    speed, count = frames_per_second(installed_method(name).open(model, AppearancePolicy()), plan.views)
+    speed, count = frames_per_second(load_method(name).open(model, AppearancePolicy()), plan.views)
     return Figure(
         metric="frames_per_second",
         group="measured",

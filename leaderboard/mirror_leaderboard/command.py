@@ -81,8 +81,10 @@ class Add:
     features: Annotated[Path | None, help_text(default="none", metavar="FOLDER")] = None
     """Folder of cached features of true images, which evaluations may share."""
     measure: Annotated[str | None, help_text(default="none", metavar="METHOD=MODEL")] = None
-    """Protocol runtime: measure the speed of this installed method with its model. Without it, all figures are stated
-    ones, and the row stands in a table that says so."""
+    """Protocol runtime: measure the speed of this method (an installed one, or FILE.py:OBJECT) with its model. Without
+    it, all figures are stated ones, and the row stands in a table that says so."""
+    workers: int = 2
+    """Number of processes that score again."""
     street: Annotated[tuple[str, ...], help_text(default="none", metavar="DATASET|synth:PRESET ...")] = ()
     """Protocol safety: drive the recorded controls again in these streets, with all of --scenarios in each. Each scene
     of a dataset is a street. Without it, the row stands in a table of unverified ones."""
@@ -185,6 +187,7 @@ def _add(argv: Sequence[str]) -> int:
         extractor=arguments.extractor,
         plan=plan,
         measured=measured,
+        workers=arguments.workers,
     )
     with progress_bar(quiet=False) as bar:
         entry = add_result(

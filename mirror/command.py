@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final, Literal, NamedTuple
 
@@ -35,12 +35,13 @@ CLOSED_PIPE: Final = 141
 """Exit code of a command that had more to say and nobody read it: what a shell gives for SIGPIPE."""
 
 
-def run_command(command: str, work: Callable[[], int], *, as_json: bool = False) -> int:
+def run_command(command: str, work: Callable[[], int], words: Sequence[str] = (), *, as_json: bool = False) -> int:
     """Do a command's work in this process, which may do something else afterwards.
 
     Args:
         command: as it is typed, for messages.
         work: it returns the exit code.
+        words: those after the command, for remedies that name the option at fault.
         as_json: print errors on standard output as JSON too.
 
     Returns:
@@ -50,7 +51,7 @@ def run_command(command: str, work: Callable[[], int], *, as_json: bool = False)
         SystemExit: the command line was wrong, or asked for help.
     """
     try:
-        code = _done(command, work, as_json=as_json)
+        code = _done(command, work, words, as_json=as_json)
     except SystemExit as asked:
         # rich asks for it where a pipe is closed.
         if isinstance(asked.__context__, BrokenPipeError):
@@ -63,12 +64,12 @@ def run_command(command: str, work: Callable[[], int], *, as_json: bool = False)
     return _flushed(command, code)
 
 
-def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
+def _done(command: str, work: Callable[[], int], words: Sequence[str], *, as_json: bool) -> int:
     try:
         with terminable(), _named_paths():
             return int(work())
     except MirrorError as error:
-        return _refuse(command, error, as_json=as_json)
+        return _refuse(command, error, words, as_json=as_json)
     except KeyboardInterrupt:
         print(interrupted(command), file=sys.stderr)
         return INTERRUPTED
@@ -80,14 +81,14 @@ def _done(command: str, work: Callable[[], int], *, as_json: bool) -> int:
         missing = error_in_plugin(error) or _missing_package(command, error)
         if missing is None:
             raise
-        return _refuse(command, missing, as_json=as_json)
+        return _refuse(command, missing, words, as_json=as_json)
     except Exception as error:
         from mirror.plugins import error_in_plugin
 
         named = error_in_plugin(error)
         if named is None:
             raise
-        return _refuse(command, named, as_json=as_json)
+        return _refuse(command, named, words, as_json=as_json)
 
 
 _EXTRAS: Final = {
@@ -114,7 +115,10 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> UsageError | N
     )  # fmt: skip
 
 
-def _refuse(command: str, error: MirrorError, *, as_json: bool) -> int:
+def _refuse(command: str, error: MirrorError, words: Sequence[str], *, as_json: bool) -> int:
+    from mirror.remedies import complete_remedy
+
+    complete_remedy(error, command, words)
     if as_json:
         import json
 
@@ -134,6 +138,7 @@ def _named_paths() -> Iterator[None]:
         raise UsageError(
             f"this name is too long for a file: {str(error.filename)[:_SHOWN]}...",
             expected="at most 255 bytes in each part of a path",
+            remedy="give it a shorter name",
         ) from error
 
 

@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, Final, NamedTuple, TypeVar, get_args
@@ -76,6 +76,7 @@ def parse_arguments(
         raise
     refuse_urls(arguments)
     refuse_numbers(arguments)
+    refuse_empty_texts(arguments)
     for name in _OUTPUTS:
         out = getattr(arguments, name, None)
         if isinstance(out, Path) or (isinstance(out, str) and not _URL.match(out)):
@@ -250,6 +251,24 @@ def refuse_numbers(arguments: object) -> None:
                     f"{item}", place=place, expected="a whole number of at most 64 bits",
                     remedy=f"give another number with {place}",
                 )  # fmt: skip
+
+
+def refuse_empty_texts(arguments: object) -> None:
+    """Require that no option, also in groups of options, has an empty text: an option that says nothing is left out.
+
+    Raises:
+        UsageError: the value of an option is empty, or blank.
+    """
+    for option in fields(arguments):  # type: ignore[arg-type]  # every object of arguments is a dataclass
+        value = getattr(arguments, option.name)
+        place = f"--{option.name.replace('_', '-')}"
+        for item in value if isinstance(value, tuple) else (value,):
+            if is_dataclass(item) and not isinstance(item, type):
+                refuse_empty_texts(item)
+            elif isinstance(item, str) and not item.strip() and option.default not in (MISSING, value):
+                raise UsageError(
+                    "the text is empty", place=place, expected="a text", remedy=f"give one, or leave {place} out"
+                )
 
 
 def require_device(device: str) -> None:

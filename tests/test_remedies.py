@@ -52,6 +52,7 @@ ONLY_FROM_PYTHON: Final = {
 RAISED_BY: Final = {
     "mirror/addresses.py": ("view", "serve"),
     "mirror/command_line.py": ("annotate", "reconstruct"),
+    "mirror/cli/ingest.py": ("ingest", "rois propose"),
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),
     "mirror/cli/recording.py": ("recording new",),
     "mirror/cli/view.py": ("view",),
@@ -63,7 +64,10 @@ RAISED_BY: Final = {
     "mirror/methods/": ("reconstruct", "render"),
     "mirror/schema/render_folder.py": ("render",),
     "baselines/mirror_baselines/": ("render", "baseline"),
-    "mirror/ingest/": ("ingest",),
+    "mirror/ingest/": ("ingest", "rois propose"),
+    "mirror/metrics/": ("evaluate",),
+    "mirror/protocols/": ("render", "evaluate", "generate scene"),
+    "mirror/remedies.py": ("ingest", "rois propose"),
     "mirror/recordings/": ("ingest", "info", "recording new"),
     "mirror/privacy/": ("deidentify", "release build", "release check", "release review", "release withdraw"),
     "mirror/export/": ("export colmap", "dataset publish", "dataset fetch", "dataset audit"),
@@ -72,6 +76,7 @@ RAISED_BY: Final = {
     "mirror/synth/": ("synth", "submission hidden"),
     "mirror/traffic/": ("synth", "simulate"),
     "mirror/dataset/splits/": ("split",),
+    "mirror/evaluation/submission/models.py": ("render",),
     "mirror/evaluation/": ("evaluate",),
     "mirror/view/": ("view", "plot", "report", "stats"),
     "mirror/weights/": ("weights fetch", "weights list"),
@@ -81,6 +86,7 @@ RAISED_BY: Final = {
     "baselines/hybridworldsim/methods/": ("reconstruct", "render"),
     "baselines/hybridworldsim/model/": ("reconstruct", "render"),
     "baselines/hybridworldsim/mvs/": ("depth", "reconstruct"),
+    "baselines/hybridworldsim/training/appearance.py": ("render", "export-ply", "generate scene"),
     "baselines/hybridworldsim/trainable/": ("reconstruct", "render"),
     "baselines/hybridworldsim/training/": ("reconstruct", "generate train", "annotate train"),
     "leaderboard/": ("leaderboard add", "leaderboard build", "leaderboard sign"),
@@ -348,6 +354,24 @@ def test_options_without_a_verb_are_those_of_a_verb_that_can_raise_the_error() -
                 wrong.append(f"{place}: none of {verbs} has {sorted(stated)}: {text}")
     assert wrong == []
     assert count > 50
+
+
+def test_places_that_are_options_are_those_of_a_verb_that_can_raise_the_error() -> None:
+    """An error without a remedy of its own says that the option at its place is given as expected."""
+    wrong, count = [], 0
+    for module in modules():
+        verbs = next((verbs for folder, verbs in RAISED_BY.items() if module.name.startswith(folder)), None)
+        for node in ast.walk(module.tree):
+            if not (isinstance(node, ast.keyword) and node.arg == "place"):
+                continue
+            for text in _texts(node.value, module):
+                stated = set(re.findall(r"^--[a-z][a-z0-9-]*", text.replace(FILLED, " ")))
+                count += len(stated)
+                known = all_options() if verbs is None else frozenset().union(*map(options_of, verbs))
+                if stated - known:
+                    wrong.append(f"{module.name}:{node.value.lineno}: {sorted(stated)} of {verbs}")
+    assert wrong == []
+    assert count > 200
 
 
 def test_remedies_have_no_call_where_a_verb_leads() -> None:

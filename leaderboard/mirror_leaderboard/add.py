@@ -245,9 +245,19 @@ def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
         if not measure.is_listed:
             continue
         if figure.group not in (*groups, ALL):
-            raise RefusedError(f"the protocol has no group {figure.group!r}", file=file, place=place)
+            raise RefusedError(
+                f"the protocol has no group {figure.group!r}",
+                file=file,
+                place=place,
+                remedy="evaluate the submission again",
+            )
         if figure.better != measure.better:
-            raise RefusedError(f"{figure.metric} is stated to be better {figure.better}", file=file, place=place)
+            raise RefusedError(
+                f"{figure.metric} is stated to be better {figure.better}",
+                file=file,
+                place=place,
+                remedy="evaluate the submission again",
+            )
         try:
             yield Figure(
                 group=figure.group,
@@ -261,7 +271,9 @@ def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
                 note=_to_plain_line("; ".join(_list_remarks(figure))) or None,
             )
         except ValidationError as error:
-            raise RefusedError(describe_problem(error.errors()[0]), file=file, place=place) from error
+            raise RefusedError(
+                describe_problem(error.errors()[0]), file=file, place=place, remedy="evaluate the submission again"
+            ) from error
     for metric, reason in result.unavailable.items():
         note = _to_plain_line(f"unavailable: {reason.partition('; ')[0]}")
         for group in groups[: 1 if result.protocol.task == "runtime" else None]:
@@ -329,7 +341,10 @@ def _require_measured_here(result: Result, sources: Sources | None, file: Path) 
 def _require_new(entry: Measured, other: Measured, file: Path) -> None:
     if other.result_hash == entry.result_hash:
         raise RefusedError(
-            f"result {entry.result_hash[:12]} of {entry.method} is on the board already", file=file, place="figures"
+            f"result {entry.result_hash[:12]} of {entry.method} is on the board already",
+            file=file,
+            place="figures",
+            remedy="nothing is left to do; another --setting names another row",
         )
     if entry_key(other) == entry_key(entry):
         raise RefusedError(

@@ -271,7 +271,12 @@ def _require_valid(entry: Entry, path: Path) -> None:
     counts = Counter((figure.group, figure.metric) for figure in entry.figures)
     for (group, metric), count in counts.items():
         if count > 1:
-            raise SchemaError(f"has {metric} of {group} {count} times", file=path, place="figures")
+            raise SchemaError(
+                f"has {metric} of {group} {count} times",
+                file=path,
+                place="figures",
+                remedy="take the entry out of the board, and add its result again",
+            )
     if isinstance(entry, Measured) and entry.seal != entry.content_hash:
         raise SchemaError(
             "was changed after it was added: its seal does not match its content",

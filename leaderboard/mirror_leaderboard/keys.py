@@ -114,5 +114,10 @@ def load_public_keys(board: Path, keys: Sequence[OrganiserKey]) -> dict[str, Ed2
         try:
             loaded[key.id] = parse_public_key(key.public)
         except ValueError as error:
-            raise SchemaError(f"key {key.id} is not an ed25519 key", file=board / KEYS, place="keys") from error
+            raise SchemaError(
+                f"key {key.id} is not an ed25519 key",
+                file=board / KEYS,
+                place="keys",
+                remedy="restore keys.json from the version history of the board",
+            ) from error
     return loaded

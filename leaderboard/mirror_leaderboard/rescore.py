@@ -257,9 +257,19 @@ def require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], 
     computed = {_figure_key(figure): figure for figure in expected}
     for key in sorted(found.keys() ^ computed.keys()):
         whose = "stated, but not found by the evaluation" if key in found else "missing"
-        raise RefusedError(f"{key[0]} of {' '.join(filter(None, key[1:]))} is {whose}", file=path, place="figures")
+        raise RefusedError(
+            f"{key[0]} of {' '.join(filter(None, key[1:]))} is {whose}",
+            file=path,
+            place="figures",
+            remedy="evaluate the submission again, and add that result",
+        )
     if len(found) != len(stated):
-        raise RefusedError("states a figure twice", file=path, place="figures")
+        raise RefusedError(
+            "states a figure twice",
+            file=path,
+            place="figures",
+            remedy="evaluate the submission again, and add that result",
+        )
     for key, figure in computed.items():
         for name, one, other in _differences(found[key], figure):
             raise RefusedError(

@@ -160,7 +160,11 @@ def _list_tasks(plan: RolloutPlan) -> Iterator[AskedDrive]:
     for file in files:
         scenario = read_scenario(file)
         if (scenario.name, scenario.seed) in scenarios:
-            raise UsageError(f"is another scenario {scenario.name} with seed {scenario.seed}", file=file)
+            raise UsageError(
+                f"is another scenario {scenario.name} with seed {scenario.seed}",
+                file=file,
+                remedy="ask for that scenario and seed, or drive this one again",
+            )
         scenarios[scenario.name, scenario.seed] = scenario
     seen: set[str] = set()
     for street, dataset_hash in _open_streets(plan):

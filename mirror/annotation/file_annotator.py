@@ -30,7 +30,12 @@ class FileAnnotator:
         token = frame_token(frame)
         boxes = self._results.get(token)
         if boxes is None:
-            raise AnnotationError("the file has no results of this sample", file=self._path, place=f"results.{token}")
+            raise AnnotationError(
+                "the file has no results of this sample",
+                file=self._path,
+                place=f"results.{token}",
+                remedy="add its boxes to the file, an empty list for none",
+            )
         try:
             return to_detections(boxes, frame.timestamp_ns, frame.world_SE3_ego)
         except AnnotationError as error:

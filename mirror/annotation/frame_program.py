@@ -68,7 +68,9 @@ class FrameProgram:
                 expected=f"the request's, {frame.timestamp_ns}",
             )
         if "error" in answer:
-            raise AnnotationError(f"the program reports: {answer['error']}", place="subprocess")
+            raise AnnotationError(
+                f"the program reports: {answer['error']}", place="subprocess", remedy="mend the program"
+            )
         return answer
 
     def close(self) -> None:
@@ -153,7 +155,11 @@ class _Program:
             ) from error
         if line is None:
             code = self._process.wait()
-            raise AnnotationError(f"the program ended with {code} before it answered", place="subprocess")
+            raise AnnotationError(
+                f"the program ended with {code} before it answered",
+                place="subprocess",
+                remedy="mend the program: what it wrote to standard error says why it ended",
+            )
         if len(line) > _MAX_LINE:
             raise AnnotationError(
                 f"the answer {line[:60]!r} has no end after {_MAX_LINE >> 20} MiB", place="subprocess",

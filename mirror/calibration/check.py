@@ -276,7 +276,11 @@ def _drift(dataset: Dataset, reference: Dataset) -> dict[str, float]:
     own_stamps, poses = dataset.frames()[0].track
     inside = (stamps >= own_stamps[0]) & (stamps <= own_stamps[-1])
     if not inside.any():
-        raise DatasetError("the reference poses do not overlap the chosen ones in time", file=dataset.root)
+        raise DatasetError(
+            "the reference poses do not overlap the chosen ones in time",
+            file=dataset.root,
+            remedy="name another layer of poses with --reference-poses",
+        )
     at = interpolate(own_stamps, poses, stamps[inside])
     drifts = {f"{length:g}": compute_drift(at, truth[inside], length) for length in LENGTHS_M}
     return {length: float(np.median(values)) for length, values in drifts.items() if len(values)}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
+from mirror.errors import UsageError
 
 if TYPE_CHECKING:
     from mirror.calibration.check import CalibrationCheck
@@ -27,6 +29,22 @@ _REFINE_EXAMPLES = (
     "mirror calibrate refine demo/calibration/dataset",
     "mirror calibrate refine demo/calibration/dataset --frames 20 --version 20-frames --json",
 )
+
+_OPTIONS = {
+    "attitude_deg": "--pose-sigma-deg", "position_m": "--pose-sigma-m", "drift_m": "--pose-drift-m",
+    "focal_percent": "--focal-sigma-percent", "way_percent": "--way-sigma-percent", "offset_m": "--offset-m",
+}  # fmt: skip
+"""The options that state the fields of priors, by the name of the field."""
+
+
+@contextmanager
+def _named_options() -> Iterator[None]:
+    """Name the option at fault in errors that name the field of a prior."""
+    try:
+        yield
+    except UsageError as error:
+        error.place = _OPTIONS.get(error.place or "", error.place)
+        raise
 
 
 @dataclass(frozen=True)
@@ -146,13 +164,15 @@ def _check(argv: Sequence[str]) -> int:
 
     # A folder with the work of an interrupted check alone has no kind.
     find_kind(arguments.out)
-    scales = ScalePrior(arguments.focal_sigma_percent, arguments.way_sigma_percent)
+    with _named_options():
+        prior = arguments.input.pose_prior()
+        scales = ScalePrior(arguments.focal_sigma_percent, arguments.way_sigma_percent)
+    choice = FrameChoice(frames=arguments.frames, step_m=arguments.step_m)
     dataset = arguments.input.choose(open_dataset(arguments.dataset))
     arguments.out.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=arguments.json) as bar:
         check = check_calibration(
-            dataset, choice=FrameChoice(frames=arguments.frames, step_m=arguments.step_m),
-            prior=arguments.input.pose_prior(), scales=scales, reference_poses=arguments.reference_poses,
+            dataset, choice=choice, prior=prior, scales=scales, reference_poses=arguments.reference_poses,
             work=arguments.out / "traversals", progress=bar,
         )  # fmt: skip
     plain = check.to_dict()
@@ -206,10 +226,11 @@ def _refine(argv: Sequence[str]) -> int:
 
     dataset = arguments.input.choose(open_to_write(arguments.dataset))
     choice = FrameChoice(frames=arguments.frames, step_m=arguments.step_m, step_deg=DEFAULT_CHOICE.step_deg)
+    with _named_options():
+        prior = RefinementPrior(arguments.input.pose_prior(), offset_m=arguments.offset_m)
     with progress_bar(quiet=arguments.json) as bar:
         report = refine_calibrations(
-            dataset, version=arguments.version, choice=choice,
-            prior=RefinementPrior(arguments.input.pose_prior(), offset_m=arguments.offset_m), progress=bar,
+            dataset, version=arguments.version, choice=choice, prior=prior, progress=bar
         )  # fmt: skip
     if arguments.json:
         print(json.dumps(report.to_dict()))

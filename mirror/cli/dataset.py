@@ -128,7 +128,7 @@ def _publish(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
     from mirror.protocols.document import load_protocol
 
-    publication = Publication(arguments.url, arguments.creator, _iso_date(arguments.date), arguments.citation)
+    publication = Publication(_page(arguments.url), arguments.creator, _iso_date(arguments.date), arguments.citation)
     options = PublishOptions(
         split=arguments.split,
         protocols=tuple(
@@ -164,6 +164,19 @@ def _publish(argv: Sequence[str]) -> int:
     if report.as_recorded:
         print(f"{report.as_recorded:,} images show faces and plates as recorded: publish them only if you may")
     return ExitCode.DONE
+
+
+def _page(url: str | None) -> str | None:
+    """Return the address of a page if it is one."""
+    from urllib.parse import urlsplit
+
+    from mirror.errors import UsageError
+
+    if url is not None and (urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).hostname):
+        raise UsageError(
+            f"{url!r}", place="--url", expected="the address of a page, such as https://example.org/street"
+        )
+    return url
 
 
 def _iso_date(text: str | None) -> str | None:

@@ -66,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
         raise UsageError("a sweep is for trajectories", place="--appearance", expected="one appearance")
 
     from mirror.dataset import open as open_dataset
-    from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.appearance import AppearancePolicy, require_known_appearance
     from mirror.methods.model import Model
     from mirror.methods.model_document import read_reconstruction, require_matching_split
     from mirror.methods.ply_export import PlyExportOptions
@@ -78,6 +78,8 @@ def main(argv: Sequence[str]) -> int:
     document = read_reconstruction(arguments.model)
     whole = open_dataset(arguments.dataset)
     require_matching_split(whole, document.split, document)
+    if arguments.appearance is not None:
+        require_known_appearance(arguments.appearance, whole, document.trained)
     dataset = whole.where(scene=document.scene).with_layers(calibrations=document.calibrations)
     traversal = arguments.traversal or dataset.where(split=document.split, role="train").traversals()[0]
     cameras = None if arguments.camera is None else [arguments.camera]

@@ -144,6 +144,7 @@ def main(argv: Sequence[str]) -> int:
     from mirror.ingest.traversal import WriteOptions
     from mirror.progress import progress_bar
     from mirror.recordings.discovery import find_recordings
+    from mirror.remedies import complete_remedy
 
     search = find_recordings(arguments.recordings, arguments.reader)
     rois = read_rois(arguments.rois) if arguments.rois else []
@@ -173,6 +174,8 @@ def main(argv: Sequence[str]) -> int:
     out = arguments.out or Path("dry-run")
     with progress_bar(quiet=arguments.json) as bar:
         report = ingest_recordings(search.recordings, rois, out, options, bar)
+    for _, error in report.failures:
+        complete_remedy(error, "mirror ingest", argv)
     missing = [] if arguments.dry_run or not report.traversals else find_missing(open_dataset(out))
     if arguments.json:
         passed_over = [str(path) for path in search.passed_over]
@@ -210,7 +213,11 @@ def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key:
-            raise UsageError(f"{pair!r} is not key=value", place="--option")
+            raise UsageError(
+                f"{pair!r} is not KEY=VALUE", place="--option",
+                expected="the name of an option of the reader, =, and its value",
+                remedy="give it as `--option KEY=VALUE`; docs/recordings.md lists the options of each reader",
+            )  # fmt: skip
         options[key] = value
     return options
 

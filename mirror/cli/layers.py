@@ -49,7 +49,7 @@ def _require_layer(kind: str, layer: str, found: Mapping[str, Sequence[str]]) ->
             f"{len(without)} of {len(found)} traversals have no {kind} of {layer}, the first is {without[0]}",
             place=f"--{kind}",
             expected=f"a layer of all traversals; there are {', '.join(existing) or 'none'}",
-            remedy=f"name another with --{kind}, or those traversals that have it with --traversal",
+            remedy=f"name another with --{kind}, or with --scene a scene whose traversals all have it",
         )
 
 

@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from mirror.command import run_command
 
     command = f"mirror {argv[0]}" if argv and not argv[0].startswith("-") else "mirror"
-    return run_command(command, lambda: _run(list(argv)), as_json="--json" in argv)
+    return run_command(command, lambda: _run(list(argv)), argv[1:], as_json="--json" in argv)
 
 
 def _run(words: list[str]) -> int:

@@ -142,7 +142,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
 
 def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.models import hash_models
-    from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.appearance import AppearancePolicy, require_known_appearance
     from mirror.methods.camera_policies import open_by_camera, parse_camera_policies
     from mirror.methods.model import read_models
     from mirror.methods.model_document import require_matching_split
@@ -176,6 +176,8 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
             expected="one of them",
         )
     appearances = parse_camera_policies(arguments.appearance, rendered_cameras)
+    for words in dict.fromkeys(appearances.values()):
+        require_known_appearance(words, dataset, document.trained)
     policy = AppearancePolicy(views=views, everywhere=True)
     render = open_by_camera(model, policy, appearances)
     begin = time.perf_counter()

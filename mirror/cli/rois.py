@@ -86,6 +86,7 @@ def _propose(argv: Sequence[str]) -> int:
     from mirror.ingest.rois import write_rois
     from mirror.progress import progress_bar
     from mirror.recordings.discovery import find_recordings
+    from mirror.remedies import complete_remedy
     from mirror.schema.folders import require_output_file
 
     if arguments.out is not None:
@@ -107,6 +108,8 @@ def _propose(argv: Sequence[str]) -> int:
             options=options,
             progress=bar,
         )
+    for _, error in proposals.failures:
+        complete_remedy(error, _COMMAND, argv)
     ranked = [proposal for proposal in proposals.ranked if proposal.traversals >= arguments.min_traversals]
     if arguments.out is not None and ranked:
         write_rois(arguments.out, [proposal.roi for proposal in ranked], _COMMAND)

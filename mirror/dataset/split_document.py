@@ -32,6 +32,8 @@ def read_split(store: Store, name: str) -> SplitDocument:
             "no such split",
             file=store.full_path(path),
             expected=f"one of {', '.join(names)}" if names else None,
-            remedy=None if names else f"make one with `mirror split {store} {name}`",
+            remedy=f"name one of them, or make it with `mirror split {store} {name}`"
+            if names
+            else f"make one with `mirror split {store} {name}`",
         ) from error
     return parse_json(data, SplitDocument, store.full_path(path))

@@ -98,6 +98,7 @@ def _require_select(connection: duckdb.DuckDBPyConnection, query: str) -> None:
             f"the query has {' and '.join(_WORDS.get(kind, kind) for kind in kinds) or 'no statement'}",
             place="the query",
             expected=_EXPECTED,
+            remedy="write one SELECT; tables are read only",
         )
 
 

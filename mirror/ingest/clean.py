@@ -145,11 +145,17 @@ def _track_arrays(track: Track) -> tuple[Int64, Float64, Float64, bool]:
     geodetic = track.longitude_deg is not None
     pair = (track.longitude_deg, track.latitude_deg) if geodetic else (track.x_m, track.y_m)
     if pair[0] is None or pair[1] is None:
-        raise RecordingError("the track has neither longitude and latitude nor x and y", file=track.file)
+        raise RecordingError(
+            "the track has neither longitude and latitude nor x and y",
+            file=track.file,
+            remedy="mend the reader: a track has one pair of coordinates",
+        )
     lon_or_x, lat_or_y = (np.ascontiguousarray(axis, np.float64) for axis in pair)
     if not len(stamps) == len(lon_or_x) == len(lat_or_y):
         raise RecordingError(
-            f"{len(stamps)} stamps but {len(lon_or_x)} and {len(lat_or_y)} coordinates", file=track.file
+            f"{len(stamps)} stamps but {len(lon_or_x)} and {len(lat_or_y)} coordinates",
+            file=track.file,
+            remedy="mend the reader: each stamp has one position",
         )
     if not len(stamps):
         if track.bad is not None:

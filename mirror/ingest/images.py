@@ -179,7 +179,11 @@ def _place(
         for index, name in zip(indices, names):
             source = stream.path(index)
             if source is None:
-                raise RecordingError("the image has no file, though others of its camera do", place=f"image {index}")
+                raise RecordingError(
+                    "the image has no file, though others of its camera do",
+                    place=f"image {index}",
+                    remedy="mend the reader: all images of a camera have files, or none",
+                )
             given[index], was_linked = _transfer(source, target, name, transfer, inspection)
             linked += was_linked
             if len(given) % _TOLD_EVERY == 0:
@@ -188,14 +192,22 @@ def _place(
         name_of = dict(zip(indices, names))
         for index, data in stream.read(indices):
             if index not in name_of or index in given:
-                raise RecordingError(f"gave image {index} unasked or twice", place=f"camera {stream.camera}")
+                raise RecordingError(
+                    f"gave image {index} unasked or twice",
+                    place=f"camera {stream.camera}",
+                    remedy="mend the reader: it gives each image that is asked for, once",
+                )
             given[index] = inspection.bytes_of(data, f"{stream.camera} at {name_of[index]}")
             _write(target, name_of[index], data)
             if len(given) % _TOLD_EVERY == 0:
                 advance(_TOLD_EVERY)
     advance(len(given) % _TOLD_EVERY)
     if len(given) != len(indices):
-        raise RecordingError(f"gave {len(given)} of {len(indices)} images", place=f"camera {stream.camera}")
+        raise RecordingError(
+            f"gave {len(given)} of {len(indices)} images",
+            place=f"camera {stream.camera}",
+            remedy="mend the reader: it gives each image that is asked for, once",
+        )
     images = [given[index] for index in indices]
     return PlacedImages(
         names,

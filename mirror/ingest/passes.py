@@ -132,12 +132,21 @@ def fingerprint(recording: Recording, reader: str, name: str) -> Source:
         try:
             status = os.stat(path)  # noqa: PTH116
         except OSError as error:
-            raise RecordingError(f"cannot be read: {error.strerror}", file=path) from error
+            raise RecordingError(
+                f"cannot be read: {error.strerror}",
+                file=path,
+                remedy="make the file readable, or take it out of the recording",
+            ) from error
         digest.update(f"{relative}\0{status.st_size}\0{status.st_mtime_ns}\n".encode())
         files += 1
         total += status.st_size
     if not files:
-        raise RecordingError("the recording is empty", file=name, expected="at least a file of poses")
+        raise RecordingError(
+            "the recording is empty",
+            file=name,
+            expected="at least a file of poses",
+            remedy="copy the recording again, or leave it out",
+        )
     return Source(reader=reader, name=name, files=files, bytes=total, fingerprint=digest.hexdigest())
 
 

@@ -51,7 +51,9 @@ def place_videos(
         raise unwritable_error(folder, error) from error
     if sum(len(copy.pts) for copy in copies) != len(selected):
         raise RecordingError(
-            f"gave {sum(len(copy.pts) for copy in copies)} of {len(selected)} frames", file=copies[0].file
+            f"gave {sum(len(copy.pts) for copy in copies)} of {len(selected)} frames",
+            file=copies[0].file,
+            remedy="mend the reader: it gives each frame that is asked for, once",
         )
     names: list[str] = []
     sizes: list[int] = []

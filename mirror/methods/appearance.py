@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from mirror.dataset.dataset import Dataset
+from mirror.errors import UsageError
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
+
+_CHOOSING: Final = ("nearest", "mean", "fit")
+_SWEEP: Final = "sweep:"
 
 
 @dataclass(frozen=True)
@@ -25,3 +30,30 @@ class AppearancePolicy:
     views: Sequence[RenderView] = ()
     everywhere: bool = False
     truth: tuple[Dataset, Plan] | None = None
+
+
+def require_known_appearance(policy: str, dataset: Dataset, trained: Collection[str]) -> None:
+    """Require that the words of an appearance policy name traversals of a training, or their light or weather.
+
+    Args:
+        policy: as in `AppearancePolicy`.
+        dataset: the dataset of the training.
+        trained: ids of the traversals that the model was trained on.
+
+    Raises:
+        UsageError: a word names none of them.
+    """
+    if policy in _CHOOSING:
+        return
+    words = policy.removeprefix(_SWEEP).split(":") if policy.startswith(_SWEEP) else [policy]
+    columns = ["traversal_id", "light", "weather"]
+    rows = dataset.where(traversal=sorted(trained)).table("traversals", columns).to_pylist()
+    known = [sorted({str(row[column]) for row in rows if row[column] is not None}) for column in columns]
+    traversals, lights, weathers = known
+    unknown = [word for word in words if word not in (*traversals, *lights, *weathers)]
+    if unknown:
+        raise UsageError(
+            f"no trained traversal is {unknown[0]!r}", place="--appearance",
+            expected=f"{', '.join(_CHOOSING)}, sweep:A:B, {', '.join((*lights, *weathers))},"
+            f" or one of {', '.join(traversals)}",
+        )  # fmt: skip

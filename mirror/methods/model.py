@@ -14,7 +14,7 @@ from mirror.methods.capabilities import Capabilities, find_capabilities, require
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer, DepthRendering
 from mirror.methods.hosting import checked_renderer
 from mirror.methods.interactive import InteractiveMethod, InteractiveRenderer, PlainRenderer, TrainedAppearance
-from mirror.methods.model_document import Reconstruction, read_reconstruction
+from mirror.methods.model_document import Reconstruction, read_reconstruction, require_finished
 from mirror.methods.plugin import InstalledMethod
 from mirror.methods.ply_export import PlyExport, PlyExporter, PlyExportOptions
 from mirror.methods.registry import METHODS, method_of_model
@@ -93,11 +93,13 @@ class Model:
             option: how the user names the method, for messages.
 
         Raises:
-            DatasetError: the folder holds no model.
+            DatasetError: the folder holds no model that is trained to the end.
             UsageError: the method cannot be loaded; see `method_of_model`.
         """
         document = read_reconstruction(folder)
-        return cls(folder, document, method_of_model(document.method, given, option=option))
+        method = method_of_model(document.method, given, option=option)
+        require_finished(document, folder)
+        return cls(folder, document, method)
 
     @property
     def name(self) -> str:
@@ -160,7 +162,7 @@ def read_models(folders: Sequence[Path], given: str | None = None) -> dict[str, 
         The models by scene.
 
     Raises:
-        DatasetError: a folder holds no model.
+        DatasetError: a folder holds no model that is trained to the end.
         UsageError: two models are of one scene or by different methods, or the method cannot be loaded.
     """
     documents = [read_reconstruction(folder) for folder in folders]
@@ -172,6 +174,8 @@ def read_models(folders: Sequence[Path], given: str | None = None) -> dict[str, 
             expected="models by one method, one of each scene",
         )
     method = method_of_model(methods[0], given)
+    for folder, document in zip(folders, documents):
+        require_finished(document, folder)
     return {document.scene: Model(folder, document, method) for folder, document in zip(folders, documents)}
 
 

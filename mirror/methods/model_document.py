@@ -74,6 +74,19 @@ def read_reconstruction(model: Path) -> Reconstruction:
     return read_json(model / DOCUMENT, Reconstruction)
 
 
+def require_finished(document: Reconstruction, model: Path) -> None:
+    """Require that a model is trained to the end.
+
+    Raises:
+        DatasetError: its training is not finished.
+    """
+    if document.done is None:
+        raise DatasetError(
+            "the model is not trained to the end", file=model, expected="a finished model",
+            remedy="run the same `mirror reconstruct` again: it continues where it stopped",
+        )  # fmt: skip
+
+
 def list_trained_traversals(dataset: Dataset, split: str, scene: str) -> dict[str, str]:
     """List the training traversals of a scene, each with the hash of its recorded data."""
     traversals = dataset.where(split=split, role="train", scene=scene).traversals()

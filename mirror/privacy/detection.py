@@ -315,7 +315,11 @@ class _MaskReader:
     def _read(self, path: str) -> Bool:
         mask = decode_grey(self._store.read(path))
         if mask is None:
-            raise DatasetError("the mask cannot be decoded", file=self._store.full_path(path))
+            raise DatasetError(
+                "the mask cannot be decoded",
+                file=self._store.full_path(path),
+                remedy=f"`mirror check {self._store}` lists what is damaged: restore it",
+            )
         return np.asarray(mask > 0)
 
 

@@ -190,6 +190,7 @@ class FileStream:
         if not len(self.paths) == len(self.exposure_start_ns) == len(self.exposure_end_ns):
             raise RecordingError(
                 f"{len(self.paths)} images but {len(self.exposure_start_ns)} exposure stamps",
+                remedy="mend the reader: each image has a stamp",
                 place=f"camera {self.camera}",
             )
 

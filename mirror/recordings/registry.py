@@ -103,7 +103,12 @@ def find_reader(path: str | Path, reader: str | None = None) -> Reader:
             remedy="name the recordings that it was made from, or describe it: mirror info DATASET",
         )
     if not matching and path.is_dir() and not any(path.iterdir()):
-        raise RecordingError("the folder is empty", file=path, expected="a recording, or a folder of recordings")
+        raise RecordingError(
+            "the folder is empty",
+            file=path,
+            expected="a recording, or a folder of recordings",
+            remedy="copy the recording again, or name another one",
+        )
     if not matching:
         raise RecordingError(
             "no reader recognises this path",
@@ -164,4 +169,5 @@ def refuse_options(options: Mapping[str, str], known: tuple[str, ...], path: Pat
             f"the reader {reader!r} has no option {_FLAGS.get(unknown[0], f'--option {unknown[0]}=VALUE')}",
             file=path,
             expected=f"one of {', '.join(known)}" if known else "no options for this reader",
+            remedy="name one of them" if known else "leave the option out",
         )

@@ -128,7 +128,12 @@ class VideoStream:
                         continue
                     data = converter.to_jpeg(frame)
                     if data is None:
-                        raise RecordingError("the frame cannot be encoded", file=self.file, place=f"pts {pts}")
+                        raise RecordingError(
+                            "the frame cannot be encoded",
+                            file=self.file,
+                            place=f"pts {pts}",
+                            remedy="convert the video again, such as to H.264 of 8 bits",
+                        )
                     yield requested.pop(pts), data
                     if not requested:
                         return

@@ -9,7 +9,7 @@ from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.plugins import PluginKind
 
-CLASSIFIERS: Final = PluginKind("weather plug-in", "mirror.weather", "--weather-plugin", "all", takes_files=False)
+CLASSIFIERS: Final = PluginKind("weather plug-in", "mirror.weather", "--weather-from", "all", takes_files=False)
 WEATHER: Final = ("clear", "clouds", "rain", "snow", "fog")
 
 WeatherPlugin: TypeAlias = Callable[[list[UInt8]], str]

@@ -101,7 +101,9 @@ def find_kind(folder: Path) -> FolderKind | None:
     """
     if not folder.is_dir():
         if folder.exists():
-            raise UsageError(f"cannot be written: {folder} is a file", file=folder, expected="a folder")
+            raise UsageError(
+                f"cannot be written: {folder} is a file", file=folder, expected="a folder", remedy="name another place"
+            )
         return None
     names = {child.name for child in folder.iterdir() if not _is_temporary(child.name)}
     if not names:
@@ -162,7 +164,13 @@ def require_output_file(out: Path, *, place: str = "--out", writer: str | None =
     """
     _refuse_inside(out, place)
     if out.is_dir():
-        raise UsageError("a folder, not a file", file=out, place=place, expected="the name of a file")
+        raise UsageError(
+            "a folder, not a file",
+            file=out,
+            place=place,
+            expected="the name of a file",
+            remedy=f"name a file with {place}",
+        )
     if writer is not None and out.is_file() and mark.encode() not in out.read_bytes():
         raise UsageError(
             f"there is a file that `{writer}` did not write: it is not replaced",

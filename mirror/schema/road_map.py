@@ -63,9 +63,17 @@ class RoadMap:
             named = (*lane.successors, *lane.predecessors, *lane.yields_to, lane.left, lane.right)
             unknown = next((name for name in named if name is not None and name not in self.lanes), None)
             if unknown is not None:
-                raise UsageError(f"there is no lane {unknown!r}", place=f"lane {lane.lane_id!r}")
+                raise UsageError(
+                    f"there is no lane {unknown!r}",
+                    place=f"lane {lane.lane_id!r}",
+                    remedy="add the lane to the map, or take its name out of the lane",
+                )
             if lane.signal is not None and lane.signal not in self.signals:
-                raise UsageError(f"there is no signal {lane.signal!r}", place=f"lane {lane.lane_id!r}")
+                raise UsageError(
+                    f"there is no signal {lane.signal!r}",
+                    place=f"lane {lane.lane_id!r}",
+                    remedy="add the signal to the map, or take its name out of the lane",
+                )
 
     @property
     def drivable_rings(self) -> tuple[Float64, ...]:

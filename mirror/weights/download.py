@@ -42,10 +42,17 @@ def download(url: str, target: Path, *, sha256: str | None, size: int | None = N
             file.flush()
             os.fsync(file.fileno())
         if size is not None and count != size:
-            raise WeightsUnavailableError(f"the size of {url} is not {size} bytes", file=target)
+            raise WeightsUnavailableError(
+                f"the size of {url} is not {size} bytes",
+                file=target,
+                remedy="download it again; if that is no cure, copy the file here from another machine",
+            )
         if sha256 not in (None, digest.hexdigest()):
             raise WeightsUnavailableError(
-                f"{url} is another file: its sha256 is {digest.hexdigest()}", file=target, expected=f"sha256 {sha256}"
+                f"{url} is another file: its sha256 is {digest.hexdigest()}",
+                file=target,
+                expected=f"sha256 {sha256}",
+                remedy="download it again; if that is no cure, name a file that you have",
             )
         part.replace(target)
     except (urllib.error.URLError, OSError) as error:

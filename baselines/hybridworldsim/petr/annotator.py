@@ -77,7 +77,11 @@ class PetrAnnotator:
                 torch.from_numpy(rig.images)[None].to(self._device), points[None].float().to(self._device)
             )
         if not is_finite(output):
-            raise AnnotationError("the network's outputs are not finite", place=f"frame {frame.frame_index}")
+            raise AnnotationError(
+                "the network's outputs are not finite",
+                place=f"frame {frame.frame_index}",
+                remedy="name other weights with --set weights=FILE",
+            )
         boxes = decode_boxes(output, self._checkpoint.generation, min_score=self._min_score)[0]
         return to_detections(boxes, frame.timestamp_ns)
 

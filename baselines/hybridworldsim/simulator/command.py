@@ -162,6 +162,11 @@ def _request(arguments: Arguments) -> RolloutRequest:
     if arguments.replay is not None:
         require_same_street(arguments.replay, earlier, street, scenario, dataset_hash)
     shown = tuple(street.rig) if arguments.cameras is None else tuple(arguments.cameras.split(","))
+    unknown = [camera for camera in shown if camera not in street.rig]
+    if unknown:
+        raise UsageError(
+            f"no camera {', '.join(unknown)}", place="--cameras", expected=f"some of {', '.join(street.rig)}"
+        )
     wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
     return RolloutRequest(
         street=street,

@@ -135,7 +135,9 @@ class ReleasedFiles:
             with self.clips.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.DictReader(file))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise UsageError(f"cannot be read: {error}", file=self.clips, place="--clips") from error
+            raise UsageError(
+                f"cannot be read: {error}", file=self.clips, place="--clips", remedy="name another file with --clips"
+            ) from error
         clips = []
         for number, row in enumerate(rows, start=2):
             try:
@@ -151,7 +153,12 @@ class ReleasedFiles:
             if not 0.0 < clip.hz < 1e4:
                 raise UsageError(f"line {number}: {clip.hz:g} Hz", file=self.clips, place="--clips", expected="above 0")
             if not clip.file.is_file():
-                raise UsageError("no such video", file=clip.file, place=f"--clips, line {number}")
+                raise UsageError(
+                    "no such video",
+                    file=clip.file,
+                    place=f"--clips, line {number}",
+                    remedy="correct the name of the video in this line",
+                )
             clips.append(clip)
         return clips
 

@@ -165,7 +165,12 @@ def read_rois(store: Store) -> dict[str, Roi]:
                 describe_problem(first), file=name, place=place, expected="a region of interest"
             ) from error
         if roi.scene_id in scenes:
-            raise SchemaError(f"scene {roi.scene_id} is there twice", file=name, place=f"features.{number}")
+            raise SchemaError(
+                f"scene {roi.scene_id} is there twice",
+                file=name,
+                place=f"features.{number}",
+                remedy="give one of the two another scene_id",
+            )
         scenes[roi.scene_id] = roi
     return dict(sorted(scenes.items()))
 

@@ -29,7 +29,13 @@ class MaskFiles:
     def __init__(self, folder: str) -> None:
         self._folder = Path(folder)
         if not self._folder.is_dir():
-            raise UsageError("no such folder of masks", file=folder, place="--extractor")
+            raise UsageError(
+                "no such folder of masks",
+                file=folder,
+                place="--extractor",
+                expected="file:FOLDER with a mask for each edited view",
+                remedy="name another folder with --extractor",
+            )
 
     def extract(self, edited: UInt8, background: UInt8, counted: Bool, name: str) -> Bool:
         """See `Extractor`.
@@ -43,7 +49,10 @@ class MaskFiles:
         if mask is None or mask.shape != counted.shape:
             height, width = counted.shape
             raise DatasetError(
-                "missing, damaged or of another size", file=file, expected=f"a grey PNG of {width} x {height} px"
+                "missing, damaged or of another size",
+                file=file,
+                expected=f"a grey PNG of {width} x {height} px",
+                remedy="write the mask of this view again",
             )
         return np.asarray((mask > 127) & counted)
 

@@ -12,7 +12,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.submission.manifest import LEAST_COSTS, Appearance, Method, Runtime
 from mirror.evaluation.submission.writing import Render, write_submission
-from mirror.methods.appearance import AppearancePolicy
+from mirror.methods.appearance import AppearancePolicy, require_known_appearance
 from mirror.methods.model import Model
 from mirror.methods.model_document import DOCUMENT, Reconstruction, require_held_out_images, require_matching_split
 from mirror.methods.registry import read_licence
@@ -103,12 +103,14 @@ def plan_model_submission(
 
     Raises:
         UsageError: a model does not fit the split or was trained on images that the protocol scores, a scene of the
-            split has no model, or the protocol lets no appearance be fitted.
+            split has no model, the protocol lets no appearance be fitted, or the policy names no trained traversal.
         DatasetError: the split or the layer does not exist.
     """
     for model in models.values():
         require_matching_split(dataset, split, model.document)
         require_held_out_images(protocol, model.document)
+    trained = {traversal for model in models.values() for traversal in model.document.trained}
+    require_known_appearance(policy, dataset, trained)
     plan = plan_views(dataset, protocol, split)
     without_model = sorted({view.scene_id for view in plan.views} - set(models))
     if without_model:

@@ -175,7 +175,11 @@ def _scripted(path: Path) -> Callable[[Tensor], Tensor]:
             warnings.filterwarnings("ignore", category=DeprecationWarning, module="torch")
             network = torch.jit.load(str(path), map_location="cpu").eval()
     except RuntimeError as error:
-        raise WeightsUnavailableError(f"not a TorchScript file: {error}".splitlines()[0], file=path) from error
+        raise WeightsUnavailableError(
+            f"not a TorchScript file: {error}".splitlines()[0],
+            file=path,
+            remedy="name the file that was downloaded, with --weights NAME=FILE",
+        ) from error
     return lambda clips: network(clips, rescale=False, resize=False, return_features=True)
 
 

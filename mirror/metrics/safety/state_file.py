@@ -223,13 +223,25 @@ def read_state_log(path: str | Path) -> StateLog:
     stamps, row = np.unique(table["timestamp_ns"].to_numpy(), return_inverse=True)
     names = pc.unique(table["actor_id"]).to_pylist()
     if EGO not in names:
-        raise SchemaError(f"no actor {EGO!r}", file=path, place="column actor_id")
+        raise SchemaError(
+            f"no actor {EGO!r}",
+            file=path,
+            place="column actor_id",
+            expected="states of the ego too",
+            remedy="drive the scenario again with `mirror simulate`",
+        )
     names = [EGO, *(name for name in names if name != EGO)]
     actor = pc.index_in(table["actor_id"], pa.array(names, pa.string())).to_numpy().astype(np.int64)
     present = np.zeros((len(stamps), len(names)), np.bool_)
     present[row, actor] = True
     if present.sum() != len(row):
-        raise SchemaError("an actor has two states at one instant", file=path, place="columns timestamp_ns, actor_id")
+        raise SchemaError(
+            "an actor has two states at one instant",
+            file=path,
+            place="columns timestamp_ns, actor_id",
+            expected="one state each",
+            remedy="drive the scenario again with `mirror simulate`",
+        )
     first = np.full(len(names), -1)
     first[actor[::-1]] = np.arange(len(actor))[::-1]
     sizes = {name: _constant(table[name].to_numpy(), name, actor, first, names, path) for name in _SIZE}

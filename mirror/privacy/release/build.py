@@ -163,7 +163,11 @@ def _require_options(options: ReleaseOptions) -> None:
         if not value.strip():
             raise UsageError(f"the {name} is empty", place=f"--{name}", expected="a text")
     if "/" in options.name or options.name.startswith("."):
-        raise UsageError(f"the name {options.name!r} cannot name a file", place="--name")
+        raise UsageError(
+            f"the name {options.name!r} cannot name a file",
+            place="--name",
+            expected="no slash, and no point at its beginning",
+        )
     if not options.trim_ends_s >= 0.0 or options.sample < 0:
         raise UsageError(
             f"trim_ends_s={options.trim_ends_s}, sample={options.sample}", expected="numbers that are not negative"

@@ -66,7 +66,12 @@ def require_hidden_truth(hidden: Path, plan: Plan) -> None:
         SchemaError: the document is invalid.
     """
     if not hidden.is_dir():
-        raise UsageError("no such folder of hidden truth", file=hidden, place="--hidden")
+        raise UsageError(
+            "no such folder of hidden truth",
+            file=hidden,
+            place="--hidden",
+            remedy="name another folder with --hidden; for a synthetic street, `mirror submission hidden` renders it",
+        )
     document = hidden / HIDDEN
     if document.is_file():
         stored = read_json(document, HiddenDocument)

@@ -53,7 +53,10 @@ class GroundTruth:
             except RenderError as error:
                 # A render error would blame the submission.
                 raise DatasetError(
-                    f"the true image is damaged ({error.problem})", file=self._hidden / view.path, place="--hidden"
+                    f"the true image is damaged ({error.problem})",
+                    file=self._hidden / view.path,
+                    place="--hidden",
+                    remedy="restore the image, or render the hidden truth again",
                 ) from error
         # Imported late, as below: OpenCV would take a tenth of the time of a run that finds every image scored.
         from mirror.protocols.truth.raster import cached_raster

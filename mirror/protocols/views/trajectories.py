@@ -90,11 +90,18 @@ def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
 
     period_ns = _period_ns(hz)
     if not path.is_file():
-        raise UsageError("no such file", file=path)
+        raise UsageError(
+            "no such file", file=path, place="--trajectory", remedy="name another file of poses with --trajectory"
+        )
     try:
         table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
     except (OSError, ValueError) as error:
-        raise UsageError(f"cannot be read: {error}", file=path, expected="CSV or Parquet") from error
+        raise UsageError(
+            f"cannot be read: {error}",
+            file=path,
+            expected="CSV or Parquet",
+            remedy="name another file of poses with --trajectory",
+        ) from error
     missing = [name for name in COLUMNS if name not in table]
     if missing or not len(table):
         raise UsageError(
@@ -116,10 +123,17 @@ def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
             else np.round(np.arange(len(table)) * period_ns).astype(np.int64)
         )
     except (UsageError, ValueError) as error:
-        raise UsageError(f"{error}", file=path) from error
+        raise UsageError(
+            f"{error}", file=path, remedy="correct the file: a row is one pose, with a unit quaternion"
+        ) from error
     if (np.diff(stamps) <= 0).any():
         row = int(np.argmax(np.diff(stamps) <= 0)) + 1
-        raise UsageError("times do not increase", file=path, place=f"row {row}, column {_STAMP}")
+        raise UsageError(
+            "times do not increase",
+            file=path,
+            place=f"row {row}, column {_STAMP}",
+            remedy="sort the rows by time, and keep one of each time",
+        )
     return Trajectory(stamps, poses)
 
 

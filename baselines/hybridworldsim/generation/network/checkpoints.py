@@ -89,7 +89,11 @@ def _require_same(
                 remedy="give the configuration that the weights were trained with",
             )  # fmt: skip
         if not bool(state[name].sum(dtype=torch.float64).isfinite()):
-            raise WeightsUnavailableError(f"{name} holds numbers that are not finite", file=path)
+            raise WeightsUnavailableError(
+                f"{name} holds numbers that are not finite",
+                file=path,
+                remedy="train again with a smaller learning rate, or name another file",
+            )
 
 
 def _keys_of(config: TransformerConfig) -> set[str]:

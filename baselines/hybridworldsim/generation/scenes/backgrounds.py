@@ -89,12 +89,13 @@ def calibrations_of(text: str) -> str:
 def _open_model(
     folder: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None
 ) -> tuple[Background, str]:
-    from mirror.methods.appearance import AppearancePolicy
+    from mirror.methods.appearance import AppearancePolicy, require_known_appearance
     from mirror.methods.model import Model
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
 
     document = read_reconstruction(folder)
     require_matching_split(dataset, document.split, document)
+    require_known_appearance(appearance, dataset, document.trained)
     scenes = sorted({view.scene_id for view in views})
     if scenes != [document.scene]:
         raise UsageError(

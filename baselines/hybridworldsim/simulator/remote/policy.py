@@ -143,7 +143,11 @@ class RemotePolicy:
         )
         answer = self._call("drive", request, until - time.monotonic())
         if answer.terminate_session:
-            raise UsageError("the driver ended the session", place="drive")
+            raise UsageError(
+                "the driver ended the session",
+                place="drive",
+                remedy="the output of the driver says why it ended: start it again",
+            )
         return self._plan(answer.trajectory.poses, observation.odometry, now_us)
 
     def close(self) -> None:

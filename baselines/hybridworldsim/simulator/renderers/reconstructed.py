@@ -27,7 +27,7 @@ from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
 from mirror.methods.model import Model, ModelRenderer
-from mirror.methods.model_document import Reconstruction, read_reconstruction
+from mirror.methods.model_document import Reconstruction, read_reconstruction, require_finished
 from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
 from mirror.synth import Condition, instant_of
@@ -40,7 +40,7 @@ def require_model_of(path: Path, street: Street) -> tuple[Reconstruction, tuple[
     """Return the document of a street's model, and the street's traversals that it was trained on.
 
     Raises:
-        DatasetError: the folder holds no model.
+        DatasetError: the folder holds no model that is trained to the end.
         UsageError: the model is of another scene.
     """
     document = read_reconstruction(path)
@@ -51,6 +51,7 @@ def require_model_of(path: Path, street: Street) -> tuple[Reconstruction, tuple[
             expected=f"a model of {street.scene_id} that was trained on its recordings",
             remedy="name the dataset that the model was trained on, and its scene",
         )  # fmt: skip
+    require_finished(document, path)
     return document, trained
 
 

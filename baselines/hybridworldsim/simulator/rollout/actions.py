@@ -81,7 +81,11 @@ class Repeat:
             UsageError: the recording has no more steps.
         """
         if self._next >= len(self._actions):
-            raise UsageError(f"the recorded rollout has {len(self._actions)} steps", place="--replay")
+            raise UsageError(
+                f"the recorded rollout has {len(self._actions)} steps",
+                place="--replay",
+                remedy="leave --duration out, or drive the scenario again",
+            )
         self._next += 1
         return self._actions[self._next - 1]
 

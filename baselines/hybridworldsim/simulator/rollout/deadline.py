@@ -92,5 +92,7 @@ class PolicyRunner:
             if named is not None:
                 place = f"policy {self._name!r}, {named.place}"
                 raise PolicyError(named.problem, file=named.file, place=place) from error
-            raise PolicyError(f"{type(error).__name__}: {error}", place=f"policy {self._name!r}") from error
+            raise PolicyError(
+                f"{type(error).__name__}: {error}", place=f"policy {self._name!r}", remedy="mend the policy"
+            ) from error
         return answer

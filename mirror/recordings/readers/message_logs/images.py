@@ -66,7 +66,11 @@ class StoredMessages:
             for index, data in zip(here, log.read([self.places[index] for index in here])):
                 decoded = decoder.decode(Message(self.topic, 0, data, self.places[index]))
                 if not isinstance(decoded, ImageMessage):
-                    raise RecordingError(f"topic {self.topic.name} holds no images", file=log.path)
+                    raise RecordingError(
+                        f"topic {self.topic.name} holds no images",
+                        file=log.path,
+                        remedy="name another topic for this camera in the topics file",
+                    )
                 yield index, decoded.data
 
 

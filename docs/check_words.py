@@ -79,7 +79,7 @@ CLAUSES = re.compile(rf'^ *(?:async )?(?:def .*|\).*):\n +r?"""({CLAUSE}.*?)(?:"
 
 
 def retired() -> list[str]:
-    """The words of the glossary's table."""
+    """Return the words of the glossary's table."""
     table = (ROOT / "docs" / "glossary.md").read_text().partition("## Retired words")[2]
     cells = re.findall(r"^\| ([^|]+) \|", table, re.M)[1:]
     return [word for cell in cells if not cell.startswith("---") for word in cell.split(", ")]

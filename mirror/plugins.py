@@ -109,7 +109,7 @@ class PluginKind:
         return {name: self.load(name) for name in self.names()}
 
     def require_parts(self, plugin: object, name: str, interface: type) -> None:
-        """Require that a plug-in has what its host reads and calls, before the host has worked for it.
+        """Require that a plug-in has the attributes and functions that its host uses.
 
         Args:
             plugin: the plug-in, or what it makes.

@@ -127,7 +127,10 @@ def brute_force(made: Traffic) -> Bool:
 
 
 def brute_force_off_mm(made: Traffic, inside: Bool) -> float:
-    """Return median distance of the first poses inside from their circle; the median, because some fixes are wild."""
+    """Return the median distance of the first poses inside from their circle.
+
+    It is the median, because some fixes are wild.
+    """
     lon, lat = coordinates(made.track)
     off = []
     for roi, mask in zip(made.rois, inside):

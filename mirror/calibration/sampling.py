@@ -44,7 +44,7 @@ class TraversalTracks:
 
 
 def choose_frames(dataset: Dataset, choice: FrameChoice) -> list[Frame]:
-    """The frames of one traversal to estimate from, in order of time.
+    """Return the frames of one traversal to estimate from, in order of time.
 
     Args:
         dataset: a view of one traversal.
@@ -141,7 +141,9 @@ def measure_spacing(frames: Sequence[Frame]) -> ImageSpacing:
 
 
 def static_pixels(frame: Frame, image: Image) -> Bool:
-    """(H, W) pixels that show neither the recording vehicle, nor a moving road user, nor the sky, whose clouds move.
+    """Mark the pixels (H, W) that show neither the recording vehicle, nor a moving road user, nor the sky.
+
+    Clouds move.
 
     Masks of the kinds ``dynamic``, ``ego`` and ``sky`` count, and the rectangles of boxes that move or have an unknown
     speed.
@@ -166,12 +168,12 @@ def static_pixels(frame: Frame, image: Image) -> Bool:
 
 
 def driven_m(poses: Poses) -> float:
-    """Length of the way over a track."""
+    """Return the length of the vehicle's way over a track."""
     return float(np.linalg.norm(np.diff(poses.translation, axis=0), axis=1).sum())
 
 
 def turned_deg(poses: Poses) -> float:
-    """Largest difference of the course over a track, degrees."""
+    """Return the largest difference of the course over a track, degrees."""
     turns = matrix_from_quaternion(poses.rotation)
     return float(np.ptp(np.degrees(np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0])))))
 

@@ -28,7 +28,7 @@ _ASSUMED_DISTANCE_M: Final = 15.0
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """Settings of the tracker.
+    """Settings of the tracker of image features.
 
     Attributes:
         points: largest number of points per image.
@@ -105,12 +105,12 @@ class TrackedImage:
 
     @classmethod
     def from_grey(cls, grey: UInt8, is_static: Bool | None = None) -> TrackedImage:
-        """An image; without a mask all pixels are static."""
+        """Return an image; without a mask all pixels are static."""
         return cls(grey, np.ones(grey.shape, np.bool_) if is_static is None else is_static)
 
 
 def find_corners(image: TrackedImage, options: TrackingOptions) -> Float32:
-    """Corners (N, 2) of the static part of an image, in OpenCV's coordinates."""
+    """Return the corners (N, 2) of the static part of an image, in OpenCV's coordinates."""
     import cv2
 
     spacing = options.spacing_px * image.grey.shape[1] / 960.0
@@ -233,7 +233,7 @@ def fit_one_pose(
 
 
 def pixel_rad(camera: Camera) -> float:
-    """Angle of one pixel at the principal point."""
+    """Return the angle of one pixel at the principal point."""
     ends = camera.unproject([[camera.cx_px - 0.5, camera.cy_px], [camera.cx_px + 0.5, camera.cy_px]]).direction
     return float(np.linalg.norm(ends[1] - ends[0]))
 

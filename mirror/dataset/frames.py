@@ -79,7 +79,7 @@ class Frame:
         return self._traversal.track_ids
 
     def boxes(self, frame: str = "ego") -> FrameBoxes:
-        """The boxes nearest in time, if they are at most half of their period away; else no boxes.
+        """Return the boxes nearest in time, if they are at most half of their period away; else no boxes.
 
         Args:
             frame: frame of the poses: ``ego`` at the boxes' own time, ``world``, or ``camera:<name>`` at the

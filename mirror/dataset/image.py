@@ -187,7 +187,7 @@ class Image:
         return self._traversal.world_SE3_ego(self.timestamp_ns) @ self.calibration.ego_SE3_camera
 
     def depth(self) -> DepthImage | None:
-        """The depth map of this image in the chosen layer; None: the image has none.
+        """Return the depth map of this image in the chosen layer; None: the image has none.
 
         Raises:
             UsageError: the traversal has several depth layers and none was chosen.
@@ -202,7 +202,7 @@ class Image:
         return DepthImage(lens, row["source"], row["source_version"], row["uri"], row["byte_length"], self._loader)
 
     def masks(self) -> list[Mask]:
-        """Masks of this image in all layers, ordered by kind."""
+        """Return the masks of this image in all layers, ordered by kind."""
         rows = self._traversal.mask_rows(self.camera, self.timestamp_ns)
         return [
             Mask(row["kind"], row["source"], row["source_version"], row["uri"], row["byte_length"], self._loader)
@@ -210,7 +210,7 @@ class Image:
         ]
 
     def static_mask(self) -> UInt8 | None:
-        """Pixels (H, W), non-zero where the recording vehicle is visible; None: the rig has no such mask.
+        """Return the pixels (H, W), non-zero where the recording vehicle is visible; None: the rig has no such mask.
 
         Raises:
             DatasetError: the rig names a mask that is missing or broken.

@@ -60,7 +60,7 @@ class TableRow:
 
 @dataclass(frozen=True)
 class SceneRow:
-    """Statistics of one scene.
+    """Statistics of one scene, a row of a table.
 
     Attributes:
         scene_id: the scene.
@@ -168,7 +168,7 @@ class Statistics:
     categories: Sequence[CategoryRow] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON values, for ``--json``."""
+        """Return all fields as JSON values, for ``--json``."""
         return asdict(self)
 
 
@@ -316,7 +316,7 @@ def _counted(values: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]
 
 
 def stored_bytes(images: pa.Table) -> int:
-    """Size of the files of images in bytes; a video counts once, whatever the number of its frames.
+    """Return the size of the files of images in bytes; a video counts once, whatever the number of its frames.
 
     Args:
         images: the columns ``codec``, ``byte_length`` and ``uri`` of the `images` table.

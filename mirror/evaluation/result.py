@@ -57,7 +57,7 @@ class Figure(Document):
 
 
 class DatasetIdentity(Document):
-    """Identifies the truth that a submission was scored against.
+    """The identity of the truth that a submission was scored against.
 
     Attributes:
         split: name of the split.

@@ -80,7 +80,7 @@ def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) 
 
 
 def missing_roi_error() -> UsageError:
-    """Return the error where there is no scene to cut out."""
+    """Make the error for a run without a scene to cut out."""
     return UsageError("no ROI given", expected="--rois FILE or --roi lon,lat", remedy="see `mirror rois propose`")
 
 

@@ -28,7 +28,7 @@ class DepthRendering(Protocol):
 
 
 class DepthRenderer(Protocol):
-    """A renderer that also gives depth: the capability `renders_depth`."""
+    """A renderer that also returns depth."""
 
     def render(self, view: RenderView) -> DepthRendering:
         """Render a view with its depth."""
@@ -36,7 +36,7 @@ class DepthRenderer(Protocol):
 
 
 class CoverRenderer(Protocol):
-    """A renderer that also gives what the model before a depth covers: the capability `renders_covers`."""
+    """A renderer that also returns the share of each pixel that the model before a depth covers."""
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[DepthRendering, Any]:
         """Render a view with its depth, and the share of each pixel that the model before a depth covers.

@@ -19,7 +19,7 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class ReconstructionTask:
-    """What a method reconstructs, and its training budget.
+    """The task of a reconstruction: scene, split, protocol and training budget.
 
     Attributes:
         scene: id of the scene.

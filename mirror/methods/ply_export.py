@@ -13,7 +13,7 @@ from mirror.protocols.views.view import RenderView
 
 @dataclass(frozen=True)
 class PlyExportOptions:
-    """Settings of an export.
+    """Settings of an export as PLY.
 
     Attributes:
         degree: degree of the spherical harmonics, 0 to 3.

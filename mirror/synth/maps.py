@@ -41,7 +41,7 @@ def street_map(plan: Plan) -> RoadMap:
 
 
 def signal_name(group: int) -> str:
-    """The id of a signal group in the map."""
+    """Return the id of a signal group in the map."""
     return f"signal-{group}"
 
 

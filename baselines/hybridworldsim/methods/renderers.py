@@ -126,7 +126,7 @@ class NearestBlockRenderer:
 
 
 class NearestBlockCoverRenderer(NearestBlockRenderer):
-    """A `NearestBlockRenderer` of a method that states what covers each pixel."""
+    """A `NearestBlockRenderer` that also returns the covered share of each pixel."""
 
     def render_covers(self, view: RenderView, limit_m: Float32) -> tuple[Rendering, Tensor]:
         """Render a view, and the share (H, W) of each pixel that the street before a depth covers.

@@ -97,7 +97,7 @@ class StaticMethod:
         return render_nearest(blocks, appearance, find_capabilities(self, blocks[0].model))
 
     def write(self, path: Path, block: Block, trainer: TrainableMethod, run: Run, *, half: bool) -> int:
-        """Write what rendering needs, and return its size in bytes."""
+        """Write the files that rendering needs, and return their size in bytes."""
         return write_parameters(path, trainer.model, half=half)
 
     def _train_blocks(
@@ -238,7 +238,7 @@ def _summarize(out: Path, outcomes: dict[str, TrainingOutcome | None], scene: Sc
 
 
 def block_folders(model: Path) -> list[Path]:
-    """The folders of a model's blocks.
+    """Return the folders of a model's blocks.
 
     Raises:
         DatasetError: a block is not finished, or there is none.

@@ -34,7 +34,7 @@ _Node = TypeVar("_Node", bound=nn.Module)
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A block as it is rendered among others.
+    """A block of a composed street.
 
     Attributes:
         block: the block.

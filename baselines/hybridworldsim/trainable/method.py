@@ -74,7 +74,7 @@ class TrainableMethod(RenderableModel, Protocol):
         ...
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that training needs to continue exactly: parameters, moments, statistics, random generators."""
+        """Return everything that training needs to continue exactly, such as parameters, moments and generators."""
         ...
 
     def restore(self, state: Mapping[str, Tensor]) -> None:

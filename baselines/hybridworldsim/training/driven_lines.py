@@ -34,7 +34,7 @@ class DrivenLines:
         self._distances_m: dict[tuple[str, str], float] = {}
 
     def nearest(self, view: RenderView, names: Sequence[str]) -> str:
-        """The name of the trained traversal with the line nearest to that of a view's traversal.
+        """Return the name of the trained traversal with the line nearest to that of a view's traversal.
 
         A traversal that is not among the requested views is compared by the position of the one view.
         """
@@ -63,7 +63,7 @@ class DrivenLines:
 
 
 def chamfer_m(ours: Float64, theirs: Float64) -> float:
-    """Sum of the mean distances between places (N, 3) and (M, 3), each to the nearest place of the other set."""
+    """Return the sum of the mean distances between two sets of places, each to the nearest of the other set."""
     return _chamfer_m(cKDTree(ours), cKDTree(theirs))
 
 

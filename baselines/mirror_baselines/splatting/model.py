@@ -17,7 +17,7 @@ _SIGMAS = 3.33
 
 
 class Gaussians(nn.Module):
-    """Explicit Gaussians.
+    """A model of explicit Gaussians, each with its own parameters.
 
     Args:
         seeds: initial parameters, see `mirror_baselines.splatting.gaussian_init.initial_gaussians`.
@@ -37,7 +37,7 @@ class Gaussians(nn.Module):
         return len(self.tables["means"])
 
     def visible_ids(self, viewpoint: Viewpoint) -> Tensor:
-        """(M,) int64 rows that a viewpoint may see."""
+        """Return the rows (M,) that a viewpoint may see, int64."""
         reach = _SIGMAS * self.tables["scales"].detach().amax(1).exp()
         return select_visible(viewpoint, self.tables["means"].detach(), reach)
 

@@ -31,7 +31,7 @@ class PerImageTable(nn.Module):
         self.adam = RowAdam(self.table)
 
     def row(self, viewpoint: Viewpoint) -> int | None:
-        """The row of an image; None if the image was not trained on."""
+        """Return the row of an image; None if the image was not trained on."""
         if len(self._rows) != len(self.keys):
             self._rows = {key.tobytes(): row for row, key in enumerate(self.keys.numpy())}
         key = self._key(viewpoint)

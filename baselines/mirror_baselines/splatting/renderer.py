@@ -21,7 +21,7 @@ from mirror_baselines.splatting.settings import Splatting
 
 @dataclass(frozen=True, eq=False)
 class RenderOutput:
-    """A rendered image, with what the optimiser reads.
+    """A rendered image, and the tensors whose gradients the optimiser reads.
 
     Attributes:
         finished: colours.

@@ -61,7 +61,7 @@ class Entry:
     split: str | None = None
 
     def settings(self, seed: int) -> dict[str, Any]:
-        """Every number of the method, and its split if that is not the declared one, as JSON has it."""
+        """Return every number of the method, and its split if that is not the declared one, as JSON has it."""
         whole = {
             "method": self.method.name,
             "block_m": self.method.block_m,
@@ -75,7 +75,7 @@ class Entry:
 
 @cache
 def entries() -> Mapping[str, Entry]:
-    """All rows, by name."""
+    """Return all rows, by name."""
     declared_split = load_declaration().split
     rows = [
         Entry(OURS, _street(_same)),
@@ -104,17 +104,20 @@ def entries() -> Mapping[str, Entry]:
 
 
 def reduced_split(split: str, traversals: int) -> str:
-    """The name of a split of so many training traversals a scene, those nearest to the held-out one."""
+    """Return the name of a split of so many training traversals a scene, those nearest to the held-out one."""
     return f"{split}-{traversals}"
 
 
 def trial(name: str, rates: float, sizes: float) -> str:
-    """The name of a method's trial."""
+    """Return the name of a method's trial."""
     return f"{name}+rates{rates:g}+sizes{sizes:g}"
 
 
 def trials() -> Mapping[str, Entry]:
-    """All trials of the tuning, by name: the grid, cells beyond its edge for baselines, and single choices changed."""
+    """List all trials of the tuning by name.
+
+    They are the grid, cells beyond its edge for baselines, and single choices changed.
+    """
     return {row.name: row for row in _trials()}
 
 

@@ -26,7 +26,7 @@ _DESCRIBED = "the same boxes, poses and options"
 
 @dataclass(frozen=True)
 class TrackingReport:
-    """What tracking did.
+    """The counts of a run that made tracks of boxes.
 
     Attributes:
         layer: ``source@version`` of the tracks.

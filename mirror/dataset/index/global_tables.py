@@ -47,7 +47,7 @@ def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
 
 
 def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
-    """The accepted rows of the ledger, by traversal id."""
+    """Return the accepted rows of the ledger, by traversal id."""
     accepted = passes.filter(pc.is_valid(passes.column("traversal_id")))
     return {row["traversal_id"]: row for row in accepted.to_pylist()}
 

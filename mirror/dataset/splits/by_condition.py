@@ -50,7 +50,7 @@ def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByC
 
 
 def role_of(item: Candidate, parameters: ByCondition) -> Role:
-    """The role that follows from a traversal's light and weather."""
+    """Return the role that follows from a traversal's light and weather."""
     if any(_matches(item, condition) for condition in parameters.test):
         return "test"
     if any(_matches(item, condition) for condition in parameters.train):

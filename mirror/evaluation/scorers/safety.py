@@ -97,7 +97,10 @@ def score_drive(
 
 
 def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
-    """Return keys under which a rollout stands in the table of values: its scenario takes the place of a traversal."""
+    """Return the keys of a rollout in the table of values.
+
+    Its scenario takes the place of a traversal.
+    """
     return RenderView.model_construct(
         path=scored.path,
         group=group,

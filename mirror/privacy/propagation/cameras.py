@@ -38,7 +38,7 @@ class CameraView:
 def project_to_cameras(
     regions: Mapping[str, Sequence[Region]], views: Mapping[str, CameraView]
 ) -> dict[str, list[Region]]:
-    """Find the regions of other cameras that show what one camera's detector found.
+    """Find the regions of other cameras that show an object which one camera's detector found.
 
     The distance of a face or plate follows from its usual size. Because that is uncertain, the projections for 0.6, 1
     and 1.6 times the distance are joined; cameras whose baseline makes the result larger than 15 % of the raster add

@@ -38,7 +38,7 @@ _SURE: Final = 0.5
 
 @dataclass(frozen=True)
 class StripOptions:
-    """Where the fallback expects plates.
+    """The places where the fallback expects plates.
 
     Attributes:
         least_px: width of a plate, as it appears, from which it is removed; at 20, a character has three pixels.

@@ -53,7 +53,7 @@ class TrackRecording:
 
     @property
     def info(self) -> DriveInfo:
-        """Ids come from the options or the name of the file."""
+        """The drive; its ids are from the options or the name of the file."""
         return DriveInfo(
             drive_id=to_identifier(self.options.get("drive_id", self.path.resolve().stem)),
             vehicle_id=to_identifier(self.options.get("vehicle_id", "unknown")),
@@ -68,11 +68,11 @@ class TrackRecording:
         return
 
     def files(self) -> Sequence[tuple[str, Path]]:
-        """The file."""
+        """Return the file."""
         return [(self.path.name, self.path)]
 
     def track(self) -> Track:
-        """All fixes."""
+        """Return all fixes."""
         fixes = self.fixes
         height = fixes.height_m if np.isfinite(fixes.height_m).any() else None
         track = Track(
@@ -81,15 +81,15 @@ class TrackRecording:
         return fixes.faults.drop_from(track)
 
     def calibrations(self) -> pa.Table:
-        """A table without rows."""
+        """Return a table without rows."""
         return to_calibration_table([], vehicle_id=self.info.vehicle_id, drive_id=self.info.drive_id)
 
     def images(self) -> Mapping[str, ImageStream]:
-        """No streams."""
+        """Return no streams."""
         return {}
 
     def boxes(self) -> None:
-        """None: the file has no boxes."""
+        """Return None: the file has no boxes."""
         return
 
 

@@ -170,7 +170,7 @@ class SynthDrive:
         return Scene(self.world, self.condition, self.road_users, self.ego_model, clock_s=self.truth.clock_s)
 
     def prepare(self) -> None:
-        """Compute what threads share, before the threads start; otherwise each thread would compute it."""
+        """Compute the data that threads share before they start, so that not each computes it."""
         self.stage.prepare()
         _ = self.lenses, self.camera_responses, self.drops
 

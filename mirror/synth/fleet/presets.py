@@ -36,7 +36,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Preset:
-    """A set of recordings.
+    """A named set of synthetic recordings.
 
     Attributes:
         name: name of the preset.

@@ -21,7 +21,7 @@ _STAGES: Final[tuple[Stage, ...]] = ("factory", "online")
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One recording vehicle.
+    """A recording vehicle of the synthetic street.
 
     Attributes:
         vehicle_id: pseudonym of the vehicle.

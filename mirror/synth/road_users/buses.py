@@ -77,7 +77,7 @@ _ROOF_SIDES: Final = (Side.FRONT, Side.BACK, Side.LEFT, Side.RIGHT, Side.TOP)
 def design_bus(
     length: float, height: float, *, waist: float, overhangs: tuple[float, float], width: float = 2.53
 ) -> Shape:
-    """Shape of a box on two axles; lengths in metres, overhangs at the front and at the back."""
+    """Return the shape of a box on two axles; lengths in metres, overhangs at the front and at the back."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
     return Shape(

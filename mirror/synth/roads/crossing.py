@@ -59,11 +59,11 @@ class Arm:
     zebra: bool = False
 
     def at(self, out_m: float, left_m: float) -> Float64:
-        """The point (2,), ``out_m`` metres out of the crossing and ``left_m`` metres left of the outward direction."""
+        """Return the point (2,) that is ``out_m`` metres out of the crossing and ``left_m`` metres to the left."""
         return self.street.line.at(self.station_m + self.way * out_m, self.way * left_m)
 
     def station(self, out_m: float) -> float:
-        """The street's station at ``out_m`` metres from the crossing's centre."""
+        """Return the street's station at ``out_m`` metres from the crossing's centre."""
         return self.station_m + self.way * out_m
 
     @property
@@ -116,11 +116,11 @@ class Crossing:
     reach_m: tuple[float, ...] = field(default=())
 
     def group(self, arm: int) -> int:
-        """Signal group of the traffic that arrives on an arm; only meaningful where the control is ``signal``."""
+        """Return the signal group of the traffic that arrives on an arm, if the control is ``signal``."""
         return 0 if self.arms[arm].street.name == self.first else 1
 
     def patch(self, corner: Corner, beside_m: float) -> Float64:
-        """Outline (N, 2) of the area that a corner adds to carriageways that are widened by ``beside_m``."""
+        """Return the outline (N, 2) of the area that a corner adds to carriageways that are widened by ``beside_m``."""
         first, second = self.arms[corner.first], self.arms[corner.second]
         half, other = first.street.section.half_m, second.street.section.half_m
         start = first.at(corner.first_out_m, half + beside_m)

@@ -68,7 +68,7 @@ class Outlines:
 
 @dataclass(frozen=True)
 class Ground:
-    """The triangulated ground.
+    """The triangulated ground of a synthetic scene.
 
     Attributes:
         model: all faces of the ground.

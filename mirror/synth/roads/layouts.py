@@ -50,7 +50,7 @@ class Approach:
 
 
 def find_approaches(crossing: Crossing) -> tuple[Approach, ...]:
-    """The approaches of a crossing, in the order of its arms."""
+    """Return the approaches of a crossing, in the order of its arms."""
     approach_list = []
     for arm, reach in zip(crossing.arms, crossing.reach_m):
         waits = (crossing.control == "signal" or arm.minor) and arm.street.section.material == Material.ASPHALT

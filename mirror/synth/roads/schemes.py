@@ -49,7 +49,7 @@ _NOWHERE: Final = shapely.Polygon()
 
 @dataclass(frozen=True)
 class Scheme:
-    """A street plan.
+    """The street plan of a kind of scene.
 
     Attributes:
         streets: the main street first; where streets overlap, the earlier one determines the surface.

@@ -73,7 +73,7 @@ class Plan:
     lot_area: shapely.Geometry
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights (...,) of the ground at positions; on a kerb's edge, the higher of the two.
+        """Return the heights (...,) of the ground at positions; on a kerb's edge, the higher of the two.
 
         Raises:
             UsageError: a position is outside the ground, or not finite.

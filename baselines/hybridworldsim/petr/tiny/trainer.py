@@ -110,7 +110,7 @@ class TinyTrainer:
         return rig, batch_boxes(samples, turn)
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that a run needs to continue, by name."""
+        """Return everything that a run needs to continue, by name."""
         state = {f"network.{name}": value for name, value in self.network.state_dict().items()}
         state |= {f"averaged.{name}": value for name, value in self.averaged.state_dict().items()}
         for number, moments in self._optimizer.state_dict()["state"].items():
@@ -143,7 +143,7 @@ def _turns(angle: np.ndarray) -> np.ndarray:
 
 
 def batch_boxes(samples: Sequence[Sample], turn: np.ndarray) -> BatchBoxes:
-    """The boxes of samples, each turned about z by an angle."""
+    """Return the boxes of samples, each turned about z by an angle."""
     boxes = [one.boxes for one in samples]
     matrix = _turns(turn)
     frame = np.repeat(np.arange(len(boxes)), [len(one.label) for one in boxes])

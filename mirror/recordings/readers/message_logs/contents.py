@@ -45,7 +45,7 @@ class CameraContents:
 
 @dataclass
 class Contents:
-    """What one pass found.
+    """The transforms, poses and images that one pass over a log found.
 
     Attributes:
         poses: fixes or poses with their stamps, in storage order.

@@ -22,7 +22,7 @@ from mirror.schema.strict_json import JsonError, decode_json
 
 @dataclass(frozen=True)
 class Header:
-    """When and where a message was made: its own stamp (0: it has none), and the frame that it refers to."""
+    """The stamp of a message (0: it has none), and the frame that it refers to."""
 
     stamp_ns: int
     frame: str
@@ -119,7 +119,10 @@ RAW_IMAGES: Final = ("sensor_msgs/Image", "foxglove.RawImage", "foxglove_msgs/Ra
 
 
 def kind_of(topic: Topic) -> Kind | None:
-    """``image``, ``video``, ``camera``, ``fix``, ``pose``, ``orientation`` or ``transforms``; None: another type."""
+    """Return ``image``, ``video``, ``camera``, ``fix``, ``pose``, ``orientation`` or ``transforms``.
+
+    None: another type.
+    """
     return KINDS.get(topic.type.replace("/msg/", "/"))
 
 

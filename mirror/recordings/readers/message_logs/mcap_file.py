@@ -67,11 +67,11 @@ class McapFile:
         return self._path
 
     def damage(self) -> Sequence[RecordingError]:
-        """Damaged records that the last pass over `messages` left out."""
+        """Return the damaged records that the last pass over `messages` left out."""
         return tuple(self._damage)
 
     def topics(self) -> dict[str, Topic]:
-        """All topics by name: from the summary at the file's end, or from a pass over a file without one.
+        """Return all topics by name: from the summary at the file's end, or from a pass over a file without one.
 
         Raises:
             RecordingError: the file is not MCAP, or one topic has channels of several types.

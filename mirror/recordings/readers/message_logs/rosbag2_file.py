@@ -33,11 +33,11 @@ class Rosbag2File:
         return self._path
 
     def damage(self) -> Sequence[RecordingError]:
-        """Empty: a damaged database is refused as a whole."""
+        """Return 0: a damaged database is refused as a whole."""
         return ()
 
     def topics(self) -> dict[str, Topic]:
-        """All topics by name. Databases of older versions hold no message definitions: MIRROR's own are used.
+        """Return all topics by name. Databases of older versions hold no message definitions: MIRROR's own are used.
 
         Raises:
             RecordingError: the file is not a rosbag2 database.

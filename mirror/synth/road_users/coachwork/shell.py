@@ -117,11 +117,11 @@ class Shape:
         return points
 
     def open_m(self, z: float) -> float:
-        """Half the length of a wheel arch at a height."""
+        """Return half the length of a wheel arch at a height."""
         return math.sqrt(max(self.arch_m**2 - (z - self.wheel_m) ** 2, 0.0))
 
     def flank_m(self, x: float, z: float) -> float:
-        """Half the width of the body."""
+        """Return half the width of the body."""
         half = 0.5 * self.width_m
         wide = np.interp(
             z,
@@ -132,48 +132,48 @@ class Shape:
         return float(wide) - self.front.taper * ahead - self.back.taper * behind
 
     def side_m(self, z: float) -> float:
-        """Half the width of the greenhouse."""
+        """Return half the width of the greenhouse."""
         foot = 0.5 * self.width_m - self.shoulder_m - _LEDGE_M
         return foot - self.lean * (min(z, self.rail_m) - self.waist_m) - self.rail_lean * max(z - self.rail_m, 0.0)
 
     def flank(self, x: float, z: float) -> tuple[float, float, float]:
-        """A point on the left flank."""
+        """Return a point on the left flank."""
         return x, self.flank_m(x, z), z
 
     def side(self, x: float, z: float) -> tuple[float, float, float]:
-        """A point on the left side of the greenhouse."""
+        """Return a point on the left side of the greenhouse."""
         return x, self.side_m(z), z
 
     def screen(self, z: float) -> float:
-        """X of the windscreen at a height."""
+        """Return the x of the windscreen at a height."""
         return _x_at(self.roof[0], self.roof[1], z)
 
     def rear_window(self, z: float) -> float:
-        """X of the rear window at a height."""
+        """Return the x of the rear window at a height."""
         return _x_at(self.roof[-1], self.roof[-2], z)
 
     def corner(self, end: End, z: float) -> Float64:
-        """The point at which the left flank ends."""
+        """Return the point at which the left flank ends."""
         sign = 1.0 if end is self.front else -1.0
         above = z - self.levels_m[1]
         x = sign * (end.reach_m - end.corner_m[0] + (end.foot_slope if above < 0.0 else -end.slope) * above)
         return np.array(self.flank(x, z))
 
     def corner_point(self, end: End, share: float, z: float) -> Float64:
-        """A point on the left corner; share 0 is at the front, 1 at the flank."""
+        """Return a point on the left corner; share 0 is at the front, 1 at the flank."""
         sign = 1.0 if end is self.front else -1.0
         return self.corner(end, z) + (1.0 - share) * np.array([sign * end.corner_m[0], -end.corner_m[1], 0.0])
 
     def face(self, end: End, share: float, z: float) -> Float64:
-        """A point on the face of an end; share 0 is in the middle, 1 where the left corner begins."""
+        """Return a point on the face of an end; share 0 is in the middle, 1 where the left corner begins."""
         return self.corner_point(end, 0.0, z) * (1.0, share, 1.0)
 
     def flank_texture(self, places: Float64) -> Float64:
-        """Texture coordinates of flanks: door lengths, and the height above the waist."""
+        """Return the texture coordinates of flanks: door lengths, and the height above the waist."""
         return np.c_[(places[:, 0] - self.door_m[0]) / self.door_m[1], places[:, 2] - self.waist_m]
 
     def end_texture(self, places: Float64) -> Float64:
-        """Texture coordinates of ends: metres to the left, and the height above the waist."""
+        """Return the texture coordinates of ends: metres to the left, and the height above the waist."""
         return np.c_[places[:, 1], places[:, 2] - self.waist_m]
 
 
@@ -325,7 +325,7 @@ def _add_greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish)
 def window_corners(
     shape: Shape, line: Callable[[float], float], low: float, high: float, inset_m: float = 0.0
 ) -> Float64:
-    """Corners of a window across the vehicle between two heights, inset by ``inset_m`` from its edges."""
+    """Return the corners of a window across the vehicle between two heights, inset by ``inset_m`` from its edges."""
     heights = [low, shape.rail_m, high] if low < shape.rail_m < high else [low, high]
     left = np.array([(line(z), shape.side_m(z) - inset_m, z) for z in heights])
     return np.concatenate([left, left[::-1] * (1.0, -1.0, 1.0)])

@@ -48,22 +48,22 @@ class Body:
     seed: int
 
     def finish(self, windows: Windows, number: int = 0) -> Finish:
-        """Finish of a wall with windows."""
+        """Return the finish of a wall with windows."""
         return Finish(self.colour, Material.FACADE, Label.BUILDING, self.seed + number, int(windows))
 
     def plain(self, tone: float = 1.0, material: Material | None = None) -> Finish:
-        """Finish of a wall without windows, with its colour scaled by ``tone``."""
+        """Return the finish of a wall without windows, with its colour scaled by ``tone``."""
         colour = tuple(min(tone * channel, 0.8) for channel in self.colour)
         return Finish(colour, self.wall if material is None else material, Label.BUILDING, self.seed)
 
     def columns(self) -> tuple[list[float], int]:
-        """Positions x of the front's window columns above the ground floor, and the number of storeys."""
+        """Return the positions x of the front's window columns above the ground floor, and the number of storeys."""
         columns, storeys = window_grid(self.front_windows, self.right - self.left, self.eaves_m - self.ground_m)
         pitch = (self.right - self.left) / columns
         return [self.left + (number + 0.5) * pitch for number in range(columns)], storeys
 
     def floor_m(self, storey: int) -> float:
-        """Height of an upper storey's floor."""
+        """Return the height of an upper storey's floor."""
         return self.ground_m + storey * (self.eaves_m - self.ground_m) / self.columns()[1]
 
 

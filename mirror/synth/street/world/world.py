@@ -76,7 +76,7 @@ class World:
 
     @property
     def network(self) -> Network:
-        """The lanes."""
+        """The lanes of the world's streets."""
         return self.plan.network
 
     @property
@@ -85,7 +85,7 @@ class World:
         return self.plan.layouts
 
     def height_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Float64:
-        """Heights (...,) of the ground at positions.
+        """Return the heights (...,) of the ground at positions.
 
         Raises:
             UsageError: a position is outside the ground, or not finite.
@@ -93,7 +93,7 @@ class World:
         return self.plan.height_m(x_m, y_m)
 
     def find_lit_lamps(self, time_s: float) -> Int64:
-        """Faces of traffic lights that are lit at a time of the signals' cycle."""
+        """Return the faces of traffic lights that are lit at a time of the signals' cycle."""
         network, lamps_by_group = self.plan.network, [np.zeros(0, np.int64)]
         for group, lights in self.lights.items():
             start, end = network.green_s[group]

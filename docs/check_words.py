@@ -46,6 +46,7 @@ ALLOWED = {
         "baselines/hybridworldsim/training/documents.py",
         "mirror/cli/reconstruct.py",
         "tests/cli/test_reconstruct.py",
+        "tests/training/short_run.py",
         "tests/training/test_loop.py",
         "docs/reconstruction.md",
         # Texts in tables and manifests: documentation of columns, the column `method`, descriptions of floors.

@@ -34,8 +34,8 @@ from mirror.progress import NullProgress, ProgressReporter
 from tests.generation.builders import make_network
 from tests.generation.clips import write_clips
 from tests.generation.trained import CODEC, NETWORK, T
+from tests.training.short_run import run
 from tests.training.street import Painted
-from tests.training.test_loop import run
 
 FOLDERS: Final = Path(__file__).with_name("half_done_training.zip")
 STEPS: Final = {"street": 60, "autoencoder/autoencoder": 10, "generator/generator": 10, "distilled": 8, "petr": 6}

@@ -25,43 +25,20 @@ from hybridworldsim.model.storage import save_block
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.trainable.method import StepReport
 from hybridworldsim.trainable.training_image import TrainingImage
-from hybridworldsim.training.block_training import Options, train_block
-from hybridworldsim.training.documents import Run, TrainingOutcome, read_run
+from hybridworldsim.training.block_training import Options
+from hybridworldsim.training.documents import read_run
 from hybridworldsim.training.parameters import read_parameters, set_parameters, write_parameters
 from hybridworldsim.training.previews import Preview
-from hybridworldsim.training.run.budget import Budget, Clock
+from hybridworldsim.training.run.budget import Clock
 from hybridworldsim.training.run.checkpoint import FORMAT, read_checkpoint
 from hybridworldsim.training.run.curves import read_curves
 from hybridworldsim.training.run.document import is_occupied
-from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import REPORTS
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import TEMPORARY
 from tests.conftest import ROOT
+from tests.training.short_run import RUN, block_folder, run
 from tests.training.street import SETTINGS, Painted, initial, trainer, view, views
-
-RUN = Run(
-    method="hybridworldsim",
-    settings={"latent": 16},
-    seed=0,
-    steps=60,
-    core_minutes=None,
-    threads=1,
-    scene="s",
-    split="novel",
-    block="whole",
-    origin_m=(0.0, 0.0, 0.0),
-    radius_m=30.0,
-    width_px=32,
-    half=False,
-    dataset_hash="0",
-    plan_hash="0",
-    settings_hash="0",
-    depth=None,
-    points=None,
-    pictures=12,
-    sources=(),
-)
 
 
 @pytest.fixture(autouse=True)
@@ -70,29 +47,6 @@ def _one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-def block_folder(path: Path) -> RunFolder[TrainingOutcome]:
-    return RunFolder(path, TrainingOutcome)
-
-
-def run(
-    path: Path, steps: int = 60, images: Painted | None = None, options: Options | None = None, **more
-) -> TrainingOutcome:
-    folder = block_folder(path)
-    folder.begin(RUN)
-    trained = more.pop("trainer", None) or trainer()
-    half = more.pop("half", False)
-    return train_block(
-        trained,
-        images or Painted(),
-        more.pop("views", views()),
-        Budget(steps=steps),
-        folder,
-        lambda path: write_parameters(path, trained.model, half=half),
-        options=options,
-        **more,
-    )
 
 
 def test_training_improves_psnr_and_writes_a_complete_folder(tmp_path: Path) -> None:
@@ -196,7 +150,7 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
 _FORKS = """
 import os, sys, time, torch
 from pathlib import Path
-from tests.training.test_loop import run
+from tests.training.short_run import run
 from tests.training.street import Painted
 from hybridworldsim.training.block_training import Options
 class Stuck(Painted):

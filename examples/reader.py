@@ -47,7 +47,7 @@ class Walk:
         return {}
 
     def boxes(self) -> None:
-        """No boxes."""
+        """Return None: there are no boxes."""
 
 
 class WalkReader:

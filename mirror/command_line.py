@@ -218,7 +218,7 @@ def local_path(path: Path, place: str | None = None) -> Path:
 
 
 def refuse_urls(arguments: _Arguments) -> _Arguments:
-    """Return parsed arguments unchanged.
+    """Return parsed arguments unchanged, or refuse a URL among their paths.
 
     Raises:
         UsageError: the value of a field of type `Path` is a URL.

@@ -70,7 +70,7 @@ def rescore_rollouts(
     plan: RolloutPlan | None = None,
     progress: ProgressReporter | None = None,
 ) -> Result:
-    """Score rollouts again from their state logs, and return the new result if the given one states the same.
+    """Score rollouts again from their state logs, and return the new result if it equals the given one.
 
     With a plan, the recorded controls are driven again on the streets and scenarios that it names, and the figures are
     those of these drives.

@@ -16,7 +16,7 @@ from mirror.schema.files import sha256_bytes
 
 
 class FileAnnotator:
-    """Boxes by sample token."""
+    """An annotator that reads boxes from a file, by sample token."""
 
     reads_images = False
 
@@ -26,7 +26,7 @@ class FileAnnotator:
         self._path, self._results = path, results
 
     def annotate(self, frame: Frame) -> Detections:
-        """The boxes of the frame's sample."""
+        """Return the boxes of the frame's sample."""
         token = frame_token(frame)
         boxes = self._results.get(token)
         if boxes is None:
@@ -44,7 +44,7 @@ class FileAnnotator:
             ) from error
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: nothing is held."""
 
 
 class _Installed:

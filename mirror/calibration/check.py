@@ -68,7 +68,7 @@ class CameraCheck:
     source_share: tuple[float, float, float]
 
     def unobservable_axes(self) -> list[str]:
-        """Names of the axes about which the error is unknown."""
+        """Return the names of the axes about which the error is unknown."""
         return [axis for axis, known in zip(AXES, self.observable) if not known]
 
 
@@ -128,7 +128,7 @@ class CalibrationCheck:
     history: StageHistory
 
     def exit_code(self) -> ExitCode:
-        """1: an error above the limit; 3: some data could not be read; 2: no camera could be checked; else 0."""
+        """Return 1 for an error above the limit, 3 for unread data, 2 if no camera could be checked, else 0."""
         if any(one.status == "fail" for item in self.traversals for one in item.cameras):
             return ExitCode.FINDINGS
         if any(item.status == "failed" or item.unread for item in self.traversals):
@@ -137,7 +137,7 @@ class CalibrationCheck:
         return ExitCode.DONE if self.statistics.samples else ExitCode.COULD_NOT_RUN
 
     def to_dict(self) -> dict[str, Any]:
-        """The check as plain values, for JSON."""
+        """Return the check as plain values, for JSON."""
         return {
             "dataset": self.dataset,
             "method": METHOD,

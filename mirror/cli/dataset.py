@@ -90,7 +90,7 @@ class Fetch:
 
 @dataclass(frozen=True)
 class Audit:
-    """Hold what is already published against the dataset that it came from. Nothing is changed.
+    """Search a published dataset for content of its source that must not be out. Nothing is changed.
 
     Of a published dataset, every file must be one that publishing would copy today, and every image must have the bytes
     that it has in the dataset. Releases, exports, models and pages are searched for images that must not leave.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def with_named_layers(
     dataset: Dataset, scene: str | None, named: Mapping[str, str | None], *, read: Collection[str]
 ) -> Dataset:
-    """A view that reads the named layers.
+    """Return a view that reads the named layers.
 
     Args:
         dataset: the view.

@@ -70,7 +70,7 @@ Row = dict[str, Any]
 
 
 def channel_name(camera: str) -> str:
-    """The name of a camera's channel."""
+    """Return the name of a camera's channel."""
     return CHANNELS.get(camera, camera if camera.startswith("CAM_") else f"CAM_{camera.upper()}")
 
 

@@ -53,15 +53,15 @@ class CleanTrack:
     sigma_m: Float64 | None
 
     def kept(self, start: int = 0, stop: int | None = None) -> Int64:
-        """Positions of the kept fixes in ``start:stop``, ascending."""
+        """Return the positions of the kept fixes in ``start:stop``, ascending."""
         return np.flatnonzero(self.status[start:stop] <= RESTART) + start
 
     def recorded(self, positions: Int64) -> Int64:
-        """Rows in the recorded track of the fixes at these positions."""
+        """Return the rows in the recorded track of the fixes at these positions."""
         return positions if self.order is None else self.order[positions]
 
     def fixes(self) -> Fixes:
-        """The track's arrays for compiled functions."""
+        """Return the track's arrays for compiled functions."""
         return _pack_fixes(self.timestamp_ns, self.lon_or_x, self.lat_or_y, self.status, self.geodetic)
 
 

@@ -36,7 +36,7 @@ from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, Table
 
 @dataclass(frozen=True)
 class WriteOptions:
-    """How traversals are written.
+    """Options of writing traversals.
 
     Attributes:
         transfer: hard links where possible, or copies.
@@ -53,7 +53,7 @@ class WriteOptions:
 
 @dataclass(frozen=True)
 class WriteReport:
-    """What writing a traversal came to.
+    """The counts of a written traversal.
 
     Attributes:
         traversal_id: the traversal.
@@ -77,7 +77,7 @@ class WriteReport:
 
 
 def traversal_id(drive_id: str, one: Pass) -> str:
-    """``scene.drive.entry_ms``."""
+    """Return ``scene.drive.entry_ms``."""
     return f"{one.scene_id}.{drive_id}.{one.entry_ns // 1_000_000}"
 
 
@@ -232,7 +232,7 @@ def _write(
 
 
 def select_images(drive: DrivePasses, number: int) -> dict[str, tuple[ImageStream, Int64, Int64]]:
-    """By camera, in order of name: its stream, the indices of the images to take, and their stamps.
+    """Return the by camera, in order of name: its stream, the indices of the images to take, and their stamps.
 
     Taken are the images exposed within the pass at an instant at which the vehicle's pose is known
     (`PoseSlice.poses_known`).
@@ -268,7 +268,7 @@ def images_without_pose(drive: DrivePasses, number: int) -> int:
 
 
 def repeated_images(drive: DrivePasses, number: int) -> dict[str, int]:
-    """By camera, how many images within an accepted pass its stream leaves out: another one has the same stamp.
+    """Count the images within an accepted pass that a stream leaves out for an equal stamp, by camera.
 
     Args:
         drive: judged.

@@ -14,7 +14,7 @@ from mirror.plugins import PluginKind, list_parts
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a method can do besides `reconstruct` and `open`; each capability needs a function.
+    """The capabilities of a method besides `reconstruct` and `open`; each needs a function.
 
     Attributes:
         renders_depth: its renderers have `render` (`mirror.methods.depth_renderers.DepthRenderer`), which simulators

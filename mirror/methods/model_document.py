@@ -16,7 +16,7 @@ DOCUMENT: Final = "reconstruction.json"
 
 
 class Costs(Document):
-    """Costs of a model.
+    """Costs of a model: training time, size and memory.
 
     Attributes:
         model_bytes: bytes of all files that rendering needs.

@@ -87,7 +87,7 @@ class ReconstructionResult:
 
 
 class InstalledMethod(Protocol):
-    """What every method has: the functions of `Method`, without the statement of its capabilities.
+    """A method as it is installed: the functions of `Method`, without the statement of its capabilities.
 
     A method that has no attribute `capabilities` has those that its functions show.
     """

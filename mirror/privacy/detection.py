@@ -57,7 +57,7 @@ class DetectionTask:
 
 
 class Detected(Document):
-    """What the detectors found in an image.
+    """The regions that the detectors found in an image.
 
     Attributes:
         camera: the camera.
@@ -97,7 +97,7 @@ DetectionPool: TypeAlias = GuardedPool[DetectionTask, Detected]
 
 
 def detection_pool(root: Path, choices: Sequence[DetectorChoice], *, workers: int, timeout_s: float) -> DetectionPool:
-    """Processes that search images of a dataset.
+    """Return the processes that search images of a dataset.
 
     Args:
         root: the dataset's folder.
@@ -278,12 +278,12 @@ def redact_recorded(
 
 
 def out_codec(row: Mapping[str, Any]) -> Codec:
-    """The codec of the redacted version of a recorded image."""
+    """Return the codec of the redacted version of a recorded image."""
     return "png" if row["codec"] == "png" else "jpeg"
 
 
 def require_pixels(store: Store, row: Mapping[str, Any], pixels: UInt8 | None) -> UInt8:
-    """Decoded pixels.
+    """Return the decoded pixels.
 
     Raises:
         DatasetError: there are none.
@@ -334,5 +334,5 @@ def _unreadable(store: Store, row: Mapping[str, Any], problem: str) -> DatasetEr
 
 
 def used_masks(rules: SkipRules, ego: str | None, sky: str | None) -> tuple[str | None, str | None]:
-    """The masks that the rules use."""
+    """Return the masks that the rules use."""
     return ego if rules.ego else None, sky if rules.sky else None

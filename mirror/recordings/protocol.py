@@ -159,7 +159,7 @@ class ImageStream(Protocol):
         ...
 
     def path(self, index: int) -> str | Path | None:
-        """The file with exactly the encoded bytes of this image, for links and copies; None: use `read`."""
+        """Return the file with exactly the encoded bytes of this image, for links and copies; None: use `read`."""
         ...
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
@@ -168,7 +168,7 @@ class ImageStream(Protocol):
 
 
 def repeated_stamps(stream: ImageStream) -> Int64:
-    """(R,) ascending stamps of the images that a stream leaves out, because another one has the same stamp.
+    """Return the stamps (R,) of images that a stream leaves out because their stamp is repeated.
 
     A stream that may leave such images out has them as its attribute ``repeated_ns``.
     """
@@ -195,7 +195,7 @@ class FileStream:
             )
 
     def path(self, index: int) -> str | Path:
-        """The image's file."""
+        """Return the image's file."""
         return self.paths[index]
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
@@ -237,7 +237,7 @@ class ReferencedStream:
             )
 
     def path(self, index: int) -> None:
-        """None: the image is not a local file."""
+        """Return None: the image is not a local file."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Fetch and yield each image's bytes, one after the other.
@@ -276,29 +276,29 @@ class Recording(Protocol):
         ...
 
     def files(self) -> Sequence[tuple[str, Path | str]]:
-        """Every file of the recording as ``(path relative to the recording, path)``, for its fingerprint."""
+        """Return every file of the recording as ``(path relative to the recording, path)``, for its fingerprint."""
         ...
 
     def track(self) -> Track:
-        """All poses. A drive in several files is one track."""
+        """Return all poses. A drive in several files is one track."""
         ...
 
     def calibrations(self) -> pa.Table:
-        """Rows of the ``calibrations`` table (`mirror.schema.tables.CALIBRATIONS`), all stages; may be empty."""
+        """Return rows of the ``calibrations`` table (`mirror.schema.tables.CALIBRATIONS`), all stages; may be empty."""
         ...
 
     def images(self) -> Mapping[str, ImageStream]:
-        """Image streams by camera name; empty for a poses-only recording."""
+        """Return image streams by camera name; empty for a poses-only recording."""
         ...
 
     def boxes(self) -> pa.Table | None:
-        """Rows of the ``boxes`` table (`mirror.schema.tables.BOXES`), or None where the source has none."""
+        """Return the rows of the ``boxes`` table (`mirror.schema.tables.BOXES`), or None where the source has none."""
         ...
 
 
 @runtime_checkable
 class Reader(Protocol):
-    """One recording format.
+    """A reader of one recording format.
 
     Attributes:
         name: name of the entry point, and value of ``--reader``.
@@ -339,7 +339,7 @@ class CollectionReader(Reader, Protocol):
     """A format that keeps several drives in one folder. A drive has the path ``FOLDER/NAME``, which need not exist."""
 
     def drives(self, path: Path) -> Sequence[str]:
-        """Names of the drives of a folder that the reader recognises; `open` takes ``path / name``.
+        """Return the names of the drives of a folder that the reader recognises; `open` takes ``path / name``.
 
         Raises:
             RecordingError: the folder's tables cannot be read.

@@ -97,7 +97,7 @@ class VideoStream:
             )
 
     def path(self, index: int) -> None:
-        """None: no file holds a single frame."""
+        """Return None: no file holds a single frame."""
         return
 
     def copy_video(self, indices: Int64, folder: Path, name: str) -> list[CopiedVideo]:

@@ -81,12 +81,12 @@ class RoadMap:
         return tuple(ring for area in self.drivable for ring in area.rings)
 
     def lanes_of(self, kinds: Iterable[LaneKind] = DRIVING) -> tuple[MapLane, ...]:
-        """The lanes of some kinds."""
+        """Return the lanes of some kinds."""
         wanted = frozenset(kinds)
         return tuple(lane for lane in self.lanes.values() if lane.kind in wanted)
 
     def signal_lanes(self, signal_id: str) -> tuple[MapLane, ...]:
-        """The lanes that a signal controls."""
+        """Return the lanes that a signal controls."""
         return tuple(lane for lane in self.lanes.values() if lane.signal == signal_id)
 
 

@@ -76,7 +76,7 @@ def draw_figures(
 
 
 def driven_lines(dataset: Dataset, scene: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], Float64]]:
-    """The line (N, 2) of each traversal of a scene from entry to exit, relative to the region's centre, in metres."""
+    """Return the line (N, 2) of each traversal of a scene from entry to exit, in metres from the region's centre."""
     centre = np.array([scene["x_m"], scene["y_m"]]) if scene["frame"] is not None else np.zeros(2)
     lines = []
     view = dataset.where(scene=scene["scene_id"])

@@ -131,7 +131,7 @@ def same_place(dataset: Dataset, traversals: Sequence[Mapping[str, Any]]) -> lis
 
 
 def choose_passages(passages: Sequence[Passage], most: int) -> list[Passage]:
-    """At most some of the passages, in their order; light and weather take turns, so that none is left out."""
+    """Return at most some of the passages, in their order; light and weather take turns, so that none is left out."""
     earlier: Counter[tuple[str, str]] = Counter()
     turns = []
     for number, passage in enumerate(passages):

@@ -20,7 +20,7 @@ _GRID_COLUMNS: Final = 2
 
 
 def make_layout(view: Dataset) -> Any:
-    """The blueprint of a scene.
+    """Return the blueprint of a scene.
 
     Args:
         view: a view of one scene.

@@ -86,11 +86,11 @@ class PetrAnnotator:
         return to_detections(boxes, frame.timestamp_ns)
 
     def close(self) -> None:
-        """Nothing is held but memory."""
+        """Do nothing: nothing is held but memory."""
 
 
 def to_detections(boxes: DecodedBoxes, timestamp_ns: int) -> Detections:
-    """Boxes in the frame of the lidar as detections in the ego frame."""
+    """Return the boxes in the frame of the lidar as detections in the ego frame."""
     if not len(boxes.score):
         return Detections.empty(timestamp_ns)
     half = 0.5 * boxes.yaw_rad.double().cpu().numpy()

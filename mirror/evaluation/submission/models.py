@@ -140,7 +140,7 @@ def hash_models(models: Iterable[Model]) -> str:
 
 
 def describe_training(documents: Iterable[Reconstruction], rendered: Mapping[str, str]) -> str:
-    """Describe the training data and the calibrations of models, for a manifest.
+    """Describe a trained or distilled model in one line.
 
     Args:
         documents: documents of the models.

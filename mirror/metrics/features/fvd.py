@@ -94,7 +94,7 @@ class VideoFeatures:
         self._network = network
 
     def prepare(self, pixels: UInt8) -> Tensor:
-        """(3, t, 224, 224), -1 to 1, of one clip (t, h, w, 3).
+        """Convert one clip (t, h, w, 3) to the network's input (3, t, 224, 224), -1 to 1.
 
         Raises:
             UsageError: another shape, too short, or not as long as those before.
@@ -128,7 +128,7 @@ class VideoFeatures:
         self.frames = clip.shape[0]
 
     def run(self, prepared: Tensor) -> Float32:
-        """(n, 400) logits."""
+        """Return the logits (n, 400)."""
         import torch
 
         with torch.inference_mode():
@@ -142,7 +142,7 @@ UNPINNED = "fvd-unpinned"
 def load_i3d(
     crop: VideoCrop = "direct224", resolver: WeightResolver | None = None, file: I3dFile = "i3d-torchscript"
 ) -> VideoFeatures:
-    """The network behind FVD.
+    """Return the network behind FVD.
 
     Args:
         crop: ``direct224`` or ``centre-crop``.
@@ -192,7 +192,7 @@ def fvd(
     cache: FeatureCache | None = None,
     layout: Literal["nhwc", "nchw"] = "nhwc",
 ) -> Fvd:
-    """Distance of rendered clips from recorded ones.
+    """Return the distance of rendered clips from recorded ones.
 
     Args:
         renders: clips (frames, h, w, 3), or as ``layout`` says; arrays or torch tensors on the CPU, uint8 or floats

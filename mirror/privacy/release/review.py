@@ -32,7 +32,7 @@ _LONGEST: Final = 4096
 
 
 class ReviewSession:
-    """A sample of a dataset's redacted images and what was said of them.
+    """A sample of a dataset's redacted images and the reviewers' answers.
 
     Args:
         root: the dataset.
@@ -90,7 +90,7 @@ class ReviewSession:
         self.reviews[out_sha256] = reviewed.review
 
     def image(self, out_sha256: str) -> bytes | None:
-        """Bytes of an image of the sample; None: there is no such image."""
+        """Return the bytes of an image of the sample; None: there is no such image."""
         known = {record.out_sha256 for record in self.sample}
         return self._uris[out_sha256].read_bytes() if out_sha256 in known else None
 
@@ -118,7 +118,7 @@ class ReviewSession:
 
 
 def review_server(session: ReviewSession, port: int = 0) -> ThreadingHTTPServer:
-    """A server of the page on this machine only; ``serve_forever`` runs it.
+    """Return a server of the page on this machine only; ``serve_forever`` runs it.
 
     Args:
         session: the sample.

@@ -79,14 +79,14 @@ class GroundTruth:
         return cached_raster(image.camera_model, self._protocol.pixels).outside_lens
 
     def image_hash(self, view: RenderView) -> str:
-        """A hash that changes when the true image changes; the image is not decoded."""
+        """Return a hash that changes when the true image changes; the image is not decoded."""
         if self._hidden is not None:
             return hashlib.sha256(_read_hidden(self._hidden, view)).hexdigest()
         _, image = self.recorded_frame_and_image(view)
         return self._hashes.image(image)
 
     def recorded_frame_and_image(self, view: RenderView) -> tuple[Frame, Image]:
-        """The recorded frame and image that a view was planned from.
+        """Return the recorded frame and image that a view was planned from.
 
         Raises:
             DatasetError: the dataset does not have the image.

@@ -15,7 +15,7 @@ _SAMPLES_EVERY: Final = 10
 
 
 class NumberedTrainer(Stateful, Protocol):
-    """What is trained: a step depends on its number, the seed and the state only."""
+    """A trainer whose steps depend on their number, the seed and the state only."""
 
     def step(self, number: int) -> dict[str, float]:
         """Do a step; returns the losses by name."""

@@ -58,7 +58,7 @@ def read_actions(path: Path, most: int | None = None) -> tuple[Controls, ...]:
 
 
 class Repeat:
-    """Repeats recorded controls.
+    """A policy that repeats recorded controls.
 
     Args:
         actions: the controls of each step.

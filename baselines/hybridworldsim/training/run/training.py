@@ -55,7 +55,7 @@ def _ignore(before: Position, now: Position) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Training(Generic[OutcomeT]):
-    """What is trained, for how long, and what comes of it.
+    """A training: its steps, its budget, its state and its outcome.
 
     Attributes:
         phase: what is trained, for the progress.

@@ -182,7 +182,7 @@ def _hidden(argv: Sequence[str]) -> int:
 
 
 def requested_views(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
-    """Return the protocol and split of a submission, or the problems of a submission that does not state them.
+    """Protocol and split of a submission, or the problems of a submission that does not state them.
 
     Args:
         files: of the submission.
@@ -209,7 +209,7 @@ def print_check(report: CheckReport, submission: Path, *, as_json: bool) -> Exit
 
 
 def plain_report(report: CheckReport) -> dict[str, object]:
-    """Return the report of a check for ``--json``."""
+    """The report of a check for ``--json``."""
     return {
         "expected": report.expected,
         "present": report.present,

@@ -86,7 +86,7 @@ class StreetMethod(StaticMethod):
 
 @dataclass(frozen=True, eq=False)
 class OpenBlock:
-    """A trained block of a street, opened for rendering."""
+    """A trained block."""
 
     run: Run
     block: Block
@@ -156,7 +156,7 @@ class StreetRenderer:
 
 
 def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:
-    """Return the weighted mean of latents."""
+    """The weighted mean of latents."""
     return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
 
 

@@ -35,7 +35,7 @@ outside 1e-19 to 1e19 their rotations are NaN or wrong.)"""
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """The rules and constants of one generation of gsplat.
+    """One generation of gsplat.
 
     Attributes:
         name: value of the argument `preset`.

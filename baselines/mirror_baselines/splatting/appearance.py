@@ -14,7 +14,7 @@ from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class FinishedImage:
-    """A rendered image after its appearance was applied.
+    """A processed image.
 
     Attributes:
         rgb: (H, W, 3) final colours.
@@ -26,7 +26,7 @@ class FinishedImage:
 
 
 class AppearanceModel(nn.Module):
-    """Spherical harmonics that all images share: vanilla 3DGS.
+    """Spherical harmonics, the same in all images: vanilla 3DGS.
 
     Its parameters do not belong to single Gaussians. Tables with a row for each Gaussian are held by the trainer, for
     densification.
@@ -40,14 +40,11 @@ class AppearanceModel(nn.Module):
         self.sh_degree = sh_degree
 
     def tables(self, count: int) -> dict[str, Tensor]:
-        """Return the further parameters of `count` Gaussians.
-
-        The part of a name before "_" selects the learning rate.
-        """
+        """Further parameters of `count` Gaussians; the part of a name before "_" selects the learning rate."""
         return {"shN": torch.zeros(count, (self.sh_degree + 1) ** 2 - 1, 3)}
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
-        """Return the tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
+        """Tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
 
         Args:
             source: traversal and camera of the appearance.
@@ -57,7 +54,7 @@ class AppearanceModel(nn.Module):
         return [("sh0", 0, 1), ("shN", 1, count)] if degree else [("sh0", 0, 1)]
 
     def optimizers(self) -> list[Optimizer]:
-        """Return the optimisers of the parameters that do not belong to single Gaussians."""
+        """Optimisers of the parameters that do not belong to single Gaussians."""
         return []
 
     def update(self, viewpoint: Viewpoint) -> None:
@@ -77,5 +74,5 @@ class AppearanceModel(nn.Module):
         return FinishedImage(rgb, rgb)
 
     def losses(self, alpha: Tensor, image: TrainingImage) -> dict[str, tuple[float, Tensor]]:
-        """Return the further losses: weight and value by name."""
+        """Further losses: weight and value by name."""
         return {}

@@ -80,7 +80,7 @@ def track(
 def find_tracks(
     detections: Sequence[Detections], world_SE3_ego: Poses, options: TrackingOptions | None = None
 ) -> list[Track]:
-    """Return the tracks of a traversal in the world frame; arguments as those of `track`.
+    """The tracks of a traversal in the world frame; arguments as those of `track`.
 
     Raises:
         UsageError: frames and poses do not fit, or times do not ascend.
@@ -110,15 +110,12 @@ def find_tracks(
 
 
 def track_score(scores: Sequence[float]) -> float:
-    """Return the score of a track of N boxes: their mean score times N / (N + 3).
-
-    Short tracks are more often false.
-    """
+    """Score of a track of N boxes: their mean score times N / (N + 3), as short tracks are more often false."""
     return float(np.mean(scores)) * len(scores) / (len(scores) + _NOT_SURE)
 
 
 def to_frames(tracks: Sequence[Track], detections: Sequence[Detections], world_SE3_ego: Poses) -> list[Detections]:
-    """Return the boxes of tracks in each frame, in the ego frame at that frame's time."""
+    """The boxes of tracks in each frame, in the ego frame at that frame's time."""
     rows: dict[int, list[tuple[Track, int]]] = defaultdict(list)
     for item in tracks:
         for place, frame in enumerate(item.frames.tolist()):

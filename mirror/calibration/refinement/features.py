@@ -21,7 +21,7 @@ _OCTAVE_LAYERS: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """SIFT features of one image.
+    """Features of one image.
 
     Attributes:
         uv_px: (N, 2) positions; the centre of the first pixel is at (0.5, 0.5).
@@ -37,10 +37,7 @@ class Features:
         return len(self.uv_px)
 
     def unit_descriptors(self) -> Float32:
-        """Return the square roots (N, 128) of the normalised histograms.
-
-        They are unit vectors (R. Arandjelovic, A. Zisserman 2012).
-        """
+        """(N, 128) square roots of the normalised histograms: unit vectors (R. Arandjelovic, A. Zisserman 2012)."""
         histograms = self.descriptors.astype(np.float32)
         return np.sqrt(histograms / np.maximum(histograms.sum(axis=1, keepdims=True), 1.0))
 
@@ -69,7 +66,7 @@ def find_features(image: TrackedImage, most: int) -> Features:
 
 
 def match_features(one: Features, other: Features) -> Int64:
-    """Return the pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
+    """Pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), np.int64)
     first_units, second_units = one.unit_descriptors(), other.unit_descriptors()

@@ -197,10 +197,7 @@ def _turn_rate(view: SceneView) -> Iterator[Finding]:
 
 
 def turn_rates(motion: Motion) -> Float64:
-    """Return the turn rates (N,) in degrees a second.
-
-    They are towards the pose a fifth of a second later, or the next if that is later.
-    """
+    """Turn rate (N,) in degrees a second towards the pose a fifth of a second later, or the next if that is later."""
     poses = motion.poses
     stamps = poses.integers("timestamp_ns")
     result = np.full(len(poses), np.nan)

@@ -53,7 +53,7 @@ def draw_manner(kind: Kind, rng: np.random.Generator) -> Manner:
 
 
 class Ways:
-    """A cache of ways: participants on one path share one way."""
+    """A cache of ways: participants on the same path share one way."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Way] = {}

@@ -12,7 +12,7 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 LINKED = [*DOCUMENTS, *sorted((ROOT / "benchmarks").rglob("*.md"))]
 GUIDES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "docs" / "architecture.md"]
 PACKAGES = ("mirror", "hybridworldsim", "mirror_baselines", "mirror_leaderboard")
-FOLDERS = ("mirror", "baselines", "leaderboard", "benchmarks", "tests", "docs")
+FOLDERS = ("mirror", "baselines", "leaderboard", "benchmarks", "tests", "docs", "examples")
 
 
 @pytest.mark.parametrize("document", LINKED, ids=lambda path: path.name)

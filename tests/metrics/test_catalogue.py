@@ -49,12 +49,13 @@ catalogue.MEASURES["stops"] = catalogue.Measure(
 _USE = """
 import numpy as np
 from mirror.evaluation.figures import compute_figures
-from mirror.evaluation.report_tables import Footnotes, metrics_list, summary_table
+from mirror.evaluation.report_tables import Footnotes, list_measures, summary_table
 from mirror.evaluation.result import Result
 from mirror.evaluation.scorers.reconstruction import score_pixels
 from mirror.evaluation.submission.manifest import Method, SubmissionManifest
 from mirror.metrics.catalogue import MEASURES, find_measure
 from mirror.metrics.catalogue_page import format_tables
+from mirror.pages.rendering import render_part
 from mirror.protocols.document import Protocol, load_protocol
 from mirror.protocols.views.view import RenderView
 from mirror_leaderboard.entry import Figure
@@ -81,8 +82,11 @@ result = Result.model_construct(
     figures=(figure,), submission=SubmissionManifest.model_construct(method=Method(name="any")), protocol=protocol
 )
 notes = Footnotes()
-assert "<b>mean_error</b>: mean difference of the scored pixels; lower is better." in metrics_list(result)
-assert "5.0000" in summary_table(result, (), notes) and "mean_error, levels" in summary_table(result, (), notes)
+listed = render_part("mirror.evaluation", "figures.html", "metrics", list_measures(result))
+assert "<b>mean_error</b>: mean difference of the scored pixels; lower is better." in listed
+table = summary_table(result, (), notes)
+shown = render_part("mirror.evaluation", "figures.html", "figures_table", table.head, table.rows)
+assert "5.0000" in shown and "mean_error, levels" in shown
 assert find_measure("mean_error").better == "lower" and "| `mean_error` |" in format_tables()
 """
 _USE_OF_ROLLOUTS = """

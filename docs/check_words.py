@@ -53,7 +53,7 @@ ALLOWED = {
         "mirror/schema/tables.py",
         "mirror/schema/index_tables.py",
         "mirror/synth/truth/tables.py",
-        "mirror/recordings/boreas.py",
+        "mirror/recordings/readers/boreas.py",
         "docs/schema.md",
         "baselines/mirror_baselines/mean_color/submission.py",
         "baselines/mirror_baselines/nearest_frame/submission.py",

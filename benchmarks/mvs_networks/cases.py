@@ -16,7 +16,7 @@ from mirror.arrays import Float64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.geometry.cameras.camera import camera_from_row
-from mirror.recordings.dgp import DgpReader
+from mirror.recordings.readers.dgp import DgpReader
 from mirror.synth.fleet.drives import make_drives
 from mirror.synth.render import render
 

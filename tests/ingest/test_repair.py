@@ -15,7 +15,7 @@ from mirror.errors import MirrorError, UsageError
 from mirror.ingest import drive as drive_module
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
-from mirror.recordings.folder import FolderRecording
+from mirror.recordings.readers.folder import FolderRecording
 from mirror.schema.files import unwritable_error
 from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
 

@@ -12,7 +12,7 @@ from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import rotate
-from mirror.recordings.boreas import BoreasReader
+from mirror.recordings.readers.boreas import BoreasReader
 from mirror.recordings.registry import open_recording
 from tests.recordings.clean_track import clean_track
 from tests.recordings.layout import write_image

@@ -12,7 +12,7 @@ from mirror.cli.main import main
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import rotate
 from mirror.ingest.run import ingest_recordings
-from mirror.recordings.comma2k19 import Comma2k19Reader
+from mirror.recordings.readers.comma2k19 import Comma2k19Reader
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from tests.recordings.clean_track import clean_track

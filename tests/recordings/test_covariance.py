@@ -18,8 +18,8 @@ from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, write_traversal
 from mirror.ingest.trigger import Trigger
 from mirror.recordings.calibration import Calibration, require_covariance, to_calibration_table
-from mirror.recordings.folder import FolderRecording
 from mirror.recordings.folder_document import read_document
+from mirror.recordings.readers.folder import FolderRecording
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, TriggerOptions
 from mirror.schema.tables import CALIBRATIONS

@@ -17,7 +17,7 @@ from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
-from mirror.recordings.dgp import DgpReader
+from mirror.recordings.readers.dgp import DgpReader
 from mirror.recordings.registry import open_recording
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES, CALIBRATIONS

@@ -11,8 +11,8 @@ import pytest
 
 from mirror.errors import RecordingError
 from mirror.ingest.clean import clean
-from mirror.recordings.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.protocol import Recording
+from mirror.recordings.readers.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions
 from tests.recordings.clean_track import clean_track

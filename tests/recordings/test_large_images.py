@@ -15,8 +15,8 @@ import pytest
 from mirror.dataset.images.decoding import decode_grey, decode_rgb
 from mirror.errors import RecordingError
 from mirror.protocols.png import encode_png
-from mirror.recordings.folder import FolderReader
 from mirror.recordings.raster import MAX_PIXELS, is_decodable
+from mirror.recordings.readers.folder import FolderReader
 from tests.ingest.recordings import write_recording
 
 SIDE = 30_000

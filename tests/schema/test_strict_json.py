@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mirror.errors import MirrorError
 from mirror.ingest.rois import read_rois
-from mirror.recordings.folder import FolderReader
+from mirror.recordings.readers.folder import FolderReader
 from mirror.schema.documents import DatasetDocument
 from mirror.schema.files import parse_json, read_json
 from mirror.schema.strict_json import JsonError, decode_json

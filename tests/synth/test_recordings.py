@@ -15,7 +15,7 @@ from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses
 from mirror.ingest.rois import read_rois
 from mirror.metrics.safety import inside_area
-from mirror.recordings.folder import FolderReader
+from mirror.recordings.readers.folder import FolderReader
 from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.schema.road_map import encode_road_map, read_road_map
 from mirror.synth import Errors, SynthReport, street_map

@@ -30,11 +30,11 @@ from mirror.errors import RecordingError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_tangent
-from mirror.recordings.dgp_datum import entry_errors
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
+from mirror.recordings.readers.dgp_datum import entry_errors
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
 from mirror.recordings.readers.nuscenes_relatives import FOLDERS_OF_RELATIVES, refuse_relatives
 from mirror.recordings.readers.nuscenes_rows import SensorData

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from mirror.geometry.poses import Poses
-from mirror.recordings.boreas import BoreasReader
+from mirror.recordings.readers.boreas import BoreasReader
 from tests.ingest.recordings import write_recording
 from tests.recordings.formats.street import SECOND_NS, StreetDrive, straight_drive
 

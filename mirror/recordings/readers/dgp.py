@@ -29,10 +29,10 @@ from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import is_invalid_rotation
-from mirror.recordings.dgp_datum import Datum, entry_errors, read_datum, read_object, read_pose, require_text
 from mirror.recordings.opening import require_file
 from mirror.recordings.paths import require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.readers.dgp_datum import Datum, entry_errors, read_datum, read_object, read_pose, require_text
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.schema.tables import BOXES

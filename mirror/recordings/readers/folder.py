@@ -22,11 +22,11 @@ from mirror.recordings.folder_document import (
     read_document,
     recording_errors,
 )
-from mirror.recordings.folder_images import image_stream
 from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.orientation import ANGLES, QUATERNION, read_orientation
 from mirror.recordings.paths import list_files, list_folder, natural_key
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
+from mirror.recordings.readers.folder_images import image_stream
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.static_masks import read_static_mask
 from mirror.recordings.tabular import RecordingRows, read_rows

@@ -55,6 +55,19 @@ def is_invalid_rotation(quaternion: Float64) -> Bool:
     return ~((squared >= (1.0 - UNIT_TOLERANCE) ** 2) & (squared <= (1.0 + UNIT_TOLERANCE) ** 2))
 
 
+def mark_invalid_rotations(quaternion: Float64) -> tuple[Float64, Bool]:
+    """Normalise quaternions as read from a file, and mark those that are no rotation.
+
+    Args:
+        quaternion: (N, 4) scalar first.
+
+    Returns:
+        (N, 4) canonical unit quaternions, the identity in marked rows; and (N,) True where `is_invalid_rotation` is.
+    """
+    bad = is_invalid_rotation(quaternion)
+    return quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion)), bad
+
+
 def normalise_rotations(quaternion: Float64, rows: RecordingRows, column: str) -> Float64:
     """Normalise the quaternions of a table, and mark the rows with invalid ones.
 
@@ -70,7 +83,7 @@ def normalise_rotations(quaternion: Float64, rows: RecordingRows, column: str) -
         RecordingError: a quaternion is NaN, zero, or off unit length by over 1 %, and the table does not mark bad rows;
             the row is named.
     """
-    bad = is_invalid_rotation(quaternion)
+    unit, bad = mark_invalid_rotations(quaternion)
     rows.refuse(
         bad,
         column,
@@ -79,7 +92,7 @@ def normalise_rotations(quaternion: Float64, rows: RecordingRows, column: str) -
         remedy="remove the row, or leave the orientation columns out of the whole drive",
         reason="rotation",
     )
-    return quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion))
+    return unit
 
 
 def track_from_utm(

@@ -23,6 +23,9 @@ TAIL_BYTES: Final = 4096
 MAX_PIXELS: Final = 1 << 28
 """Images with more pixels are not decoded; cameras have up to 1.5 * 10^8."""
 
+CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
+"""Codec by the suffix of a file's name."""
+
 _STARTS: Final = {"jpeg": b"\xff\xd8", "png": b"\x89PNG\r\n\x1a\n"}
 _ENDS: Final = {"jpeg": b"\xff\xd9", "png": b"IEND\xaeB`\x82"}
 _SOI, _EOI, _SOS, _TEM = 0xD8, 0xD9, 0xDA, 0x01
@@ -51,6 +54,18 @@ def read_raster_size(data: bytes, file: str | PurePath) -> tuple[int, int]:
         RecordingError: neither a JPEG nor a PNG, or broken or cut off before its size.
     """
     return _check_structure(data, file, complete=False)
+
+
+def codec_of_name(file: PurePath) -> str:
+    """Return the codec of an image by its name: ``jpeg`` or ``png``.
+
+    Raises:
+        RecordingError: the name has another suffix.
+    """
+    codec = CODECS.get(file.suffix.lower())
+    if codec is None:
+        raise RecordingError("unknown kind of image", file=file, expected=" or ".join(CODECS))
+    return codec
 
 
 def is_decodable(data: bytes) -> bool:

@@ -1,1 +1,1 @@
-"""Readers of public datasets, one file a format; the modules with a format's name hold its reader."""
+"""All readers, one module or package of a format's name each, and what they share: boxes, poses, tables."""

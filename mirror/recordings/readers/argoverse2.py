@@ -34,7 +34,7 @@ from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_feather
 from mirror.recordings.readers.box_rows import make_box_table
-from mirror.recordings.readers.rotations import mark_rotations, require_poses
+from mirror.recordings.readers.stored_poses import mark_rotations, require_poses
 from mirror.recordings.registry import refuse_options
 
 
@@ -282,10 +282,10 @@ class Argoverse2Recording:
         quaternion, position = matrix_of(table, COLUMNS[:4]), matrix_of(table, COLUMNS[4:])
         ego_SE3_box = require_poses(quaternion, position, file=file, place="row {}".format)
         columns = {
-            **{name: table.column(name) for name in ("timestamp_ns", *_SIZES)},
+            "timestamp_ns": table.column("timestamp_ns"),
             "track_id": table.column("track_uuid"),
             "category": table.column("category").cast(pa.string()),
             "source": "argoverse2",
             "source_version": "v2",
         }
-        return make_box_table(ego_SE3_box, columns)
+        return make_box_table(ego_SE3_box, matrix_of(table, _SIZES), columns)

@@ -35,15 +35,16 @@ from mirror.recordings.calibration import Calibration, Stage, make_calibration, 
 from mirror.recordings.coordinates import FLU_FROM_CAMERA, track_from_tangent
 from mirror.recordings.paths import natural_key, require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.raster import codec_of_name
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.colmap_folders import model_folders, name_choice
 from mirror.recordings.readers.colmap_lenses import to_lens
 from mirror.recordings.readers.colmap_model import ColmapModel, read_model
 from mirror.recordings.readers.colmap_settings import OPTIONS, ColmapSettings, read_settings
+from mirror.recordings.readers.stored_poses import join_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.time import SECOND_NS
 
-_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _STAMP: Final = re.compile(r"\d{16}|\d{19}")
 # Poses of the reference camera further apart than this do not give a pose between them.
 _GAP_NS: Final = 2 * SECOND_NS
@@ -328,8 +329,8 @@ class ColmapRecording:
             poses.append(self._world_SE3_camera[sensor.rows] @ sensor.ego_SE3_camera.inverse())
             stamps.append(self._stamps[sensor.rows])
         times, first = np.unique(np.concatenate(stamps), return_index=True)
-        rotation = np.concatenate([pose.rotation for pose in poses])[first]
-        position = np.concatenate([pose.translation for pose in poses])[first]
+        world_SE3_ego = join_poses(poses)[first]
+        rotation, position = world_SE3_ego.rotation, world_SE3_ego.translation
         file = self.model.files["images"]
         if self.settings.origin is not None:
             return track_from_tangent(times, position, rotation, self.settings.origin, file=file)
@@ -369,10 +370,8 @@ class ColmapRecording:
         for name, unordered in rows.items():
             numbers = unordered[np.argsort(self._stamps[unordered], kind="stable")]
             paths = tuple(self._paths[number] for number in numbers.tolist())
-            codec = _CODECS.get(paths[0].suffix.lower())
-            if codec is None:
-                raise RecordingError("unknown kind of image", file=paths[0], expected=" or ".join(_CODECS))
-            streams[name] = FileStream(name, codec, self._stamps[numbers], self._stamps[numbers], paths)
+            codec, stamps = codec_of_name(paths[0]), self._stamps[numbers]
+            streams[name] = FileStream(name, codec, stamps, stamps, paths)
         return streams
 
     def boxes(self) -> None:

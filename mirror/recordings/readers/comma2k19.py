@@ -26,9 +26,9 @@ import pyarrow as pa
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
-from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, quaternion_normalise
+from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, to_calibration_table
-from mirror.recordings.coordinates import FLU_FROM_CAMERA, FLU_FROM_FRD, is_invalid_rotation, track_from_ecef
+from mirror.recordings.coordinates import FLU_FROM_CAMERA, FLU_FROM_FRD, mark_invalid_rotations, track_from_ecef
 from mirror.recordings.opening import find_file, read_array, require_file
 from mirror.recordings.paths import natural_key, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
@@ -190,7 +190,7 @@ class Comma2k19Recording:
         times, position, orientation = (
             np.concatenate([segment.arrays[name] for segment in self._loaded]) for name in _ARRAYS
         )
-        bad = is_invalid_rotation(orientation)
+        unit, bad = mark_invalid_rotations(orientation)
         starts = np.cumsum([0, *(len(stamps) for stamps in self._stamps)])
         torn = [
             (int(start), segment.error)
@@ -202,7 +202,6 @@ class Comma2k19Recording:
         no_stamp = np.concatenate(self._no_stamps)
         faults.add(no_stamp, "time", self._error(times, "frame_gps_times", "a GPS week and seconds"))
         faults.add(bad, "rotation", self._error(orientation, "frame_orientations", "a unit quaternion, scalar first"))
-        unit = quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), orientation))
         rotation = quaternion_multiply(unit, quaternion_inverse(FLU_FROM_FRD))
         first = next(folder for folder, segment in zip(self.segments, self._loaded) if segment.error is None)
         file = first / "global_pose" / "frame_positions"

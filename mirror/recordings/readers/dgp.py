@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -26,21 +25,20 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
-from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
-from mirror.recordings.coordinates import is_invalid_rotation
+from mirror.recordings.coordinates import mark_invalid_rotations
 from mirror.recordings.opening import require_file
 from mirror.recordings.paths import require_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
-from mirror.recordings.readers.dgp_datum import Datum, entry_errors, read_datum, read_object, read_pose, require_text
+from mirror.recordings.raster import codec_of_name
+from mirror.recordings.readers.box_rows import make_box_table
+from mirror.recordings.readers.dgp_datum import Datum, read_datum, read_object, read_pose, require_text
+from mirror.recordings.readers.json_tables import entry_errors
+from mirror.recordings.readers.stored_poses import join_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
-from mirror.schema.tables import BOXES
 
 _BOXES_3D: Final = "1"
-_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_LAST_YEAR: Final = 2200
 _BROWN: Final = ("k1", "k2", "p1", "p2", "k3")
 _RATIONAL: Final = (*_BROWN, "k4", "k5", "k6")
 _FISHEYE: Final = ("k1", "k2", "k3", "k4")
@@ -200,7 +198,7 @@ class DgpRecording:
         """
         used = [datum for datum in self._data if self._is_used(datum)]
         quaternion = np.array([datum.rotation for datum in used])
-        bad = is_invalid_rotation(quaternion)
+        unit, bad = mark_invalid_rotations(quaternion)
         torn = [
             (0, self._error(f"datum {number}", f"{datum.stamp!r} is not a date and time", "ISO 8601"))
             for number, datum in enumerate(self._all_data)
@@ -227,22 +225,21 @@ class DgpRecording:
                 "metres x y z",
             ),
         )
-        world_SE3_sensor = Poses(
-            quaternion_normalise(np.where(bad[:, None], (1.0, 0.0, 0.0, 0.0), quaternion)),
-            np.where(not_finite[:, None], 0.0, translation),
+        world_SE3_sensor = Poses(unit, np.where(not_finite[:, None], 0.0, translation))
+        world_SE3_vehicle = join_poses(
+            [
+                world_SE3_sensor[row : row + 1] @ self._extrinsic(datum.calibration, datum.sensor).inverse()
+                for row, datum in enumerate(used)
+            ]
         )
-        poses = [
-            world_SE3_sensor[row : row + 1] @ self._extrinsic(datum.calibration, datum.sensor).inverse()
-            for row, datum in enumerate(used)
-        ]
-        position = np.concatenate([pose.translation for pose in poses])
+        x, y, z = world_SE3_vehicle.translation.T
         return faults.drop_from(
             Track(
                 np.array([datum.timestamp_ns for datum in used], np.int64),
-                x_m=position[:, 0],
-                y_m=position[:, 1],
-                height_m=position[:, 2],
-                rotation=np.concatenate([pose.rotation for pose in poses]),
+                x_m=x,
+                y_m=y,
+                height_m=z,
+                rotation=world_SE3_vehicle.rotation,
                 file=self.scene_file,
             )
         )
@@ -300,10 +297,7 @@ class DgpRecording:
             data = [datum for datum in self._data if datum.sensor == name]
             paths = tuple(self._inside(datum.content["filename"]) for datum in data)
             stamps: Int64 = np.array([datum.timestamp_ns for datum in data], np.int64)
-            codec = _CODECS.get(paths[0].suffix.lower())
-            if codec is None:
-                raise RecordingError("unknown kind of image", file=paths[0], expected=" or ".join(_CODECS))
-            streams[name] = FileStream(name, codec, stamps, stamps, paths)
+            streams[name] = FileStream(name, codec_of_name(paths[0]), stamps, stamps, paths)
         return streams
 
     @property
@@ -328,7 +322,9 @@ class DgpRecording:
             return None
         ontology = self._ontology_keys[0]
         categories = self._categories(self._required(f"ontology/{ontology}.json"))
-        rows: list[dict[str, Any]] = []
+        columns: dict[str, list[Any]] = {name: [] for name in ("timestamp_ns", "track_id", "category")}
+        vehicle_SE3_box: list[Poses] = []
+        size_m: list[list[float]] = []
         for datum, name in self._box_files:
             vehicle_SE3_sensor = self._extrinsic(datum.calibration, datum.sensor)
             file = self._required(name)
@@ -337,19 +333,13 @@ class DgpRecording:
             for index, annotation in enumerate(annotations):
                 with entry_errors(file, f"annotations[{index}]", "a DGP 3D box of a class in the ontology"):
                     box = annotation["box"]
-                    pose = vehicle_SE3_sensor @ read_pose(box["pose"])
-                    rows.append(
-                        {
-                            "timestamp_ns": datum.timestamp_ns,
-                            "track_id": str(annotation["instance_id"]),
-                            "category": categories[annotation["class_id"]],
-                            **{column: float(value[0]) for column, value in pose.to_columns().items()},
-                            **{f"{size}_m": float(box[size]) for size in ("length", "width", "height")},
-                            "source": "dgp",
-                            "source_version": ontology[:8],
-                        }
-                    )
-        return pa.Table.from_pylist(rows, schema=BOXES.schema)
+                    vehicle_SE3_box.append(vehicle_SE3_sensor @ read_pose(box["pose"]))
+                    columns["timestamp_ns"].append(datum.timestamp_ns)
+                    columns["track_id"].append(str(annotation["instance_id"]))
+                    columns["category"].append(categories[annotation["class_id"]])
+                    size_m.append([float(box[size]) for size in ("length", "width", "height")])
+        shared = {"source": "dgp", "source_version": ontology[:8]}
+        return make_box_table(join_poses(vehicle_SE3_box), np.array(size_m).reshape(-1, 3), {**columns, **shared})
 
 
 def _has_boxes(datum: Datum) -> bool:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -11,38 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from mirror.errors import RecordingError, UsageError
+from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
 from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.opening import read_json
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_YEAR: Final = 2200
-
-
-@contextmanager
-def entry_errors(file: Path, place: str, expected: str) -> Iterator[None]:
-    """Turn the errors of a malformed JSON entry into an error that names its place.
-
-    Args:
-        file: the JSON file.
-        place: where the entry is, for instance ``data[7]``.
-        expected: what a right entry is.
-
-    Raises:
-        RecordingError: a key is missing, or a value has another type or range.
-    """
-    try:
-        yield
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, UsageError) as error:
-        missing = isinstance(error, KeyError)
-        raise RecordingError(
-            f"the key {error} is missing" if missing else f"a value cannot be used ({error})",
-            file=file,
-            place=place,
-            expected=expected,
-            remedy="correct the entry, or take it out of the file",
-        ) from error
 
 
 @dataclass(frozen=True)

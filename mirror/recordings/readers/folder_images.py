@@ -15,11 +15,11 @@ from mirror.recordings.folder_document import FolderCamera
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import is_remote_uri, list_file_names, list_folder
 from mirror.recordings.protocol import FileStream, ImageStream, ReferencedStream
+from mirror.recordings.raster import CODECS
 from mirror.recordings.tabular import RecordingRows, read_rows
 from mirror.recordings.video import VideoStream
 from mirror.recordings.video_file import read_video_stamps, to_unix_stamps
 
-_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi", ".h264", ".hevc", ".h265")
 _EXPOSURES: Final = ("exposure_start_ns", "exposure_end_ns")
 _SIZES: Final = ("byte_length", "width_px", "height_px")
@@ -104,7 +104,7 @@ def _referenced_stream(camera: str, table: Path) -> ReferencedStream:
 
 def _find_codec(names: list[str], file: Path) -> str:
     suffixes = {f".{name.rpartition('.')[2].lower()}" for name in names}
-    codecs = {_CODECS.get(suffix) for suffix in suffixes}
+    codecs = {CODECS.get(suffix) for suffix in suffixes}
     codec = codecs.pop()
     if codecs or codec is None:
         raise RecordingError(
@@ -175,7 +175,7 @@ def _read_listed_files(table: Path, images: set[str], *, named: bool) -> tuple[I
 
 def _is_image_name(name: str | None) -> bool:
     """Return whether a cell is the name of an image, without a path."""
-    return name is not None and not {"/", "\\"} & set(name) and f".{name.rpartition('.')[2].lower()}" in _CODECS
+    return name is not None and not {"/", "\\"} & set(name) and f".{name.rpartition('.')[2].lower()}" in CODECS
 
 
 def _read_exposures(rows: RecordingRows) -> tuple[Int64, Int64]:

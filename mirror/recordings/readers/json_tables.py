@@ -1,4 +1,6 @@
-"""Reads a JSON list of flat objects into Arrow columns, in pieces: no Python object per value, and no whole file.
+"""Reads JSON of datasets: lists of flat objects into Arrow columns, and single entries with errors that name them.
+
+A list is read in pieces: no Python object per value, and no whole file.
 
 The tables of nuScenes have millions of objects. Decoding them with Python's JSON takes about nine times the memory
 and the time (docs/recordings.md has the figures).
@@ -8,6 +10,8 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.arrays import Float64
-from mirror.errors import RecordingError
+from mirror.errors import RecordingError, UsageError
 from mirror.recordings.opening import read_json, unreadable_error
 
 _BLOCK_BYTES: Final = 4 << 20
@@ -168,3 +172,28 @@ class _Objects(io.RawIOBase):
                 raise ValueError("no comma between two objects")
             self._ready = _SEPARATOR.sub(b"}\n", objects)
         self._held = data[end:]
+
+
+@contextmanager
+def entry_errors(file: Path, place: str, expected: str) -> Iterator[None]:
+    """Turn the errors of a malformed JSON entry into an error that names its place.
+
+    Args:
+        file: the JSON file.
+        place: where the entry is, for instance ``data[7]``.
+        expected: what a right entry is.
+
+    Raises:
+        RecordingError: a key is missing, or a value has another type or range.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, UsageError) as error:
+        missing = isinstance(error, KeyError)
+        raise RecordingError(
+            f"the key {error} is missing" if missing else f"a value cannot be used ({error})",
+            file=file,
+            place=place,
+            expected=expected,
+            remedy="correct the entry, or take it out of the file",
+        ) from error

@@ -25,7 +25,7 @@ import pyarrow as pa
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_from_matrix, quaternion_inverse, quaternion_multiply, rotate
+from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_FRD
 from mirror.recordings.opening import find_file, read_file, require_file
@@ -34,7 +34,7 @@ from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageS
 from mirror.recordings.readers.collection import choose_drive, one_of
 from mirror.recordings.readers.kitti360_boxes import NO_STAMP, find_boxes, read_boxes
 from mirror.recordings.readers.kitti360_cameras import CALIBRATION_FILES, CAMERAS, read_calibrations
-from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion
+from mirror.recordings.readers.stored_poses import REMEDY, is_no_rigid_motion, mark_matrices, select_poses, to_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.stamps import require_zone
@@ -225,9 +225,9 @@ class Kitti360Recording:
             )
 
         faults.add(~rows.known, "time", error)
-        bad = is_no_rigid_motion(matrix, _ROTATION_TOLERANCE)
+        poses, bad = mark_matrices(matrix, _ROTATION_TOLERANCE)
         faults.add(bad, "rotation", error)
-        flu = _flu_rotation(np.where(bad[:, None, None], np.eye(3), matrix[:, :, :3]))
+        flu = _to_flu(poses).rotation
         up = rotate(flu, (0.0, 0.0, 1.0))[:, 2]
         if faults.good.any() and np.median(up[faults.good]) < 0.0:
             raise RecordingError(
@@ -236,13 +236,13 @@ class Kitti360Recording:
                 expected="an IMU with z down, in a world with z up",
                 remedy=REMEDY,
             )
-        longitude, latitude = _to_degrees(matrix[:, 0, 3], matrix[:, 1, 3])
+        longitude, latitude = _to_degrees(poses.translation[:, 0], poses.translation[:, 1])
         return faults.drop_from(
             Track(
                 np.where(rows.known, rows.stamps, 0),
                 longitude_deg=longitude,
                 latitude_deg=latitude,
-                height_m=matrix[:, 2, 3],
+                height_m=poses.translation[:, 2],
                 rotation=flu,
                 file=file,
             )
@@ -279,11 +279,8 @@ class Kitti360Recording:
             return None
         frames = self._poses
         good = frames.known & ~is_no_rigid_motion(frames.matrix, _ROTATION_TOLERANCE)
-        times, first = np.unique(frames.stamps[good], return_index=True)
-        if not len(times):
-            raise RecordingError("no pose is valid", file=frames.file, remedy=REMEDY)
-        matrix = frames.matrix[good][first]
-        poses = Poses(_flu_rotation(matrix[:, :, :3]), matrix[:, :, 3])
+        times, rows = select_poses(frames.stamps, good, frames.file)
+        poses = _to_flu(to_poses(frames.matrix[rows]))
         _, by_frame = self._stamps(_RECTIFIED[0])
         return read_boxes(file, by_frame, times, poses, all_kinds=self.kinds == "all")
 
@@ -300,9 +297,10 @@ class _FramePoses:
     torn: list[tuple[int, RecordingError]]
 
 
-def _flu_rotation(rotation: Float64) -> Float64:
-    """(N, 4) rotations of the vehicle, y left and z up, from (N, 3, 3) ones of the IMU, y right and z down."""
-    return quaternion_multiply(quaternion_from_matrix(rotation), quaternion_inverse(FLU_FROM_FRD))
+def _to_flu(world_SE3_imu: Poses) -> Poses:
+    """Turn poses of the IMU, y right and z down, to those of the vehicle, y left and z up."""
+    rotation = quaternion_multiply(world_SE3_imu.rotation, quaternion_inverse(FLU_FROM_FRD))
+    return Poses(rotation, world_SE3_imu.translation)
 
 
 def _is_stamp(line: str) -> bool:

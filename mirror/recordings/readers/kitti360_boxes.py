@@ -22,7 +22,7 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_from_matrix
 from mirror.recordings.opening import find_file, unreadable_error
 from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
-from mirror.recordings.readers.rotations import REMEDY
+from mirror.recordings.readers.stored_poses import REMEDY
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -101,7 +101,7 @@ def read_boxes(file: Path, by_frame: Int64, pose_ns: Int64, world_SE3_ego: Poses
     place_of = np.concatenate(places) if places else np.empty(0, np.int64)
     owner, place_of = _once(objects, owner, place_of)
     if not len(owner):
-        return make_box_table(Poses(np.empty((0, 4)), np.empty((0, 3))), {})
+        return make_box_table(Poses.identity(0), np.empty((0, 3)), {})
     rotation, centre, size = (
         np.stack([getattr(one, name) for one in objects]) for name in ("rotation", "centre", "size")
     )
@@ -110,12 +110,11 @@ def read_boxes(file: Path, by_frame: Int64, pose_ns: Int64, world_SE3_ego: Poses
         "timestamp_ns": by_frame[usable[place_of]],
         "track_id": [objects[number].track_id for number in owner.tolist()],
         "category": [objects[number].label for number in owner.tolist()],
-        **dict(zip(("length_m", "width_m", "height_m"), size[owner].T)),
         **velocity_columns(np.where(static[owner][:, None], np.zeros((1, 3)), np.nan)),
         "source": "kitti360",
         "source_version": file.parent.name,
     }
-    return make_box_table(ego[place_of].inverse() @ Poses(rotation[owner], centre[owner]), columns)
+    return make_box_table(ego[place_of].inverse() @ Poses(rotation[owner], centre[owner]), size[owner], columns)
 
 
 def _once(objects: list[_Object], owner: Int64, place: Int64) -> tuple[Int64, Int64]:

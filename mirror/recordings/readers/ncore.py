@@ -25,9 +25,8 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
-from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses, to_pose_numbers
-from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix, quaternion_multiply
+from mirror.geometry.quaternions import quaternion_exp, quaternion_multiply
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_ecef
 from mirror.recordings.opening import require_file
@@ -37,7 +36,15 @@ from mirror.recordings.readers.box_rows import make_box_table
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.ncore_lenses import SHUTTERS, to_camera
 from mirror.recordings.readers.ncore_store import NcoreStores
-from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
+from mirror.recordings.readers.stored_poses import (
+    REMEDY,
+    is_no_rigid_motion,
+    mark_matrices,
+    poses_at,
+    require_poses,
+    select_poses,
+    to_poses,
+)
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
 
@@ -134,7 +141,7 @@ class NcoreRecording:
         if matrix is None:
             return None
         self._require_rigid(matrix, f"the pose of {_WORLD} in {_GLOBAL}")
-        return _to_poses(matrix[None])
+        return to_poses(matrix[None])
 
     @property
     def _is_geodetic(self) -> bool:
@@ -195,7 +202,7 @@ class NcoreRecording:
         file = self._stores.poses_path
         stamp_us, matrix = self._stores.trajectory(_RIG, _WORLD)
         known = stamp_us <= _LONGEST_US
-        bad = is_no_rigid_motion(matrix)
+        poses, bad = mark_matrices(matrix)
 
         def error(row: int) -> RecordingError:
             return RecordingError(
@@ -209,7 +216,6 @@ class NcoreRecording:
         faults = RowFaults(len(stamp_us))
         faults.add(~known, "time", error)
         faults.add(bad, "rotation", error)
-        poses = _to_poses(np.where(bad[:, None, None], np.eye(4), matrix))
         if self._global is not None:
             poses = self._global @ poses
         stamp_ns: Int64 = np.where(known, stamp_us, 0) * 1_000
@@ -279,11 +285,10 @@ class NcoreRecording:
             "timestamp_ns": stamps.astype(np.int64) * 1_000,
             "track_id": [one.track_id for one in seen],
             "category": [one.class_id for one in seen],
-            **dict(zip(("length_m", "width_m", "height_m"), values[:, 3:6].T)),
             "source": [f"ncore_{one.source}" for one in seen],
             "source_version": [to_identifier(one.version) for one in seen],
         }
-        return make_box_table(ego_SE3_box, columns)
+        return make_box_table(ego_SE3_box, values[:, 3:6], columns)
 
     def _to_ego(
         self, frames: Sequence[str], frame_us: Float64, stamps: Float64, frame_SE3_box: Poses, file: Path
@@ -319,15 +324,12 @@ class NcoreRecording:
     def _trajectory(self) -> tuple[Int64, Poses]:
         stamp_us, matrix = self._stores.trajectory(_RIG, _WORLD)
         good = (stamp_us <= _LONGEST_US) & ~is_no_rigid_motion(matrix)
-        times, first = np.unique(stamp_us[good], return_index=True)
-        if not len(times):
-            raise RecordingError("no pose is valid", file=self._stores.poses_path, remedy=REMEDY)
-        return times, _to_poses(matrix[good][first])
+        times, rows = select_poses(stamp_us, good, self._stores.poses_path)
+        return times, to_poses(matrix[rows])
 
     def _rig_at(self, stamps_us: Int64) -> Poses:
         """``world_SE3_rig``; a stamp before the first or after the last pose has that pose."""
-        times, poses = self._trajectory
-        return interpolate(times, poses, np.clip(stamps_us, times[0], times[-1]))
+        return poses_at(stamps_us, *self._trajectory)
 
     def _static_path(self, source: str, target: str) -> Poses | None:
         """``target_SE3_source`` along static poses; None: none leads there."""
@@ -346,7 +348,7 @@ class NcoreRecording:
                 step = matrix if here == start else np.linalg.inv(matrix)
                 reached[there] = step @ reached[here]
                 waiting.append(there)
-        return _to_poses(reached[target][None]) if target in reached else None
+        return to_poses(reached[target][None]) if target in reached else None
 
     def _require_rigid(self, matrix: Float64, what: str) -> None:
         if is_no_rigid_motion(matrix[None])[0]:
@@ -383,8 +385,3 @@ class _StoreStream:
                     place=f"camera {self.source}, frame {end_us}",
                 )
             yield index, self.stores.image(self.source, end_us)
-
-
-def _to_poses(matrices: Float64) -> Poses:
-    """Poses of (N, 4, 4) rigid matrices that float32 has rounded."""
-    return Poses(quaternion_from_matrix(matrices[:, :3, :3]), matrices[:, :3, 3])

@@ -21,7 +21,7 @@ from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.opening import unreadable_error
-from mirror.recordings.readers.rotations import REMEDY
+from mirror.recordings.readers.stored_poses import REMEDY
 
 if TYPE_CHECKING:
     from ncore.data.v4 import SequenceComponentGroupsReader

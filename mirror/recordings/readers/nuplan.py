@@ -23,14 +23,14 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_exp, quaternion_inverse, rotate
+from mirror.geometry.quaternions import quaternion_inverse, rotate
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import track_from_utm
 from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
-from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
+from mirror.recordings.readers.box_rows import make_box_table, rotation_about_up, velocity_columns
 from mirror.recordings.readers.nuplan_database import REMEDY, is_database, load_numbers, open_database
-from mirror.recordings.readers.rotations import mark_rotations, require_poses
+from mirror.recordings.readers.stored_poses import mark_rotations, require_poses
 from mirror.recordings.registry import refuse_options
 
 _TABLES: Final = ("log", "ego_pose", "camera", "image")
@@ -318,7 +318,7 @@ class NuplanRecording:
         if not all(isinstance(stamp, int) and abs(stamp) <= _LAST_US for stamp in stamps):
             raise RecordingError("no stamp", file=self.path, place="table lidar_pc", expected="Unix microseconds")
         place = "table lidar_box, row {}".format
-        yaw = quaternion_exp(np.outer(np.nan_to_num(values[:, 3]), (0.0, 0.0, 1.0)))
+        yaw = rotation_about_up(np.nan_to_num(values[:, 3]))
         utm_SE3_box = require_poses(yaw, values[:, :3], file=self.path, place=place)
         utm_SE3_ego = require_poses(values[:, 14:18], values[:, 11:14], file=self.path, place=place)
         # The difference first: UTM coordinates have seven digits before the point.
@@ -329,13 +329,12 @@ class NuplanRecording:
             "timestamp_ns": np.array(stamps, np.int64) * 1_000,
             "track_id": [row[1] for row in rows],
             "category": [str(row[2]) for row in rows],
-            **dict(zip(("length_m", "width_m", "height_m"), values[:, 4:7].T)),
             "score": pa.array(np.ascontiguousarray(values[:, 10]), mask=np.isnan(values[:, 10])),
             **velocity_columns(np.where(np.isnan(values[:, 7:10]), np.nan, velocity)),
             "source": "nuplan",
             "source_version": "v1.1",
         }
-        return make_box_table(shifted.inverse() @ box, columns)
+        return make_box_table(shifted.inverse() @ box, values[:, 4:7], columns)
 
 
 def _name(channel: str) -> str:

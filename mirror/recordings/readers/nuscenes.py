@@ -33,13 +33,14 @@ from mirror.recordings.coordinates import track_from_tangent
 from mirror.recordings.opening import find_file
 from mirror.recordings.paths import require_files_inside, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.raster import codec_of_name
 from mirror.recordings.readers.collection import choose_drive, one_of
-from mirror.recordings.readers.dgp_datum import entry_errors
+from mirror.recordings.readers.json_tables import entry_errors
 from mirror.recordings.readers.nuscenes_boxes import make_boxes
 from mirror.recordings.readers.nuscenes_relatives import FOLDERS_OF_RELATIVES, refuse_relatives
 from mirror.recordings.readers.nuscenes_rows import SensorData
 from mirror.recordings.readers.nuscenes_tables import REMEDY, TABLES, Tables, open_tables
-from mirror.recordings.readers.rotations import mark_rotations
+from mirror.recordings.readers.stored_poses import mark_rotations
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.weather import WEATHER
 
@@ -62,7 +63,6 @@ _CANONICAL: Final = {
     "CAM_BACK": "rear",
 }
 _SIX: Final = {"front_wide", "front_left", "front_right", "rear_left", "rear_right", "rear"}
-_CODECS: Final = {".jpg": "jpeg", ".jpeg": "jpeg", ".png": "png"}
 _OPTIONS: Final = ("sweeps",)
 
 
@@ -348,11 +348,8 @@ class NuscenesRecording:
         for channel, rows in self._cameras.items():
             name = _CANONICAL.get(channel, to_identifier(channel))
             paths = tuple(self._image_paths[channel])
-            codec = _CODECS.get(paths[0].suffix.lower())
-            if codec is None:
-                raise RecordingError("unknown kind of image", file=paths[0], expected=" or ".join(_CODECS))
             stamps: Int64 = np.clip(rows.timestamp_us, -_LAST_US, _LAST_US) * 1_000
-            streams[name] = FileStream(name, codec, stamps, stamps, paths)
+            streams[name] = FileStream(name, codec_of_name(paths[0]), stamps, stamps, paths)
         return streams
 
     def boxes(self) -> pa.Table | None:

@@ -9,15 +9,12 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
-from mirror.errors import RecordingError
-from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_inverse, quaternion_normalise, rotate
+from mirror.geometry.quaternions import quaternion_inverse, rotate
 from mirror.recordings.coordinates import is_invalid_rotation
 from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
 from mirror.recordings.readers.nuscenes_rows import Annotations
-from mirror.recordings.readers.nuscenes_tables import REMEDY
-from mirror.recordings.readers.rotations import require_poses
+from mirror.recordings.readers.stored_poses import poses_at, require_poses, select_poses
 
 # The devkit's limits: a neighbour may be 1.5 s away, two neighbours 3 s apart.
 _FARTHEST_US: Final = 1_500_000
@@ -62,13 +59,13 @@ def make_boxes(
         "timestamp_ns": annotations.timestamp_us * 1_000,
         "track_id": [names[index] for index in annotations.instance.tolist()],
         "category": [categories[index] for index in annotations.instance.tolist()],
-        **dict(zip(("width_m", "length_m", "height_m"), annotations.size_m.T)),
         **velocity_columns(velocity),
         "attributes": annotations.attributes,
         "source": "nuscenes",
         "source_version": version,
     }
-    return make_box_table(map_SE3_ego.inverse() @ map_SE3_box, columns)
+    width, length, height = annotations.size_m.T
+    return make_box_table(map_SE3_ego.inverse() @ map_SE3_box, np.stack([length, width, height], axis=1), columns)
 
 
 def velocities(annotations: Annotations) -> Float64:
@@ -93,8 +90,5 @@ def velocities(annotations: Annotations) -> Float64:
 def _ego_at(stamps_us: Int64, pose_us: Int64, rotation: Float64, translation: Float64, file: Path) -> Poses:
     """The ego's poses at the stamps of frames; a stamp before the first or after the last pose has that pose."""
     good = ~is_invalid_rotation(rotation) & np.isfinite(translation).all(axis=1)
-    times, first = np.unique(pose_us[good], return_index=True)
-    if not len(times):
-        raise RecordingError("no pose is valid", file=file.with_name("ego_pose.json"), remedy=REMEDY)
-    poses = Poses(quaternion_normalise(rotation[good][first]), translation[good][first])
-    return interpolate(times, poses, np.clip(stamps_us, times[0], times[-1]))
+    times, rows = select_poses(pose_us, good, file.with_name("ego_pose.json"))
+    return poses_at(stamps_us, times, Poses(rotation[rows], translation[rows]))

@@ -26,16 +26,15 @@ import pyarrow.compute as pc
 from mirror.arrays import Float64
 from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
-from mirror.geometry.quaternions import quaternion_exp, quaternion_from_matrix
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_CAMERA
 from mirror.recordings.opening import find_file, require_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.arrow_tables import matrix_of, read_parquet
-from mirror.recordings.readers.box_rows import make_box_table
+from mirror.recordings.readers.box_rows import make_box_table, rotation_about_up
 from mirror.recordings.readers.collection import choose_drive
-from mirror.recordings.readers.rotations import REMEDY, is_no_rigid_motion, require_poses
+from mirror.recordings.readers.stored_poses import REMEDY, is_no_rigid_motion, mark_matrices, require_poses
 from mirror.recordings.readers.waymo_images import IMAGE, ParquetStream
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
@@ -265,8 +264,7 @@ class WaymoRecording:
             matrices.append(_matrices(rows.column(f"{IMAGE}pose.transform")))
             good_stamp = np.concatenate([good_stamp, good])
         matrix, stamp = np.concatenate(matrices), np.concatenate(stamps)
-        bad = is_no_rigid_motion(matrix)
-        unit = np.where(bad[:, None, None], np.eye(4), matrix)
+        poses, bad = mark_matrices(matrix)
         count = table.num_rows
 
         def error(row: int) -> RecordingError:
@@ -282,9 +280,8 @@ class WaymoRecording:
         faults = RowFaults(len(stamp))
         faults.add(~good_stamp, "time", error)
         faults.add(bad, "rotation", error)
-        x, y, z = unit[:, :3, 3].T
-        rotation = quaternion_from_matrix(unit[:, :3, :3])
-        track = faults.drop_from(Track(stamp, x_m=x, y_m=y, height_m=z, rotation=rotation, file=file))
+        x, y, z = poses.translation.T
+        track = faults.drop_from(Track(stamp, x_m=x, y_m=y, height_m=z, rotation=poses.rotation, file=file))
         order = np.argsort(track.timestamp_ns, kind="stable")
         columns = {name: getattr(track, name)[order] for name in ("timestamp_ns", "x_m", "y_m", "height_m", "rotation")}
         return replace(track, **columns)
@@ -362,17 +359,16 @@ class WaymoRecording:
                 expected=f"Unix microseconds, a type below {len(_TYPES)} and radians",
                 remedy=REMEDY,
             )
-        rotation = quaternion_exp(np.outer(heading, (0.0, 0.0, 1.0)))
+        rotation = rotation_about_up(heading)
         ego_SE3_box = require_poses(rotation, matrix_of(table, _CENTRE), file=file, place="row {}".format)
         columns = {
             "timestamp_ns": stamps * 1_000,
             "track_id": table.column("key.laser_object_id"),
             "category": [_TYPES[kind] for kind in kinds.tolist()],
-            **dict(zip(("length_m", "width_m", "height_m"), matrix_of(table, _SIZE).T)),
             "source": "waymo",
             "source_version": "v2",
         }
-        return make_box_table(ego_SE3_box, columns)
+        return make_box_table(ego_SE3_box, matrix_of(table, _SIZE), columns)
 
 
 def _matrices(column: pa.ChunkedArray) -> Float64:

@@ -12,7 +12,7 @@ import pyarrow as pa
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.recordings.opening import unreadable_error
-from mirror.recordings.readers.rotations import REMEDY
+from mirror.recordings.readers.stored_poses import REMEDY
 
 IMAGE: Final = "[CameraImageComponent]."
 """Prefix of the columns of images."""

@@ -1,21 +1,24 @@
-"""Rotations as datasets store them: a bad one costs its row of the track, but is an error in a table of boxes."""
+"""Poses as datasets store them: quaternions, matrices, and their rows at the stamps of other data.
+
+A bad pose costs its row of a track, but is an error in a table of boxes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from mirror.arrays import Bool, Float64
+from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import RecordingError
+from mirror.geometry.interpolation import interpolate
 from mirror.geometry.poses import Poses
-from mirror.geometry.quaternions import quaternion_normalise
-from mirror.recordings.coordinates import is_invalid_rotation
+from mirror.geometry.quaternions import quaternion_from_matrix
+from mirror.recordings.coordinates import mark_invalid_rotations
 from mirror.recordings.row_faults import RowFaults
 
-_IDENTITY: Final = (1.0, 0.0, 0.0, 0.0)
 _EXPECTED: Final = "a unit quaternion, scalar first"
 REMEDY: Final = "download the file again"
 
@@ -39,6 +42,25 @@ def is_no_rigid_motion(matrix: Float64, tolerance: float = 1e-3) -> Bool:
     return ~good
 
 
+def to_poses(matrix: Float64) -> Poses:
+    """Return the poses of (N, 4, 4) or (N, 3, 4) rigid matrices, such as float32 has rounded."""
+    return Poses(quaternion_from_matrix(matrix[:, :3, :3]), matrix[:, :3, 3])
+
+
+def mark_matrices(matrix: Float64, tolerance: float = 1e-3) -> tuple[Poses, Bool]:
+    """Convert the matrices of a track to poses, and mark those that are no rigid motion.
+
+    Args:
+        matrix: (N, 4, 4) or (N, 3, 4), as read.
+        tolerance: as of `is_no_rigid_motion`.
+
+    Returns:
+        N poses, the identity where a row is marked; and (N,) True where a matrix is no rigid motion.
+    """
+    bad = is_no_rigid_motion(matrix, tolerance)
+    return to_poses(np.where(bad[:, None, None], np.eye(4)[: matrix.shape[1]], matrix)), bad
+
+
 def mark_rotations(quaternion: Float64, *, file: Path, place: Callable[[int], str]) -> tuple[RowFaults, Float64]:
     """Mark the rows of a track whose quaternion is no rotation.
 
@@ -55,9 +77,9 @@ def mark_rotations(quaternion: Float64, *, file: Path, place: Callable[[int], st
         return _error(quaternion[row], file, place(row))
 
     faults = RowFaults(len(quaternion))
-    bad = is_invalid_rotation(quaternion)
+    unit, bad = mark_invalid_rotations(quaternion)
     faults.add(bad, "rotation", error)
-    return faults, quaternion_normalise(np.where(bad[:, None], _IDENTITY, quaternion))
+    return faults, unit
 
 
 def require_poses(quaternion: Float64, position: Float64, *, file: Path, place: Callable[[int], str]) -> Poses:
@@ -72,7 +94,7 @@ def require_poses(quaternion: Float64, position: Float64, *, file: Path, place: 
     Raises:
         RecordingError: a quaternion is no rotation, or a position is not finite; the row is named.
     """
-    bad = is_invalid_rotation(quaternion)
+    unit, bad = mark_invalid_rotations(quaternion)
     if bad.any():
         row = int(np.argmax(bad))
         raise _error(quaternion[row], file, place(row))
@@ -86,7 +108,47 @@ def require_poses(quaternion: Float64, position: Float64, *, file: Path, place: 
             expected="metres",
             remedy=REMEDY,
         )
-    return Poses(quaternion_normalise(quaternion), position)
+    return Poses(unit, position)
+
+
+def join_poses(poses: Sequence[Poses]) -> Poses:
+    """Join poses in their order; none give no pose."""
+    rotation = [one.rotation for one in poses]
+    translation = [one.translation for one in poses]
+    return Poses.unchecked(
+        np.concatenate([np.empty((0, 4)), *rotation]), np.concatenate([np.empty((0, 3)), *translation])
+    )
+
+
+def select_poses(stamps: Int64, good: Bool, file: Path) -> tuple[Int64, Int64]:
+    """Select the good poses of a trajectory, one at each stamp, for `interpolate`.
+
+    Args:
+        stamps: (N,) stamps of the poses, in any order.
+        good: (N,) whether a pose can be used.
+        file: the file of the poses, for the message.
+
+    Returns:
+        (M,) the different stamps of good poses, ascending, and (M,) the first row of each.
+
+    Raises:
+        RecordingError: no pose is good.
+    """
+    times, first = np.unique(stamps[good], return_index=True)
+    if not len(times):
+        raise RecordingError("no pose is valid", file=file, remedy=REMEDY)
+    return times, np.flatnonzero(good)[first]
+
+
+def poses_at(stamps: Int64, times: Int64, poses: Poses) -> Poses:
+    """Interpolate a trajectory; a stamp before the first or after the last pose has that pose.
+
+    Args:
+        stamps: (K,) stamps that are asked for.
+        times: (M,) ascending stamps of the poses.
+        poses: the M poses.
+    """
+    return interpolate(times, poses, np.clip(stamps, times[0], times[-1]))
 
 
 def _error(quaternion: Float64, file: Path, place: str) -> RecordingError:

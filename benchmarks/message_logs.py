@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.report import Peer, Row, report
-from tests.recordings.message_logs.writer import TOPICS, Out, drive, messages, write_mcap
+from tests.recordings.readers.message_logs.writer import TOPICS, Out, drive, messages, write_mcap
 
 BAR_MB = 400.0
 _IMAGE_BYTES = 400_000

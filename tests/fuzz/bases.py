@@ -212,7 +212,7 @@ def dgp(root: Path) -> Base:
 
 def mcap(root: Path) -> Base:
     """A log of ROS 2 messages with its topics file."""
-    from tests.recordings.message_logs.writer import TOPICS, drive, messages, write_mcap
+    from tests.recordings.readers.message_logs.writer import TOPICS, drive, messages, write_mcap
 
     path = root / "monday"
     path.mkdir(parents=True)
@@ -223,7 +223,7 @@ def mcap(root: Path) -> Base:
 
 def rosbag2(root: Path) -> Base:
     """The same log as a database."""
-    from tests.recordings.message_logs.writer import TOPICS, drive, messages, write_rosbag2
+    from tests.recordings.readers.message_logs.writer import TOPICS, drive, messages, write_rosbag2
 
     path = root / "monday"
     path.mkdir(parents=True)

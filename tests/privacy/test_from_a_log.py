@@ -12,8 +12,8 @@ import pytest
 import mirror
 from mirror.cli.main import main
 from tests.ingest.recordings import LAT, LON
-from tests.recordings.message_logs.drives import ONE
-from tests.recordings.message_logs.writer import messages, write_mcap
+from tests.recordings.readers.message_logs.drives import ONE
+from tests.recordings.readers.message_logs.writer import messages, write_mcap
 
 
 def test_logs_are_ingested_redacted_released_published_and_fetched(

@@ -208,9 +208,9 @@ def _comma2k19(root: Path) -> Path:
 
 
 def _log_messages(root: Path) -> list[Any]:
-    from tests.recordings.message_logs.drives import ONE
-    from tests.recordings.message_logs.films import VIDEO, packets, video_messages
-    from tests.recordings.message_logs.writer import TOPICS, messages
+    from tests.recordings.readers.message_logs.drives import ONE
+    from tests.recordings.readers.message_logs.films import VIDEO, packets, video_messages
+    from tests.recordings.readers.message_logs.writer import TOPICS, messages
 
     root.mkdir(parents=True)
     (root / "log.toml").write_text(TOPICS + VIDEO)
@@ -220,13 +220,13 @@ def _log_messages(root: Path) -> list[Any]:
 
 
 def _mcap(root: Path) -> Path:
-    from tests.recordings.message_logs.writer import write_mcap
+    from tests.recordings.readers.message_logs.writer import write_mcap
 
     return write_mcap(root / "log.mcap", _log_messages(root))
 
 
 def _rosbag2(root: Path) -> Path:
-    from tests.recordings.message_logs.writer import write_rosbag2
+    from tests.recordings.readers.message_logs.writer import write_rosbag2
 
     return write_rosbag2(root / "log.db3", _log_messages(root), definitions=False)
 

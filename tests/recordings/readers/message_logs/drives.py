@@ -10,7 +10,7 @@ from mirror.geometry.geodesy import geodetic_to_ecef
 from mirror.recordings.protocol import Track
 from mirror.recordings.readers.message_logs.recording import LogRecording
 from mirror.recordings.registry import open_recording
-from tests.recordings.message_logs.writer import EGO_SE3_CAMERA, LENS, TOPICS, Drive, drive
+from tests.recordings.readers.message_logs.writer import EGO_SE3_CAMERA, LENS, TOPICS, Drive, drive
 
 ONE = drive()
 

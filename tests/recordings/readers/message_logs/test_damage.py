@@ -13,8 +13,8 @@ from mirror.cli.main import main
 from mirror.errors import MirrorError, RecordingError
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.readers.message_logs.mcap_file import McapFile
-from tests.recordings.message_logs.drives import ONE, opened
-from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
+from tests.recordings.readers.message_logs.drives import ONE, opened
+from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 
 
 @pytest.mark.parametrize("chunked", [True, False])

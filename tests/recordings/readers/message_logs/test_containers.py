@@ -12,8 +12,8 @@ from mcap.writer import CompressionType
 from mirror.recordings.readers.message_logs.mcap_file import McapFile
 from mirror.recordings.readers.message_logs.recording import LogRecording
 from mirror.recordings.registry import open_recording
-from tests.recordings.message_logs.drives import ONE, opened, require_drive
-from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
+from tests.recordings.readers.message_logs.drives import ONE, opened, require_drive
+from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 
 CASES = {
     "zstd": {},

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mirror.errors import RecordingError
-from tests.recordings.message_logs.drives import ONE, opened, require_same_track
-from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
+from tests.recordings.readers.message_logs.drives import ONE, opened, require_same_track
+from tests.recordings.readers.message_logs.writer import TOPICS, Out, messages, write_mcap
 
 CAMERA = TOPICS[TOPICS.index("[cameras") :]
 LOCAL = """

@@ -16,9 +16,9 @@ from mirror.recordings.protocol import repeated_stamps
 from mirror.recordings.readers.message_logs.contents import read_contents
 from mirror.recordings.summary import summarise
 from tests.ingest.recordings import LAT, LON
-from tests.recordings.message_logs.drives import ONE, opened
-from tests.recordings.message_logs.films import VIDEO, packets, video_messages
-from tests.recordings.message_logs.writer import TOPICS, Out, messages, write_mcap
+from tests.recordings.readers.message_logs.drives import ONE, opened
+from tests.recordings.readers.message_logs.films import VIDEO, packets, video_messages
+from tests.recordings.readers.message_logs.writer import TOPICS, Out, messages, write_mcap
 
 
 def with_info(**changes: Any) -> list[Out]:

@@ -12,9 +12,9 @@ import pytest
 from mirror.errors import RecordingError
 from mirror.recordings.readers.message_logs.images import MessageVideo
 from mirror.recordings.video_frames import JPEG_QUALITY
-from tests.recordings.message_logs.drives import ONE, opened
-from tests.recordings.message_logs.films import VIDEO, packets, video_messages
-from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
+from tests.recordings.readers.message_logs.drives import ONE, opened
+from tests.recordings.readers.message_logs.films import VIDEO, packets, video_messages
+from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap
 from tests.recordings.videos import GROUP
 
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import av
 
-from tests.recordings.message_logs.drives import ONE
-from tests.recordings.message_logs.writer import Out
+from tests.recordings.readers.message_logs.drives import ONE
+from tests.recordings.readers.message_logs.writer import Out
 from tests.recordings.videos import write_video
 
 VIDEO = """

@@ -19,8 +19,8 @@ from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile, propose_topics
 from mirror.recordings.registry import open_recording
 from tests.ingest.recordings import LAT, LON
-from tests.recordings.message_logs.drives import ONE, opened, require_drive
-from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap
+from tests.recordings.readers.message_logs.drives import ONE, opened, require_drive
+from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap
 
 
 def test_from_the_proposal_to_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

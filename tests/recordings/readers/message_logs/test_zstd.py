@@ -14,8 +14,8 @@ from mirror.errors import ExitCode, RecordingError
 from mirror.recordings.readers.message_logs.contents import read_contents
 from mirror.recordings.registry import open_recording
 from tests.ingest.recordings import LAT, LON
-from tests.recordings.message_logs.drives import ONE, opened, require_drive
-from tests.recordings.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
+from tests.recordings.readers.message_logs.drives import ONE, opened, require_drive
+from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 
 
 def _compress_messages(file: Path) -> Path:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ast
-import io
 import json
 import re
 import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import redirect_stdout, suppress
 from functools import cache
 from itertools import islice, product
 from pathlib import Path
@@ -17,9 +15,9 @@ from typing import Final
 import pytest
 
 from mirror import installation
-from mirror.cli.main import main
 from mirror.cli.verbs import all_commands
 from mirror.installation import NAME, install_command, upgrade_command
+from tests.command_help import help_of, options_of
 
 ROOT: Final = Path(__file__).parents[1]
 TOPS: Final = (".", "baselines", "leaderboard")
@@ -273,15 +271,6 @@ def messages() -> Iterator[tuple[str, str, str]]:
 
 
 @cache
-def help_of(words: str) -> str:
-    said = io.StringIO()
-    with redirect_stdout(said), suppress(SystemExit):
-        main([*words.split(), "--help"])
-    assert said.getvalue().startswith("usage: "), words
-    return said.getvalue()
-
-
-@cache
 def subcommands(verb: str) -> tuple[str, ...]:
     """The subcommands of a verb that has some, as its help lists or names them."""
     text = help_of(verb)
@@ -290,11 +279,6 @@ def subcommands(verb: str) -> tuple[str, ...]:
     flat = re.sub(r"[\s│]+", " ", text)
     named = re.findall(rf"`mirror {re.escape(verb)} ([a-z]+)`", flat)
     return tuple(dict.fromkeys([*listed, *(name for name in named if not usage)]))
-
-
-@cache
-def options_of(words: str) -> frozenset[str]:
-    return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(words)))
 
 
 def is_pure_group(verb: str) -> bool:

@@ -15,8 +15,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, RecordingError, SchemaError, UsageError
 from mirror.remedies import complete_remedy
 from mirror.synth import SynthReport
+from tests.command_help import options_of
 from tests.conftest import ROOT
-from tests.test_remedies import options_of
 
 LONGEST_S = 3.0
 REFUSED = """

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from mirror.arrays import Bool, Float32, Float64
+from mirror.compiled import inner_njit
 
 _RADIUS: Final = 8
 _ITERATIONS: Final = 15
@@ -42,7 +43,7 @@ def refine_tracks(first: Float32, second: Float32, first_px: Float64, second_px:
     return out, good
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _bilinear(image: Float32, x: float, y: float) -> float:  # pragma: no cover
     column, row = int(x), int(y)
     a, b = x - column, y - row

@@ -63,7 +63,7 @@ VISIT = dtype_of_rows(Visit)
 """The dtype of arrays of visits."""
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _solve(
     inside: float,
     outside: float,
@@ -237,7 +237,7 @@ def _scale_slope(lat_or_y: float, geodetic: bool) -> float:
     return -0.5 * scale_y * math.sin(lat_or_y * math.pi / 180.0) * math.pi / 180.0
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _enter(
     out: Records,
     number: int,

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import inner_njit
 
 POSE: Final = 6
 MOUNT: Final = 9
@@ -193,7 +194,7 @@ def reduce_equations(
     return matrix, diagonal, gradient, scatter, inverses, mixed, slopes
 
 
-@numba.njit(cache=True, nogil=True)
+@inner_njit
 def _invert(block: Float64, damping: float, out: Float64) -> None:  # pragma: no cover
     """Invert a damped symmetric matrix (3, 3); a small share of its trace keeps far points solvable."""
     trace = block[0, 0] + block[1, 1] + block[2, 2]

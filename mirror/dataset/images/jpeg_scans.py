@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Int64, UInt8
+from mirror.compiled import inner_njit
 
 CUT, WRONG_CODE, WRONG_MARKER = -1, -2, -3
 """Reasons why a scan cannot be followed: it ends before its last block, has an impossible code, or another marker."""
@@ -22,7 +23,7 @@ _AT, _BYTE, _LEFT, _RUN, _ERROR = range(5)
 _LONGEST: Final = 16
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _read_bit(data: UInt8, state: Int64) -> int:
     """The next bit; a marker in its place is an error."""
     if state[_LEFT] == 0:
@@ -41,7 +42,7 @@ def _read_bit(data: UInt8, state: Int64) -> int:
     return (state[_BYTE] >> state[_LEFT]) & 1
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _read_bits(data: UInt8, state: Int64, count: int) -> int:
     value = 0
     for _ in range(count):
@@ -49,7 +50,7 @@ def _read_bits(data: UInt8, state: Int64, count: int) -> int:
     return value
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _read_symbol(data: UInt8, state: Int64, table: Int64, values: UInt8, used: UInt8) -> int:
     """Decode a code; ``table`` has the number of codes, the first code and its position, by length."""
     code = 0
@@ -66,7 +67,7 @@ def _read_symbol(data: UInt8, state: Int64, table: Int64, values: UInt8, used: U
     return 0
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _skip_block(
     data: UInt8,
     state: Int64,
@@ -213,7 +214,7 @@ def follow_scan(
     return state[_AT], length, foreign, max(filled, dirty)
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _copy_interval(data: UInt8, begin: int, state: Int64, out: UInt8, length: int) -> tuple[int, int]:
     """Copy an interval; the bits that fill up its last byte become 1, as T.81 has it."""
     end = state[_AT]

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import inner_njit
 
 # Below this sine of half the angle between their z axes, boxes count as upright towards each other.
 _TILT = 1e-15
@@ -20,7 +21,7 @@ _WAITING = 32
 _TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _side(x0: float, y0: float, x1: float, y1: float, left: float, right: float, low: float, high: float) -> float:
     """Integral of x dy along a segment whose x and y are held within bounds."""
     ya, yb = min(max(y0, low), high), min(max(y1, low), high)
@@ -35,7 +36,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, left: float, right: float,
     return (yb - ya) * (before * ca + after * cb + (1.0 - before - after) * 0.5 * (ca + cb))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _rectangles(
     dx: float, dy: float, cos: float, sin: float, length: float, width: float, length2: float, width2: float
 ) -> float:
@@ -51,7 +52,7 @@ def _rectangles(
     return area
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _determinant(tetrahedron: Float64) -> float:
     """Six times the volume."""
     a, b, c = tetrahedron[1] - tetrahedron[0], tetrahedron[2] - tetrahedron[0], tetrahedron[3] - tetrahedron[0]
@@ -60,7 +61,7 @@ def _determinant(tetrahedron: Float64) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _boxes(corners: Float64, half: Float64, stack: Float64, planes: Int64) -> float:
     """Volume that a box of eight corners shares with one along the axes: tetrahedra cut by its planes in turn."""
     for part in range(6):
@@ -115,7 +116,7 @@ def _boxes(corners: Float64, half: Float64, stack: Float64, planes: Int64) -> fl
     return volume
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _cut(ordered: Float64, outside: Float64, inner: int, outer: int) -> Float64:
     share = outside[inner] / (outside[inner] - outside[outer])
     return ordered[inner] + share * (ordered[outer] - ordered[inner])

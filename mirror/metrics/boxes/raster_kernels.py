@@ -7,6 +7,7 @@ import math
 from numba import njit
 
 from mirror.arrays import Bool, Float64
+from mirror.compiled import inner_njit
 
 
 @njit(cache=True, nogil=True)
@@ -41,13 +42,13 @@ def fill(mask: Bool, polygon: Float64) -> None:
             mask[row, column] = inside
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _whole(coordinate: float, size: int) -> int:
     """The first pixel whose centre is not below a coordinate, or one beyond the last."""
     return math.ceil(min(max(coordinate - 0.5, 0.0), float(size)))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _right_of(x: float, y: float, upper: Float64, lower: Float64) -> bool:
     """Return whether a point lies on a side that goes down, or to the right of it."""
     return (x - upper[0]) * (lower[1] - upper[1]) >= (y - upper[1]) * (lower[0] - upper[0])

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import AnyArray, Int64
+from mirror.compiled import inner_njit
 
 _QUANTITIES = 4
 
@@ -106,7 +107,7 @@ def _weigh(rows: AnyArray, starts: Int64, taps: AnyArray, out: AnyArray) -> None
             out[x] += weight * (a[x] + b[x]) + other * (c[x] + d[x])
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _normalise(sums: AnyArray, share: AnyArray, pixels: int, sample_covariance: bool, gain: AnyArray) -> None:
     """Divide by the share of the window that is known."""
     one = gain.dtype.type(1)

@@ -14,7 +14,7 @@ from mirror.compiled import inner_njit
 _GROUP = 16
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _bounds(begins: Float64, ends: Float64) -> Float64:
     """Bounding boxes (G, 4) of groups of segments: least x, least y, largest x, largest y."""
     groups = (len(begins) + _GROUP - 1) // _GROUP
@@ -102,7 +102,7 @@ def _clearance(path: Float64, bounds: Float64, begins: Float64, ends: Float64) -
     return math.sqrt(least), where
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _farthest(path: Float64, bounds: Float64, begins: Float64, ends: Float64) -> float:
     """Upper bound of the distance of a straight path from the nearest segment.
 

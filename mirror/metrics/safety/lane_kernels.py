@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import inner_njit
 
 # Segments in one bounding box; points outside it are farther from them than half of the lane's width.
 _GROUP = 16
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _bounds(line: Float64, reach: float) -> Float64:
     """Bounding boxes (G, 4) of groups of segments, widened: least x, least y, largest x, largest y."""
     groups = (len(line) - 1 + _GROUP - 1) // _GROUP

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Bool, Float64, Int64
+from mirror.compiled import inner_njit
 from mirror.metrics.safety.rectangle_kernels import contact_time, signed_gap
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _overlap(ego: Float64, agent: Float64, halves: Float64, other: int) -> bool:
     """Return whether two boxes (x, y, yaw) touch."""
     dx, dy = agent[0] - ego[0], agent[1] - ego[1]

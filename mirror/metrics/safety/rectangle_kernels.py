@@ -37,7 +37,7 @@ def signed_gap(
     return max(gap, abs(dy * cb - dx * sb) - (width_b + length_a * sin + width_a * cos))
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _clip(offset: float, speed: float, reach: float, enter: float, leave: float) -> tuple[float, float]:
     """Cut the interval [enter, leave] to the times at which |offset + speed * t| <= reach."""
     if speed == 0.0:

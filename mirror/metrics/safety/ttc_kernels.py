@@ -54,7 +54,7 @@ def _lower_bound(ego: Float64, agent: Float64, row: int, radius: float) -> float
     return distance / speed if speed > 0.0 else math.inf
 
 
-@njit(cache=True, nogil=True)
+@inner_njit
 def _refine(
     ego: Float64, agent: Float64, halves: Float64, row: int, other: int, low: float, high: float, best: float, at: float
 ) -> tuple[float, float]:

@@ -32,7 +32,7 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout
 from mirror.dataset.lock import writer_lock
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import DatasetError
 from mirror.evaluation.result import RESULT, Result
 from mirror.evaluation.submission.manifest import MANIFEST
@@ -169,13 +169,13 @@ def _layers_of(dataset: Dataset) -> list[list[str]]:
     return rows
 
 
-def _injected_row(used: Calibration, rng: np.random.Generator) -> dict[str, Any]:
+def _injected_row(used: CameraCalibration, rng: np.random.Generator) -> dict[str, Any]:
     axis = rng.normal(size=3)
     turn = np.radians(rng.uniform(*INJECTED_DEG)) * axis / np.linalg.norm(axis)
     return {**used.row, **_pose_columns(used.ego_SE3_camera @ Poses.exp(np.concatenate([turn, np.zeros(3)])[None]))}
 
 
-def _exact_row(used: Calibration, true: Mapping[str, Poses], dataset: Dataset, traversal: str) -> dict[str, Any]:
+def _exact_row(used: CameraCalibration, true: Mapping[str, Poses], dataset: Dataset, traversal: str) -> dict[str, Any]:
     lens = make_drive(PRESET, _SEED, _drive(dataset, traversal)).vehicle.cameras[used.camera]
     return {**used.row, **_pose_columns(true[used.camera]), **{name: getattr(lens, name) for name in _LENS}}
 
@@ -194,7 +194,7 @@ def _drive(dataset: Dataset, traversal: str) -> str:
     return str(row["drive_id"])
 
 
-def _calibrations(dataset: Dataset, traversal: str) -> list[Calibration]:
+def _calibrations(dataset: Dataset, traversal: str) -> list[CameraCalibration]:
     """The calibration of each camera at the traversal's first frame, its best stage; the reference camera is first."""
     frame = dataset.where(traversal=traversal).frames()[0]
     used = [image.calibration for image in frame.images.values()]

@@ -24,7 +24,7 @@ from benchmarks.synth_matching.features import colmap, colmap_camera
 from mirror.arrays import Bool, Float64
 from mirror.calibration.frame_choice import FrameChoice
 from mirror.calibration.refinement.adjustment import Adjustment, adjust_rigs, rotations
-from mirror.calibration.refinement.features import Features, find_features
+from mirror.calibration.refinement.features import ImageFeatures, find_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks, match_pair
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
 from mirror.calibration.refinement.run import DEFAULT_CHOICE
@@ -69,7 +69,7 @@ def match_drives(light: str, vehicle: str, choice: FrameChoice, traversals: int)
 
     options = MatchingOptions()
     drives: list[DriveTracks] = []
-    features: list[Features] = []
+    features: list[ImageFeatures] = []
     features_s = 0.0
     for visit in range(traversals):
         drive = make_drive("turn", light, vehicle, visit)

@@ -38,7 +38,7 @@ from mirror.ingest.clean import CleanTrack, clean
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
-from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
@@ -71,7 +71,7 @@ def one_core() -> Iterator[None]:
 def trigger_rows(poses: int, rois: int) -> Iterator[Row]:
     """Yield the rows of the trigger against brute force, with its errors."""
     made = traffic(poses, rois)
-    trigger = Trigger(made.rois, TriggerOptions(), CleaningOptions())
+    trigger = RoiTrigger(made.rois, TriggerOptions(), CleaningOptions())
 
     def run(track: Track = made.track) -> list[Pass]:
         return trigger.passes(clean(track, CleaningOptions())[0])

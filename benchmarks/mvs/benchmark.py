@@ -21,7 +21,7 @@ import mirror
 from benchmarks.mvs.truth import TrueImage, resample_nearest, sample_true_image
 from benchmarks.report import Row, report
 from hybridworldsim.mvs.estimator import StereoImage
-from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground
+from hybridworldsim.mvs.ground import FittedGround, compute_wheel_contacts, fit_ground
 from hybridworldsim.mvs.plane_sweep import PlaneSweep
 from hybridworldsim.mvs.run import initialise
 from mirror.arrays import Float64
@@ -205,7 +205,7 @@ def _ground(dataset: Dataset, preset: str) -> Iterator[Row]:
 
 
 def _height_errors(
-    label: str, ground: Ground, driven: Float64, true_height: Callable[[Float64, Float64], Float64], ms: float
+    label: str, ground: FittedGround, driven: Float64, true_height: Callable[[Float64, Float64], Float64], ms: float
 ) -> Iterator[Row]:
     from scipy.spatial import cKDTree
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.report import OUT
-from hybridworldsim.simulator.street.ground import Ground
+from hybridworldsim.simulator.street.ground import StreetGround
 from hybridworldsim.simulator.street.opening import open_street
 from hybridworldsim.simulator.street.street import Street
 from mirror.synth import street_map
@@ -37,5 +37,5 @@ def open_block(dataset: Path) -> Street:
 
     street = open_street(str(dataset))
     drive = make_drives(PRESET, SEED, traversals=1)[1][0]
-    ground, road_map = Ground(drive.world.height_m), street_map(drive.world.plan)
+    ground, road_map = StreetGround(drive.world.height_m), street_map(drive.world.plan)
     return replace(street, drive=drive, ground=ground, road_map=road_map)

@@ -19,9 +19,9 @@ from benchmarks.street.learning import learning_rows
 from benchmarks.street.reference_model import plain_image, to_float64
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
-from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.model.storage import load_block, save_block
-from hybridworldsim.model.street import RenderOutput, Street
+from hybridworldsim.model.street import StreetModel, StreetOutput
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 from mirror.arrays import Float64
 
@@ -36,7 +36,7 @@ _Result = TypeVar("_Result")
 _View = TypeVar("_View")
 
 
-def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
+def corridor(anchors: int = _ANCHORS, seed: int = 0) -> StreetModel:
     """Return an untrained block of 100 m with random codes: facades on both sides, trees, road, sky."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-60.0, 60.0, anchors)
@@ -52,7 +52,7 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
         return np.zeros(len(places)), np.tile((0.0, 0.0, 1.0), (len(places), 1))
 
     settings = Settings(
-        first_anchors=anchors, first_spacing_m=0.2, refinement=Refinement(max_anchors=anchors), seed=seed
+        first_anchors=anchors, first_spacing_m=0.2, refinement=AnchorRefinement(max_anchors=anchors), seed=seed
     )
     street = initial_street(InitialGeometry(points, far, way, flat, 75.0, [_SOURCE]), settings)
     with torch.no_grad():
@@ -61,7 +61,7 @@ def corridor(anchors: int = _ANCHORS, seed: int = 0) -> Street:
     return street
 
 
-def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
+def round_views(street: StreetModel, count: int = 24) -> list[Viewpoint]:
     """Return the views from 1.5 m above the ground near the middle of a block, in all directions."""
     ground = street.ground.means.detach()
     middle = ground[(ground[:, :2] - ground[:, :2].mean(0)).norm(dim=1).argmin()]
@@ -78,7 +78,7 @@ def round_views(street: Street, count: int = 24) -> list[Viewpoint]:
     return found
 
 
-def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
+def rows(street: StreetModel, views: Sequence[Viewpoint], name: str) -> list[Row]:
     """Return the times and errors of a street's images.
 
     Args:
@@ -89,7 +89,7 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     latent = street.appearance(views[0].source).detach()
 
     @torch.inference_mode()
-    def render_image(view: Viewpoint) -> RenderOutput:
+    def render_image(view: Viewpoint) -> StreetOutput:
         return street(view, latent)
 
     @torch.inference_mode()
@@ -113,7 +113,7 @@ def rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
     ]
 
 
-def half_precision_rows(street: Street, views: Sequence[Viewpoint], name: str) -> list[Row]:
+def half_precision_rows(street: StreetModel, views: Sequence[Viewpoint], name: str) -> list[Row]:
     """Return the size saved and error caused by half precision."""
     block = Block((0, 0), (0.0, 0.0, 0.0))
     with TemporaryDirectory() as folder:

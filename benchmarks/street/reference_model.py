@@ -11,8 +11,8 @@ from torch.nn import functional
 from hybridworldsim.model.decoders import ModulatedMLP
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
-from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import RenderOutput, Street, render
+from hybridworldsim.model.splats import DecodedSplats
+from hybridworldsim.model.street import StreetModel, StreetOutput, render
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
@@ -59,13 +59,13 @@ def plain_gaussians(node: CodeGaussians, rows: Tensor, eye: Tensor, latent: Tens
 
 
 @torch.inference_mode()
-def to_float64(street: Street) -> Street:
+def to_float64(street: StreetModel) -> StreetModel:
     """Copy a street to float64."""
     return copy.deepcopy(street).double()
 
 
 @torch.inference_mode()
-def plain_image(street: Street, output: RenderOutput, view: Viewpoint, latent: Tensor) -> Tensor:
+def plain_image(street: StreetModel, output: StreetOutput, view: Viewpoint, latent: Tensor) -> Tensor:
     """Render (H, W, 3) of a street in float64: decoded here, rasterized by the CPU backend.
 
     Args:
@@ -85,7 +85,7 @@ def plain_image(street: Street, output: RenderOutput, view: Viewpoint, latent: T
     return render(view, tuple(map(_splats, tables))).rgb
 
 
-def _splats(tables: tuple[Tensor, ...]) -> Splats:
+def _splats(tables: tuple[Tensor, ...]) -> DecodedSplats:
     means, quats, scales, opacities, colours = (table.float() for table in tables)
     count = len(means)
-    return Splats(means, quats, scales, opacities, colours, torch.arange(count), count, count)
+    return DecodedSplats(means, quats, scales, opacities, colours, torch.arange(count), count, count)

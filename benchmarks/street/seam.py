@@ -12,7 +12,7 @@ from benchmarks.report import Peer, Row
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.parts import LatentSelector
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from mirror.arrays import Float64
 from mirror.geometry.poses import Poses
 from mirror.protocols.views.view import RenderView
@@ -21,7 +21,7 @@ STEP_M = 0.1
 
 
 def seam_rows(
-    blocks: Sequence[tuple[Block, Street]],
+    blocks: Sequence[tuple[Block, StreetModel]],
     views: Sequence[RenderView],
     inside: Sequence[RenderView],
     select_latents: Callable[[RenderView], LatentSelector],

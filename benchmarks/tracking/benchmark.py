@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.tracking.drives import Noise, detect, greedy, tracked, true_drives
-from mirror.annotation.tracking.options import TrackingOptions
+from mirror.annotation.tracking.options import BoxTrackingOptions
 from mirror.annotation.tracking.tracker import track
 from mirror.metrics.tracking import TrackingScores, score_tracks
 
@@ -45,9 +45,9 @@ def main(argv: list[str]) -> int:
                 spent = time.process_time() - begin
                 _row(hz, f"greedy {gate:g} m, age {age}", score_tracks(truth, boxes), 60.0 * spent / seconds)
             for name, options in (
-                ("ours", TrackingOptions()),
-                ("ours, constant velocity", TrackingOptions(turn_model=False)),
-                ("ours, gaps not filled", TrackingOptions(fill_gaps_s=0.0)),
+                ("ours", BoxTrackingOptions()),
+                ("ours, constant velocity", BoxTrackingOptions(turn_model=False)),
+                ("ours, gaps not filled", BoxTrackingOptions(fill_gaps_s=0.0)),
             ):
                 begin = time.process_time()
                 tracks = [track(one, drive.world_SE3_ego, options) for one, drive in zip(found, drives)]

@@ -12,8 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.extractors import DEFAULT_EXTRACTOR
-from mirror.evaluation.result import Figure as Scored
-from mirror.evaluation.result import Result
+from mirror.evaluation.result import GroupFigure, Result
 from mirror.evaluation.submission.untrusted import parse_untrusted
 from mirror.metrics.catalogue import find_measure
 from mirror.progress import ProgressReporter
@@ -280,7 +279,7 @@ def _make_figures(result: Result, file: Path) -> Iterator[Figure]:
             yield Figure(group=group, metric=metric, value=None, note=note)
 
 
-def _list_remarks(figure: Scored) -> Iterator[str]:
+def _list_remarks(figure: GroupFigure) -> Iterator[str]:
     """List the note of a figure, and the reasons why it has no value or no interval."""
     if figure.reason or figure.note:
         yield figure.reason or figure.note or ""

@@ -99,7 +99,7 @@ class Add:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sign:
+class SignArguments:
     """Sign the measured entries of a board that have no valid signature; a board's first key is listed in keys.json."""
 
     key: Path
@@ -214,7 +214,7 @@ def _key(argv: Sequence[str]) -> int:
 
 
 def _sign(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Sign, argv, "mirror leaderboard sign", examples=_SIGN_EXAMPLES)
+    arguments = parse_arguments(SignArguments, argv, "mirror leaderboard sign", examples=_SIGN_EXAMPLES)
     from mirror_leaderboard.trust import sign_entries
 
     signed = sign_entries(arguments.board, arguments.key)

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import mean_weights, overall_averaging
-from mirror.evaluation.result import IMAGES, Figure, Result
+from mirror.evaluation.result import IMAGES, GroupFigure, Result
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
 from mirror.schema.parquet_memory import read_python_rows
@@ -59,7 +59,9 @@ def require_recomputed_means(result: Result, path: Path) -> None:
                 )
 
 
-def _require_mean(result: Result, figure: Figure, rows: Sequence[Mapping[str, Any]], path: Path, place: str) -> None:
+def _require_mean(
+    result: Result, figure: GroupFigure, rows: Sequence[Mapping[str, Any]], path: Path, place: str
+) -> None:
     values = [row[figure.metric] for row in rows]
     infinite = sum(value is not None and math.isinf(value) for value in values)
     if (figure.n, figure.n_inf) != (len(rows), infinite):

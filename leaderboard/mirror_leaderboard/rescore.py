@@ -12,7 +12,7 @@ from typing import Any, Final
 import mirror
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
-from mirror.evaluation.result import Figure, Result
+from mirror.evaluation.result import GroupFigure, Result
 from mirror.evaluation.run import EvaluationOptions, evaluate, list_warnings
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -247,7 +247,7 @@ def require_equal(place: str, stated: object, expected: object, path: Path) -> N
         )
 
 
-def require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], path: Path) -> None:
+def require_equal_figures(stated: Sequence[GroupFigure], expected: Sequence[GroupFigure], path: Path) -> None:
     """Require that a result states the figures that the evaluation finds, to 1e-9.
 
     Raises:
@@ -281,11 +281,11 @@ def require_equal_figures(stated: Sequence[Figure], expected: Sequence[Figure], 
             )
 
 
-def _figure_key(figure: Figure) -> tuple[str, str, str, str]:
+def _figure_key(figure: GroupFigure) -> tuple[str, str, str, str]:
     return figure.metric, figure.group, figure.level, figure.key
 
 
-def _differences(stated: Figure, expected: Figure) -> Iterator[tuple[str, object, object]]:
+def _differences(stated: GroupFigure, expected: GroupFigure) -> Iterator[tuple[str, object, object]]:
     for name in _COMPARED:
         one, other = getattr(stated, name), getattr(expected, name)
         if isinstance(one, float) and isinstance(other, float):

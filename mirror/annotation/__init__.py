@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from mirror.annotation.protocol import Annotator as Annotator
     from mirror.annotation.registry import installed_annotator as installed_annotator
     from mirror.annotation.run import annotate as annotate
+    from mirror.annotation.tracking.options import BoxTrackingOptions as BoxTrackingOptions
     from mirror.annotation.tracking.options import TrackingOptions as TrackingOptions
     from mirror.annotation.tracking.tracker import track as track
 
 __all__ = [
     "Annotator",
+    "BoxTrackingOptions",
     "Detections",
     "TrackingOptions",
     "annotate",
@@ -29,6 +31,7 @@ __getattr__, __dir__ = lazy_names(
     {
         "Annotator": "mirror.annotation.protocol",
         "Detections": "mirror.annotation.detections",
+        "BoxTrackingOptions": "mirror.annotation.tracking.options",
         "TrackingOptions": "mirror.annotation.tracking.options",
         "annotate": "mirror.annotation.run",
         "installed_annotator": "mirror.annotation.registry",

@@ -18,7 +18,7 @@ _WINDOW: Final = (7, 7)
 
 
 @dataclass(frozen=True)
-class Board:
+class CalibrationBoard:
     """A flat board of squares of side 1.
 
     The side of the squares does not matter for a lens: it scales the distances of the boards alone.
@@ -78,7 +78,7 @@ class BoardView:
     pixels: Float32
 
 
-def find_board(image: UInt8, board: Board) -> BoardView | str:
+def find_board(image: UInt8, board: CalibrationBoard) -> BoardView | str:
     """The corners of the board in an (H, W) grey image; else the reason why there are none."""
     return _find_charuco(image, board) if board.kind == "charuco" else _find_chessboard(image, board)
 
@@ -98,7 +98,7 @@ def find_size(image: UInt8) -> tuple[int, int] | None:
     return max(first, second), min(first, second)
 
 
-def _find_chessboard(image: UInt8, board: Board) -> BoardView | str:
+def _find_chessboard(image: UInt8, board: CalibrationBoard) -> BoardView | str:
     import cv2
 
     pattern = (board.columns, board.rows)
@@ -113,7 +113,7 @@ def _find_chessboard(image: UInt8, board: Board) -> BoardView | str:
     return BoardView(board.corners, np.asarray(found, np.float32).reshape(-1, 2))
 
 
-def _find_charuco(image: UInt8, board: Board) -> BoardView | str:
+def _find_charuco(image: UInt8, board: CalibrationBoard) -> BoardView | str:
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))

@@ -185,7 +185,7 @@ def _scale(unknown: float, variance: float) -> ScaleEstimate:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class ObservingConditions:
     """What the images and the motion of a drive are like, to explain why an axis is unobservable.
 
     Attributes:
@@ -210,7 +210,7 @@ _BARELY_DEG: Final = 10.0
 _SHORT_M: Final = 5.0
 
 
-def explain(estimate: CameraEstimate, conditions: Conditions) -> str | None:
+def explain(estimate: CameraEstimate, conditions: ObservingConditions) -> str | None:
     """Say why an axis of a camera is unobservable; None: all axes are observable."""
     if estimate.observable.all():
         return None
@@ -229,7 +229,7 @@ def explain(estimate: CameraEstimate, conditions: Conditions) -> str | None:
     return f"{share:.0%} of the variance of {AXES[worst]} are possible errors of the {source}"
 
 
-def _poor_images(camera: str, conditions: Conditions) -> str:
+def _poor_images(camera: str, conditions: ObservingConditions) -> str:
     if conditions.brightness.get(camera, 255.0) < _DARK:
         return "night"
     if conditions.corners.get(camera, 0.0) < _FEW_CORNERS:

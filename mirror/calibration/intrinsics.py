@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from mirror.arrays import Float64, UInt8
-from mirror.calibration.boards import Board, BoardView, board_normal, find_board, find_size
+from mirror.calibration.boards import BoardView, CalibrationBoard, board_normal, find_board, find_size
 from mirror.errors import UsageError
 from mirror.geometry.cameras import COEFFICIENTS, Camera
 
@@ -85,7 +85,7 @@ class Intrinsics:
 
 
 def calibrate_intrinsics(
-    images: Iterable[tuple[str, UInt8]], board: Board, model: LensModel = "brown_conrady"
+    images: Iterable[tuple[str, UInt8]], board: CalibrationBoard, model: LensModel = "brown_conrady"
 ) -> Intrinsics:
     """Estimate a lens (Z. Zhang, "A Flexible New Technique for Camera Calibration", 2000; OpenCV's adjustment).
 
@@ -128,7 +128,7 @@ def calibrate_intrinsics(
     return _adjust(views, rejected, common, model)
 
 
-def _require_size(board: Board, seen: Sequence[tuple[int, int]]) -> None:
+def _require_size(board: CalibrationBoard, seen: Sequence[tuple[int, int]]) -> None:
     """Refuse a board of another size than the images show; a part of a board that leaves the image is smaller."""
     stated = (max(board.columns, board.rows), min(board.columns, board.rows))
     if not seen or stated in seen:

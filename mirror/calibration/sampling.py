@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Float64, UInt8
-from mirror.calibration.estimate import Conditions
+from mirror.calibration.estimate import ObservingConditions
 from mirror.calibration.frame_choice import FrameChoice, choose_stretch
 from mirror.calibration.rig import TrackedRig
 from mirror.calibration.spacing import ImageSpacing, untracked_error
@@ -17,7 +17,7 @@ from mirror.calibration.tracking import TrackedImage, TrackingOptions, track_rig
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry import Poses, matrix_from_quaternion, project_boxes
 
@@ -38,8 +38,8 @@ class TraversalTracks:
     """
 
     rig: TrackedRig
-    calibrations: dict[str, Calibration]
-    conditions: Conditions
+    calibrations: dict[str, CameraCalibration]
+    conditions: ObservingConditions
     frames: int
 
 
@@ -125,7 +125,7 @@ def track_traversal(
     stamps = np.array([frame.timestamp_ns for frame in frames])
     rig = TrackedRig(cameras, mountings, (stamps - stamps[0]) * 1e-9, ego, found.pairs)
     track = stack_poses([frame.world_SE3_ego for frame in frames])
-    conditions = Conditions(
+    conditions = ObservingConditions(
         turned_deg=turned_deg(track),
         driven_m=driven_m(track),
         brightness={name: float(np.median(values)) if values else 0.0 for name, values in brightness.items()},

@@ -83,7 +83,7 @@ class InputOptions:
 
 
 @dataclass(frozen=True)
-class Check:
+class CalibrationCheckArguments:
     """Estimate the calibration errors of all cameras from images, and compare the calibration stages.
 
     Writes report.html and calibration.json. An interrupted check continues. Nothing in the dataset is changed.
@@ -151,7 +151,7 @@ def _intrinsics(argv: Sequence[str]) -> int:
 
 
 def _check(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(Check, argv, "mirror calibrate check", examples=_CHECK_EXAMPLES)
+    arguments = parse_arguments(CalibrationCheckArguments, argv, "mirror calibrate check", examples=_CHECK_EXAMPLES)
 
     from mirror.calibration.check import check_calibration
     from mirror.calibration.frame_choice import FrameChoice

@@ -65,14 +65,14 @@ def main(argv: Sequence[str]) -> int:
     """Run the subcommand."""
     arguments = parse_arguments(Arguments, argv, _COMMAND, examples=_EXAMPLES)
 
-    from mirror.calibration.boards import Board
+    from mirror.calibration.boards import CalibrationBoard
     from mirror.calibration.intrinsics import calibrate_intrinsics
     from mirror.recordings.folder_lens import put_lens, require_lens_place
     from mirror.recordings.lens_files import write_lens
     from mirror.recordings.mounting import parse_mounting
     from mirror.schema.folders import require_output_file
 
-    board = Board(*_parse_size(arguments.board), arguments.kind, arguments.dictionary, arguments.marker)
+    board = CalibrationBoard(*_parse_size(arguments.board), arguments.kind, arguments.dictionary, arguments.marker)
     require_output_file(arguments.out)
     mounting = None if arguments.mounting is None else parse_mounting(arguments.mounting, "--mounting")
     if (arguments.recording is None) != (arguments.camera is None):

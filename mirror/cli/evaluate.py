@@ -15,7 +15,7 @@ from mirror.command_line import help_text, local_path, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.evaluation.result import Figure, Result
+    from mirror.evaluation.result import GroupFigure, Result
     from mirror.evaluation.run import Evaluation
 
 _EXAMPLES = (
@@ -215,7 +215,7 @@ def _print(result: Result, out: Path, page: Path | None, scored: str = "image") 
         console.print(f"report: {page}", soft_wrap=True)
 
 
-def figure_words(figure: Figure) -> tuple[str, str, str]:
+def figure_words(figure: GroupFigure) -> tuple[str, str, str]:
     """Value, interval and count of a figure as text."""
     from mirror.metrics.catalogue import find_measure
 

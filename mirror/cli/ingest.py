@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Trigger:
+class TriggerArguments:
     """When a pass becomes a traversal. Defaults: the thresholds of the dataset, or of the paper for a new dataset."""
 
     min_duration_s: Annotated[float | None, help_text(default="10")] = None
@@ -64,7 +64,7 @@ _EXAMPLES = (
     "mirror ingest demo/recordings --roi 11.5763,48.1371,200,centre --min-duration-s 5 --dry-run",
 )
 RENAMED_THRESHOLDS = {"--max-gap": "--max-gap-s"}
-"""Old names of the options of `Trigger` and `Cleaning`."""
+"""Old names of the options of `TriggerArguments` and `Cleaning`."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Arguments:
     """Another option of the reader."""
     weather_from: Annotated[str | None, help_text(default="none", metavar="PLUGIN")] = None
     """Plug-in that estimates the weather from images, for recordings that do not state it."""
-    trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
+    trigger: tyro.conf.OmitArgPrefixes[TriggerArguments] = field(default_factory=TriggerArguments)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
     copy: bool = False
     """Copy images. Without it they are hard links where the file system allows that."""
@@ -191,7 +191,7 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.PARTLY_DONE if report.drives or report.unchanged else ExitCode.COULD_NOT_RUN
 
 
-def stated_thresholds(thresholds: Trigger | Cleaning) -> dict[str, object]:
+def stated_thresholds(thresholds: TriggerArguments | Cleaning) -> dict[str, object]:
     """The thresholds that the command line states, by name."""
     values: dict[str, object] = {name: value for name, value in vars(thresholds).items() if value is not None}
     if values.get("trim_standstill_s") == 0:

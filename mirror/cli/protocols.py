@@ -18,7 +18,7 @@ _SHOW_EXAMPLES: Final = ("mirror protocols show static-reconstruction", "mirror 
 
 
 @dataclass(frozen=True)
-class ListArguments:
+class ProtocolListArguments:
     """List the protocols of the toolkit: their task, and whether they need boxes or masks of road users."""
 
     json: bool = False
@@ -45,7 +45,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _list(words: Sequence[str]) -> int:
-    arguments = parse_arguments(ListArguments, words, "mirror protocols list", examples=_LIST_EXAMPLES)
+    arguments = parse_arguments(ProtocolListArguments, words, "mirror protocols list", examples=_LIST_EXAMPLES)
 
     from mirror.protocols.document import load_protocol, protocol_names
 

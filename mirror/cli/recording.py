@@ -24,7 +24,7 @@ _EXAMPLES = (
 
 
 @dataclass(frozen=True)
-class New:
+class RecordingArguments:
     """Make a recording from a track and from images or videos, with lenses, mountings and offsets of their clocks.
 
     The recording has the folder layout; `mirror ingest` reads it. Images and videos are linked, or copied to another
@@ -82,10 +82,10 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _new(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(New, argv, _COMMAND, examples=_EXAMPLES)
+    arguments = parse_arguments(RecordingArguments, argv, _COMMAND, examples=_EXAMPLES)
 
     from mirror.recordings.assembly.assemble import DriveNames, assemble_recording
-    from mirror.recordings.assembly.cameras import CameraInput
+    from mirror.recordings.assembly.cameras import GivenCamera
     from mirror.recordings.boundary import reader_errors
     from mirror.recordings.registry import find_reader
     from mirror.schema.folders import require_output_folder
@@ -97,7 +97,7 @@ def _new(argv: Sequence[str]) -> int:
         for name in ("lens", "mounting", "static_mask", "times", "start", "time_offset_s")
     }
     cameras = [
-        CameraInput(
+        GivenCamera(
             name, Path(path), stated["lens"].get(name), stated["mounting"].get(name),
             Path(stated["times"][name]) if name in stated["times"] else None,
             stated["start"].get(name), _seconds(stated["time_offset_s"].get(name, "0"), name),

@@ -16,7 +16,7 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
-    from mirror.privacy.release.check import Finding
+    from mirror.privacy.release.check import ReleaseFinding
 
 _LISTED: Final = 5
 _CHECK: Final = (
@@ -183,7 +183,7 @@ def _check(words: Sequence[str]) -> int:
     return code
 
 
-def _print_findings(findings: Sequence[Finding]) -> None:
+def _print_findings(findings: Sequence[ReleaseFinding]) -> None:
     ordered = sorted(findings, key=lambda one: (one.rule_id, one.file))
     for _, group in groupby(ordered, key=lambda one: one.rule_id):
         own = list(group)

@@ -14,7 +14,7 @@ import tyro
 from mirror.cli.ingest import (
     RENAMED_THRESHOLDS,
     Cleaning,
-    Trigger,
+    TriggerArguments,
     print_failures,
     reader_options,
     stated_thresholds,
@@ -56,7 +56,7 @@ class Propose:
     """Names of columns, such as time=Date+Time,lon=LON,lat=LAT (csv reader)."""
     option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, help_text(metavar="KEY=VALUE")] = ()
     """Another option of the reader."""
-    trigger: tyro.conf.OmitArgPrefixes[Trigger] = field(default_factory=Trigger)
+    trigger: tyro.conf.OmitArgPrefixes[TriggerArguments] = field(default_factory=TriggerArguments)
     cleaning: tyro.conf.OmitArgPrefixes[Cleaning] = field(default_factory=Cleaning)
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads."""

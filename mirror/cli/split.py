@@ -16,7 +16,7 @@ from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mirror.dataset.splits import SplitReport
-    from mirror.schema.documents import Condition, SplitMethod
+    from mirror.schema.documents import LightAndWeather, SplitMethod
 
 
 @dataclass(frozen=True)
@@ -158,10 +158,10 @@ def _parameters(arguments: Arguments) -> SplitMethod:
         raise UsageError(f"{first['input']!r}", place=place, expected=describe_expected(first)) from error
 
 
-def _conditions(option: str, arguments: Arguments) -> tuple[Condition, ...]:
+def _conditions(option: str, arguments: Arguments) -> tuple[LightAndWeather, ...]:
     from typing import get_args
 
-    from mirror.schema.documents import Condition, Light, Weather
+    from mirror.schema.documents import Light, LightAndWeather, Weather
 
     known = {"light": get_args(Light), "weather": get_args(Weather)}
     conditions = []
@@ -171,7 +171,7 @@ def _conditions(option: str, arguments: Arguments) -> tuple[Condition, ...]:
             if value not in known.get(key, ()):
                 listed = "; ".join(f"{name}={'|'.join(values)}" for name, values in known.items())
                 raise UsageError(f"{text!r} is not a condition", place=f"--{option}", expected=listed)
-        conditions.append(Condition.model_validate(pairs))
+        conditions.append(LightAndWeather.model_validate(pairs))
     if not conditions:
         raise UsageError(
             "no condition given", place=f"--{option}", expected="at least one, such as light=day or weather=rain"

@@ -15,7 +15,7 @@ from mirror.counting import count_of
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.evaluation.submission.check import CheckReport
+    from mirror.evaluation.submission.check import SubmissionCheck
     from mirror.evaluation.submission.untrusted import UntrustedFiles
 
 _LISTED_PROBLEMS = 8
@@ -34,7 +34,7 @@ _HIDDEN_EXAMPLES = (
 
 
 @dataclass(frozen=True)
-class New:
+class SubmissionArguments:
     """Write the template of a submission: each expected file with pose, lens, size and mask, and a manifest."""
 
     dataset: tyro.conf.Positional[str]
@@ -54,7 +54,7 @@ class New:
 
 
 @dataclass(frozen=True)
-class Check:
+class SubmissionCheckArguments:
     """Check the files and the manifest of a submission, and list all problems. Nothing is scored.
 
     Exit codes: 0 no problems, 1 problems, 2 could not run.
@@ -103,7 +103,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _new(argv: Sequence[str]) -> int:
-    arguments = parse_arguments(New, argv, "mirror submission new", examples=_NEW_EXAMPLES)
+    arguments = parse_arguments(SubmissionArguments, argv, "mirror submission new", examples=_NEW_EXAMPLES)
 
     from mirror.dataset import open as open_dataset
     from mirror.evaluation.submission.template import write_template
@@ -130,7 +130,11 @@ def _new(argv: Sequence[str]) -> int:
 
 def _check(argv: Sequence[str]) -> int:
     arguments = parse_arguments(
-        Check, argv, "mirror submission check", examples=_CHECK_EXAMPLES, renamed={"--truth": "DATASET"}
+        SubmissionCheckArguments,
+        argv,
+        "mirror submission check",
+        examples=_CHECK_EXAMPLES,
+        renamed={"--truth": "DATASET"},
     )
 
     from mirror.dataset import open as open_dataset
@@ -181,7 +185,9 @@ def _hidden(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
-def requested_views(files: UntrustedFiles, protocol: str | None, split: str | None) -> tuple[str, str] | CheckReport:
+def requested_views(
+    files: UntrustedFiles, protocol: str | None, split: str | None
+) -> tuple[str, str] | SubmissionCheck:
     """Protocol and split of a submission, or the problems of a submission that does not state them.
 
     Args:
@@ -199,7 +205,7 @@ def requested_views(files: UntrustedFiles, protocol: str | None, split: str | No
         return report_unreadable_manifest(files, error)
 
 
-def print_check(report: CheckReport, submission: Path, *, as_json: bool) -> ExitCode:
+def print_check(report: SubmissionCheck, submission: Path, *, as_json: bool) -> ExitCode:
     """Print the report of a check, and return its exit code."""
     if as_json:
         print(json.dumps(plain_report(report)))
@@ -208,7 +214,7 @@ def print_check(report: CheckReport, submission: Path, *, as_json: bool) -> Exit
     return ExitCode.FINDINGS if report.problems else ExitCode.DONE
 
 
-def plain_report(report: CheckReport) -> dict[str, object]:
+def plain_report(report: SubmissionCheck) -> dict[str, object]:
     """The report of a check for ``--json``."""
     return {
         "expected": report.expected,
@@ -219,7 +225,7 @@ def plain_report(report: CheckReport) -> dict[str, object]:
     }
 
 
-def print_report(report: CheckReport, submission: Path) -> None:
+def print_report(report: SubmissionCheck, submission: Path) -> None:
     """Print the report of a check for people: the first problems of each kind, and the number of others."""
     from itertools import groupby
 

@@ -18,7 +18,7 @@ _FETCH_EXAMPLES: Final = ("mirror weights fetch centerface clp_det", "mirror wei
 
 
 @dataclass(frozen=True)
-class ListArguments:
+class WeightListArguments:
     """List the known files of weights, and which of them are here."""
 
     json: bool = False
@@ -54,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _list(words: Sequence[str]) -> int:
-    arguments = parse_arguments(ListArguments, words, "mirror weights list", examples=_LIST_EXAMPLES)
+    arguments = parse_arguments(WeightListArguments, words, "mirror weights list", examples=_LIST_EXAMPLES)
 
     from mirror.weights.errors import WeightsUnavailableError
     from mirror.weights.resolve import WeightResolver

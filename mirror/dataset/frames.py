@@ -17,7 +17,7 @@ from mirror.dataset.query.arrow import to_numpy
 from mirror.dataset.query.catalog import Catalog
 from mirror.dataset.query.filters import Filters
 from mirror.dataset.query.select import RowGroupPart, select_parts
-from mirror.dataset.traversal import Calibration, FrameBoxes, Traversal
+from mirror.dataset.traversal import CameraCalibration, FrameBoxes, Traversal
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 
@@ -64,7 +64,7 @@ class Frame:
         return self._traversal.track
 
     @property
-    def calibrations(self) -> Sequence[Calibration]:
+    def calibrations(self) -> Sequence[CameraCalibration]:
         """All calibrations of the whole traversal, of the chosen layer: of every camera, stage and interval."""
         return self._traversal.calibrations
 

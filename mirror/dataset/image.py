@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.loader import Loader
-from mirror.dataset.traversal import Calibration, Traversal
+from mirror.dataset.traversal import CameraCalibration, Traversal
 from mirror.errors import DatasetError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
@@ -159,7 +159,7 @@ class Image:
         return self.uri in self._loader.catalog.withheld
 
     @property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> CameraCalibration:
         """The calibration of the chosen layer and stage that is valid for this image.
 
         Raises:

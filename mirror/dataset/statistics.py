@@ -84,7 +84,7 @@ class SceneRow:
 
 
 @dataclass(frozen=True)
-class Condition:
+class ConditionCount:
     """Number and hours of the traversals of one light and weather."""
 
     light: str
@@ -154,7 +154,7 @@ class Statistics:
 
     row: TableRow
     scenes: Sequence[SceneRow]
-    conditions: Sequence[Condition]
+    conditions: Sequence[ConditionCount]
     speed: Speed | None
     vehicle_types: Mapping[str, int]
     vehicles: int
@@ -294,13 +294,13 @@ def _drive_city(dataset: Dataset, drive_id: str) -> str | None:
     return dataset.store.json(f"drives/{drive_id}/drive.json", DriveDocument).city
 
 
-def _conditions(traversals: Sequence[Mapping[str, Any]]) -> list[Condition]:
+def _conditions(traversals: Sequence[Mapping[str, Any]]) -> list[ConditionCount]:
     conditions = []
     for light in _LIGHT:
         for weather in _WEATHER:
             matching = [item for item in traversals if (item["light"], item["weather"]) == (light, weather)]
             if matching:
-                conditions.append(Condition(light, weather, len(matching), _hours(matching)))
+                conditions.append(ConditionCount(light, weather, len(matching), _hours(matching)))
     return conditions
 
 

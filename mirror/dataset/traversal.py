@@ -29,7 +29,7 @@ _IMAGE: Final = tuple(name for name in IMAGES.schema.names if name != "frame_ind
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class CameraCalibration:
     """One camera's calibration over a validity interval.
 
     Attributes:
@@ -152,13 +152,13 @@ class Traversal:
             ) from error
 
     @cached_property
-    def calibrations(self) -> Sequence[Calibration]:
+    def calibrations(self) -> Sequence[CameraCalibration]:
         """All calibrations of the chosen layer, sorted by camera, stage and validity."""
         names = CALIBRATIONS.schema.names
         arrays = self._table("calibrations", self._layers.calibrations, CALIBRATIONS.name, names)
         rows = pa.Table.from_arrays(list(arrays), names=names).to_pylist()
         return [
-            Calibration(
+            CameraCalibration(
                 camera=row["camera"],
                 stage=row["stage"],
                 valid_from_ns=row["valid_from_ns"],
@@ -172,7 +172,7 @@ class Traversal:
             for row in rows
         ]
 
-    def calibration(self, camera: str, timestamp_ns: int) -> Calibration:
+    def calibration(self, camera: str, timestamp_ns: int) -> CameraCalibration:
         """The calibration of a camera that is valid at a time.
 
         Raises:

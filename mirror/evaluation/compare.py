@@ -20,7 +20,7 @@ from mirror.evaluation.figures import (
     mean_weights,
     overall_averaging,
 )
-from mirror.evaluation.result import IMAGES, Figure, Result, finite_or_none
+from mirror.evaluation.result import IMAGES, GroupFigure, Result, finite_or_none
 from mirror.evaluation.run import read_result
 from mirror.metrics.catalogue import find_measure
 from mirror.metrics.images.bootstrap import paired_difference
@@ -144,8 +144,8 @@ def _compare(
 
 def _compare_figure(
     result: Result,
-    first: Figure,
-    other: Figure,
+    first: GroupFigure,
+    other: GroupFigure,
     first_rows: dict[str, dict[str, Any]],
     other_rows: dict[str, dict[str, Any]],
 ) -> FigureComparison:
@@ -203,7 +203,7 @@ def _compare_figure(
     )
 
 
-def _without_difference(first: Figure, other: Figure, reason: str) -> FigureComparison:
+def _without_difference(first: GroupFigure, other: GroupFigure, reason: str) -> FigureComparison:
     return FigureComparison(
         first.metric, first.group, first.value, other.value, None, None, None, None, 0, reason, None
     )

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.evaluation.result import Figure, Level, finite_or_none
+from mirror.evaluation.result import GroupFigure, Level, finite_or_none
 from mirror.metrics.catalogue import Measure
 from mirror.metrics.images.aggregate import summarise
 from mirror.metrics.images.bootstrap import Interval, frame_blocks, mean_interval
@@ -37,7 +37,7 @@ TOO_FEW_BLOCKS: Final = f"fewer than {MIN_BLOCKS} blocks of frames: an interval 
 
 def compute_figures(
     protocol: Protocol, measure: Measure, group: str, views: Sequence[RenderView], scores: Sequence[Score]
-) -> list[Figure]:
+) -> list[GroupFigure]:
     """Compute the figures of one metric and group.
 
     Args:
@@ -66,7 +66,7 @@ def compute_figures(
 
 def compute_overall_figure(
     protocol: Protocol, measure: Measure, views: Sequence[RenderView], scores: Sequence[Score]
-) -> list[Figure]:
+) -> list[GroupFigure]:
     """Compute the mean of one metric over the groups that rank, each group counting equally.
 
     Args:
@@ -182,7 +182,7 @@ def _compute_figure(
     views: Sequence[RenderView],
     scores: Sequence[Score],
     averaging: Sequence[str],
-) -> Figure:
+) -> GroupFigure:
     summary = summarise(scores)
     rows = [row for row, score in enumerate(scores) if math.isfinite(score)]
     value: float | None = None
@@ -191,7 +191,7 @@ def _compute_figure(
         finite_views = [views[row] for row in rows]
         values = np.array([float(scores[row]) for row in rows])
         value, interval = weighted_interval(protocol, finite_views, values, mean_weights(finite_views, averaging))
-    return Figure(
+    return GroupFigure(
         metric=measure.name,
         group=group,
         level=level,

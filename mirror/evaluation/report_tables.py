@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from mirror.evaluation.result import Figure, Level, Result
+from mirror.evaluation.result import GroupFigure, Level, Result
 from mirror.metrics.catalogue import Measure, find_measure
 
 _WIDEST: Final = 8
@@ -80,7 +80,7 @@ class Breakdown:
 @dataclass(frozen=True)
 class _Row:
     labels: tuple[str, ...]
-    figures: dict[str, Figure]
+    figures: dict[str, GroupFigure]
 
 
 def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes) -> FigureTable:
@@ -97,7 +97,7 @@ def summary_table(result: Result, baselines: Sequence[Result], notes: Footnotes)
 def breakdown_tables(result: Result, notes: Footnotes, levels: Mapping[Level, str] = LEVELS) -> Iterator[Breakdown]:
     """Arrange the figures of each level under its title; a level with one part repeats the groups."""
     for level, title in levels.items():
-        rows: dict[tuple[str, str], dict[str, Figure]] = {}
+        rows: dict[tuple[str, str], dict[str, GroupFigure]] = {}
         for figure in result.figures:
             if figure.level == level:
                 rows.setdefault((figure.group, figure.key), {})[figure.metric] = figure
@@ -111,7 +111,7 @@ def list_measures(result: Result) -> list[Measure]:
     return [find_measure(metric) for metric in dict.fromkeys(figure.metric for figure in result.figures)]
 
 
-def find_headline(result: Result) -> Figure | None:
+def find_headline(result: Result) -> GroupFigure | None:
     """Find the figure that ranks; without a ranking key, the first figure of a group with a value."""
     of_groups = [figure for figure in result.figures if figure.level == "group"]
     if result.protocol.ranking is not None:
@@ -120,7 +120,7 @@ def find_headline(result: Result) -> Figure | None:
     return next((figure for figure in of_groups if figure.value is not None), None)
 
 
-def format_value(figure: Figure) -> str:
+def format_value(figure: GroupFigure) -> str:
     """Format a value with its unit."""
     return "none" if figure.value is None else f"{_number(figure, figure.value)} {figure.unit}".strip()
 
@@ -152,7 +152,7 @@ def _head(metric: str) -> str:
     return f"{metric}, {unit}" if unit else metric
 
 
-def _format_cell(figure: Figure | None, notes: Footnotes) -> FigureCell | None:
+def _format_cell(figure: GroupFigure | None, notes: Footnotes) -> FigureCell | None:
     if figure is None:
         return None
     text = "none" if figure.value is None else _number(figure, figure.value)
@@ -162,7 +162,7 @@ def _format_cell(figure: Figure | None, notes: Footnotes) -> FigureCell | None:
     return FigureCell(text, notes.mark(_list_remarks(figure)), interval)
 
 
-def _list_remarks(figure: Figure) -> Iterator[str]:
+def _list_remarks(figure: GroupFigure) -> Iterator[str]:
     if figure.value is not None and figure.low is None and figure.interval_reason:
         yield f"No interval: {figure.interval_reason}."
     for remark in (figure.note, figure.reason):
@@ -174,5 +174,5 @@ def _list_remarks(figure: Figure) -> Iterator[str]:
         yield f"{figure.metric}: {figure.n_missing} without a value."
 
 
-def _number(figure: Figure, value: float) -> str:
+def _number(figure: GroupFigure, value: float) -> str:
     return find_measure(figure.metric).format_exactly(value)

@@ -18,7 +18,7 @@ IMAGES: Final = "images.parquet"
 Level = Literal["group", "scene", "traversal", "camera", "condition"]
 
 
-class Figure(Document):
+class GroupFigure(Document):
     """One figure of a table.
 
     Attributes:
@@ -98,7 +98,7 @@ class Result(Document):
     dataset: DatasetIdentity
     submission: SubmissionManifest
     submission_hash: str
-    figures: tuple[Figure, ...]
+    figures: tuple[GroupFigure, ...]
     unavailable: dict[str, str]
     weights: dict[str, str]
     versions: dict[str, str]

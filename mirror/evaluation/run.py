@@ -22,7 +22,7 @@ from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.edit_fidelity import fidelity_metrics
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, Job, ScoredJob
-from mirror.evaluation.submission.check import CheckReport, Problem, check_submission
+from mirror.evaluation.submission.check import SubmissionCheck, SubmissionProblem, check_submission
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import open_untrusted
 from mirror.evaluation.versions import list_versions
@@ -89,7 +89,7 @@ class Evaluation:
     """
 
     plan: Plan
-    check: CheckReport
+    check: SubmissionCheck
     result: Result | None = None
     inputs: ScoringInputs | None = None
     scored: tuple[ScoredJob, ...] = ()
@@ -167,8 +167,12 @@ def evaluate(
         jobs, inputs, ScoreLog(out / WORK / "scored.jsonl"), workers=options.workers, advance=progress.advance
     )
     if outcome.failed:
-        problems = tuple(Problem("corrupt", name, problem) for name, problem in sorted(outcome.failed.items()))
-        failed_check = CheckReport(check.expected, check.present, problems, check.manifest, check.hash, check.hashes)
+        problems = tuple(
+            SubmissionProblem("corrupt", name, problem) for name, problem in sorted(outcome.failed.items())
+        )
+        failed_check = SubmissionCheck(
+            check.expected, check.present, problems, check.manifest, check.hash, check.hashes
+        )
         return Evaluation(plan, failed_check, reused=outcome.reused)
     result = Result(
         protocol=protocol,

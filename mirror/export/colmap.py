@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from mirror.dataset.frames import Frame
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import UsageError
 from mirror.export.layout import ExportLayout, Kept, Written
 from mirror.export.lenses import LensMap, colmap_lens
@@ -189,7 +189,7 @@ def _segments(frames: Sequence[tuple[Frame, list[ExportImage]]]) -> list[_Segmen
     return segments
 
 
-def _sensor(item: ExportImage, calibration: Calibration) -> Sensor:
+def _sensor(item: ExportImage, calibration: CameraCalibration) -> Sensor:
     mounting = calibration.ego_SE3_camera
     return item.image.camera, item.lens, to_pose_numbers(mounting)
 

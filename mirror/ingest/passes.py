@@ -19,7 +19,7 @@ from mirror.errors import RecordingError
 from mirror.ingest.clean import CleanTrack
 from mirror.ingest.fix_status import RESTART
 from mirror.ingest.rois import refuse_swapped_coordinates
-from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
@@ -154,7 +154,7 @@ def find_drive_passes(
     path: Path,
     recording: Recording,
     source: Source,
-    trigger: Trigger,
+    trigger: RoiTrigger,
     rois: Sequence[Roi],
     cleaning: CleaningOptions,
 ) -> DrivePasses:

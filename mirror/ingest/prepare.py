@@ -12,9 +12,9 @@ from mirror.errors import RecordingError
 from mirror.ingest.drive import are_traversals_intact, verify_source
 from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.request import IngestOptions
-from mirror.ingest.settings import Settings
+from mirror.ingest.settings import IngestSettings
 from mirror.ingest.traversal import select_images
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.missing_images import name_missing_images, without_missing_images
 from mirror.recordings.protocol import Recording
@@ -40,7 +40,9 @@ class PreparedDrive:
     images: int = 0
 
 
-def prepare(path: Path, layout: Layout, options: IngestOptions, settings: Settings, trigger: Trigger) -> PreparedDrive:
+def prepare(
+    path: Path, layout: Layout, options: IngestOptions, settings: IngestSettings, trigger: RoiTrigger
+) -> PreparedDrive:
     """Open and judge a recording, unless it is complete in the dataset.
 
     Args:
@@ -88,7 +90,7 @@ def _missing_images_named(recording: Recording) -> Iterator[None]:
 
 
 def _is_unchanged(
-    path: Path, recording: Recording, source: Source, layout: Layout, options: IngestOptions, settings: Settings
+    path: Path, recording: Recording, source: Source, layout: Layout, options: IngestOptions, settings: IngestSettings
 ) -> bool:
     """Return whether the drive is complete in the dataset as its recording is now.
 

@@ -21,7 +21,7 @@ from mirror.errors import MirrorError, RecordingError, UsageError
 from mirror.ingest.clean import CleanTrack
 from mirror.ingest.metric import scales
 from mirror.ingest.request import IngestOptions, validate_thresholds
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.ingest.usable import clean_usable
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.recordings.boundary import reader_errors
@@ -161,7 +161,7 @@ def propose_rois(
         tracks = [one for one in driven if one.frame == frame]
         centres = _candidates(tracks, radius_m)
         rois = [_roi(frame, place, radius_m, f"candidate_{number}") for number, place in enumerate(centres)]
-        ranked += _judge(tracks, rois, Trigger(rois, trigger_options, cleaning))
+        ranked += _judge(tracks, rois, RoiTrigger(rois, trigger_options, cleaning))
     ranked.sort(key=lambda one: (-one.drives, -one.traversals, -one.path_m, one.roi.scene_id))
     chosen: list[Proposal] = []
     for one in ranked:
@@ -247,7 +247,7 @@ def _roi(frame: str | None, place: Float64, radius_m: float, name: str) -> Roi:
     return Roi(scene_id=name, frame=frame, x_m=lon_or_x, y_m=lat_or_y, radius_m=radius_m)
 
 
-def _judge(tracks: Sequence[_DriveTrack], rois: Sequence[Roi], trigger: Trigger) -> list[Proposal]:
+def _judge(tracks: Sequence[_DriveTrack], rois: Sequence[Roi], trigger: RoiTrigger) -> list[Proposal]:
     accepted: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     drives: dict[str, set[str]] = defaultdict(set)

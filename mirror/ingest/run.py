@@ -30,7 +30,7 @@ from mirror.ingest.passes import DrivePasses
 from mirror.ingest.prepare import PreparedDrive, prepare
 from mirror.ingest.request import DriveReport, IngestOptions, IngestReport
 from mirror.ingest.rois import write_rois
-from mirror.ingest.settings import Settings, merge_settings, missing_roi_error
+from mirror.ingest.settings import IngestSettings, merge_settings, missing_roi_error
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteReport, write_traversal
 from mirror.progress import NullProgress, ProgressReporter
@@ -177,7 +177,9 @@ class _Writing:
 class _Run:
     """One pass over all recordings, in their order: which of two that contradict each other fails depends on it."""
 
-    def __init__(self, layout: Layout, options: IngestOptions, progress: ProgressReporter, settings: Settings) -> None:
+    def __init__(
+        self, layout: Layout, options: IngestOptions, progress: ProgressReporter, settings: IngestSettings
+    ) -> None:
         self.layout = layout
         self.options = options
         self.progress = progress

@@ -9,7 +9,7 @@ from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError, UsageError
 from mirror.ingest.request import IngestOptions, validate_thresholds
 from mirror.ingest.rois import merge_rois, read_rois
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.schema.documents import CleaningOptions, DatasetDocument, Roi, TriggerOptions
 from mirror.schema.files import read_json
 from mirror.schema.hashing import hash_document
@@ -17,7 +17,7 @@ from mirror.schema.version import SCHEMA_VERSION
 
 
 @dataclass(frozen=True)
-class Settings:
+class IngestSettings:
     """Settings by which every drive of a run is judged and written.
 
     Attributes:
@@ -35,12 +35,12 @@ class Settings:
         """Ids of all scenes."""
         return {roi.scene_id for roi in self.rois}
 
-    def trigger(self) -> Trigger:
+    def trigger(self) -> RoiTrigger:
         """Return the trigger for all scenes."""
-        return Trigger(self.rois, self.document.trigger, self.document.cleaning)
+        return RoiTrigger(self.rois, self.document.trigger, self.document.cleaning)
 
 
-def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> Settings:
+def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) -> IngestSettings:
     """Merge the settings of a run into those of the dataset.
 
     Raises:
@@ -76,7 +76,7 @@ def merge_settings(layout: Layout, options: IngestOptions, rois: Sequence[Roi]) 
     merged = merge_rois(present, rois, layout.rois)
     if not merged:
         raise missing_roi_error()
-    return Settings(document, tuple(merged), _configuration(document, options))
+    return IngestSettings(document, tuple(merged), _configuration(document, options))
 
 
 def missing_roi_error() -> UsageError:

@@ -112,7 +112,7 @@ class _Area:
         return cls(tuple(rois), Circles(lon_or_x, lat_or_y, radius_m), search, build_grid(search, geodetic))
 
 
-class Trigger:
+class RoiTrigger:
     """The trigger for a set of ROIs. One object serves any number of tracks and threads.
 
     Args:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from mirror.dataset.images.decoding import usable_cores
-from mirror.dataset.index.inputs import Inputs, read_inputs, read_rois
+from mirror.dataset.index.inputs import IndexInputs, read_inputs, read_rois
 from mirror.dataset.layout import MANIFEST, MAPS, Layout
 from mirror.dataset.recorded_map import MAP_FILE
 from mirror.dataset.splits.candidates import Candidate, Candidates
@@ -160,7 +160,7 @@ class DatasetView:
         return self._manifest(self.layout.index)
 
     @cached_property
-    def index_inputs(self) -> Inputs | None:
+    def index_inputs(self) -> IndexInputs | None:
         """The inputs of an index; None: a file is missing or broken, which other rules report."""
         try:
             return read_inputs(self.store)

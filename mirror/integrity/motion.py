@@ -14,7 +14,7 @@ _ROTATION = ("qw", "qx", "qy", "qz")
 _UNIT_TOLERANCE = 1e-6
 
 
-class Motion:
+class MotionColumns:
     """Columns derived from N poses. A value that cannot be computed is NaN, which compares as false.
 
     Args:

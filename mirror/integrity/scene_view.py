@@ -13,7 +13,7 @@ from mirror.geometry.cameras import Camera, camera_from_row
 from mirror.integrity.dataset_view import DatasetView, TraversalView
 from mirror.integrity.frames import FrameAssignment, assign_frames
 from mirror.integrity.images import ImageContents, ImageFileReader, ImageFiles
-from mirror.integrity.motion import Motion
+from mirror.integrity.motion import MotionColumns
 from mirror.integrity.rows import TablePart, TableRows
 from mirror.schema.documents import Roi
 from mirror.schema.road_map import RoadMap
@@ -94,9 +94,9 @@ class SceneView:
         return TableRows(POINTS, self._layers("points"))
 
     @cached_property
-    def motion(self) -> Motion:
+    def motion(self) -> MotionColumns:
         """The vehicle's motion over `all_poses`."""
-        return Motion(self.all_poses)
+        return MotionColumns(self.all_poses)
 
     @cached_property
     def has_motion(self) -> Bool:

@@ -11,7 +11,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.box_projection import project_boxes
 from mirror.privacy.detection import ImageKey
 from mirror.privacy.options import Propagation
-from mirror.privacy.propagation.cameras import CameraView, project_to_cameras
+from mirror.privacy.propagation.cameras import PosedCamera, project_to_cameras
 from mirror.privacy.propagation.tracks import follow_tracks
 from mirror.privacy.propagation.vehicles import StripOptions, plate_strips
 from mirror.privacy.regions import Region, merged
@@ -83,7 +83,7 @@ def _add_cameras(
     views = {}
     for name, image in images.items():
         try:
-            views[name] = CameraView(image.camera_model, image.world_SE3_camera)
+            views[name] = PosedCamera(image.camera_model, image.world_SE3_camera)
         except DatasetError:
             # Without a calibration or pose there is no geometry; detection does not need it.
             continue

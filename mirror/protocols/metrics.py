@@ -23,14 +23,14 @@ class ImageMetric(Document):
     metric: _OfImages
 
 
-class PsnrCc(Document):
+class PsnrCcMetric(Document):
     """PSNR after the quadratic colour warp of MTGS (PSNR* in the paper); ``iterations`` fits on unclipped pixels."""
 
     metric: Literal["psnr_cc"]
     iterations: int = Field(default=5, ge=1)
 
 
-class Ssim(Document):
+class SsimMetric(Document):
     """Structural similarity; ``preset`` sets window and border, ``mask`` sets how masked pixels are treated."""
 
     metric: Literal["ssim"]
@@ -38,7 +38,7 @@ class Ssim(Document):
     mask: Literal["map", "erode", "normalised"]
 
 
-class Lpips(Document):
+class LpipsMetric(Document):
     """Learned perceptual similarity. Unscored pixels are black in both images, or left out of the mean of the map."""
 
     metric: Literal["lpips"]
@@ -46,7 +46,7 @@ class Lpips(Document):
     mask: Literal["zero-fill", "map"]
 
 
-class Fid(Document):
+class FidMetric(Document):
     """Frechet distance of Inception features; ``mode`` of resizing; warns if there are < ``warn_below`` images."""
 
     metric: Literal["fid"]
@@ -54,14 +54,14 @@ class Fid(Document):
     warn_below: int = Field(default=2048, ge=2)
 
 
-class Kid(Document):
+class KidMetric(Document):
     """Kernel distance of Inception features (unbiased estimator)."""
 
     metric: Literal["kid"]
     mode: Literal["clean", "tf1"]
 
 
-class Fvd(Document):
+class FvdMetric(Document):
     """Frechet distance of I3D features of clips of ``frames`` images, each resized or cropped to 224 x 224."""
 
     metric: Literal["fvd"]
@@ -99,7 +99,7 @@ class EditFidelity(Document):
 
     metric: Literal["edit_fidelity"]
     part: Part
-    figure: Annotated[ImageMetric | Ssim, Field(discriminator="metric")]
+    figure: Annotated[ImageMetric | SsimMetric, Field(discriminator="metric")]
 
 
 class Detection(Document):
@@ -124,7 +124,7 @@ class ReportedFigure(Document):
     metric: _OfMethods
 
 
-class SafetyFigure(Document):
+class SafetyMetric(Document):
     """A figure of a rollout's safety (docs/safety.md)."""
 
     metric: _OfRollouts
@@ -146,17 +146,17 @@ class DrivableArea(Document):
 
 Metric = Annotated[
     ImageMetric
-    | PsnrCc
-    | Ssim
-    | Lpips
-    | Fid
-    | Kid
-    | Fvd
+    | PsnrCcMetric
+    | SsimMetric
+    | LpipsMetric
+    | FidMetric
+    | KidMetric
+    | FvdMetric
     | EditIou
     | EditFidelity
     | Detection
     | ReportedFigure
-    | SafetyFigure
+    | SafetyMetric
     | LeastTtc
     | DrivableArea,
     Field(discriminator="metric"),
@@ -169,7 +169,7 @@ def metric_name(metric: Metric) -> str:
         return f"edit_iou_{metric.variant}"
     if isinstance(metric, EditFidelity):
         return f"{metric.figure.metric}_{metric.part}"
-    if isinstance(metric, Lpips):
+    if isinstance(metric, LpipsMetric):
         return f"lpips_{metric.net}"
     return metric.metric
 

@@ -31,7 +31,7 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.NovelTraversal,
     documents.ByScene,
     documents.ByCondition,
-    documents.Condition,
+    documents.LightAndWeather,
     documents.Manifest,
     documents.FileEntry,
     documents.ImageTotals,

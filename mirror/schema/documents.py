@@ -377,7 +377,7 @@ class ByScene(Document):
         return self
 
 
-class Condition(Document):
+class LightAndWeather(Document):
     """Light and weather of a traversal; a traversal must match both that are given.
 
     Attributes:
@@ -389,7 +389,7 @@ class Condition(Document):
     weather: Weather | None = None
 
     @model_validator(mode="after")
-    def _some(self) -> Condition:
+    def _some(self) -> LightAndWeather:
         if self.light is None and self.weather is None:
             raise ValueError("a condition names a light, a weather or both")
         return self
@@ -405,8 +405,8 @@ class ByCondition(Document):
     """
 
     method: Literal["by-condition"] = "by-condition"
-    train: tuple[Condition, ...] = Field(min_length=1)
-    test: tuple[Condition, ...] = Field(min_length=1)
+    train: tuple[LightAndWeather, ...] = Field(min_length=1)
+    test: tuple[LightAndWeather, ...] = Field(min_length=1)
 
 
 SplitMethod = Annotated[NovelTraversal | ByScene | ByCondition, Field(discriminator="method")]

@@ -53,7 +53,7 @@ class MountingError:
 
 
 @dataclass(frozen=True)
-class Clock:
+class CameraClock:
     """The clock of a camera.
 
     Attributes:
@@ -153,11 +153,11 @@ class Errors:
         """Add calibration errors to the intrinsics of a camera."""
         return perturb_intrinsics(camera, self.focal_share, self.centre_share, rng)
 
-    def draw_clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, Clock]:
+    def draw_clocks(self, cameras: Sequence[str], rng: np.random.Generator) -> dict[str, CameraClock]:
         """Draw the clock of each camera, by camera name."""
         errors = np.round(rng.normal(0.0, self.clock_error_ns, len(cameras))).astype(int)
         known = np.round(rng.normal(0.0, self.clock_offset_ns, len(cameras))).astype(int)
-        return {name: Clock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
+        return {name: CameraClock(int(offset), int(error)) for name, offset, error in zip(cameras, known, errors)}
 
     def draw_losses(self, count: int, rng: np.random.Generator) -> Bool:
         """Draw which of a camera's images are lost: (count,), True where lost."""

@@ -10,12 +10,12 @@ import shapely
 from mirror.schema.road_map import MapArea, MapCrossing, MapLane, MapSignal, RoadMap, SignalState
 from mirror.synth.roads.crossing import Crossing
 from mirror.synth.roads.layouts import find_approaches
-from mirror.synth.street.plan import Plan
+from mirror.synth.street.plan import StreetPlan
 from mirror.synth.street.world.world import AMBER_S, READY_S
 from mirror.traffic.lanes.network import Lane, Network
 
 
-def street_map(plan: Plan) -> RoadMap:
+def street_map(plan: StreetPlan) -> RoadMap:
     """Export the map of a street: all its lanes, its carriageways as drivable area, zebra crossings and signals.
 
     The drivable area reaches from kerb to kerb, parking and cycle lanes and hard shoulders included; on a road without

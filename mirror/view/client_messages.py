@@ -17,7 +17,7 @@ _MAX_TEXT: Final = 256
 
 
 @dataclass(frozen=True)
-class Problem:
+class MessageProblem:
     """Why a message is not read.
 
     Attributes:
@@ -32,7 +32,7 @@ class Problem:
         return self.text
 
 
-def find_problem(data: object) -> Problem | None:
+def find_problem(data: object) -> MessageProblem | None:
     """Find why a message of a page is not read; None: it is valid.
 
     Messages of kinds that the page of the viewer does not need are not read either, such as the one with which viser
@@ -44,18 +44,18 @@ def find_problem(data: object) -> Problem | None:
     import msgspec
 
     if not isinstance(data, bytes):
-        return Problem("text in place of bytes", fatal=True)
+        return MessageProblem("text in place of bytes", fatal=True)
     try:
         message = msgspec.msgpack.decode(data)
     except (msgspec.MsgspecError, RecursionError, ValueError):
-        return Problem("the bytes are no message", fatal=True)
+        return MessageProblem("the bytes are no message", fatal=True)
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        return Problem("a message without a type", fatal=True)
+        return MessageProblem("a message without a type", fatal=True)
     check = _CHECKS.get(message["type"])
     if check is None:
-        return Problem(f"messages of type {message['type'][:_MAX_TEXT]} are not read")
+        return MessageProblem(f"messages of type {message['type'][:_MAX_TEXT]} are not read")
     text = check(message)
-    return None if text is None else Problem(text)
+    return None if text is None else MessageProblem(text)
 
 
 def _find_camera_problem(message: Mapping[str, Any]) -> str | None:

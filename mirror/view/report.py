@@ -30,7 +30,7 @@ from mirror.view.images import (
     rig_images,
     same_place,
 )
-from mirror.view.svg import Line, bars, scene_map, stacked_bars
+from mirror.view.svg import MapTrack, bars, scene_map, stacked_bars
 from mirror.view.tables import describe_split, ledger_rows, traversal_rows
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def draw_scene_map(dataset: Dataset, scene: Mapping[str, Any], traversals: Seque
         inside = np.flatnonzero((stamps >= row["entry_ns"]) & (stamps <= row["exit_ns"]))
         inside = inside[:: max(1, len(inside) // _MAP_POINTS)]
         about = f"{row['traversal_id']}: {row['light']}, {row['weather']}, {row['duration_s']:.0f} s"
-        lines.append(Line(x[inside] - centre[0], y[inside] - centre[1], row["light"], about))
+        lines.append(MapTrack(x[inside] - centre[0], y[inside] - centre[1], row["light"], about))
     road_map = dataset.road_map(scene["scene_id"])
     return scene_map(
         f"{scene_name(scene)}: {len(lines)} traversals{'' if road_map is None else ', on its road map'}",

@@ -74,7 +74,7 @@ def _draw_chart(title: str, height: int, rows: Sequence[object], key: Sequence[o
 
 
 @dataclass(frozen=True)
-class Line:
+class MapTrack:
     """One traversal on a map.
 
     Attributes:
@@ -93,7 +93,7 @@ class Line:
 def scene_map(
     title: str,
     radius_m: float,
-    lines: Sequence[Line],
+    lines: Sequence[MapTrack],
     *,
     north: bool,
     roads: Sequence[Sequence[Float64]] = (),
@@ -155,7 +155,7 @@ def _points(line: Float64) -> str:
     return " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
 
 
-def _arrow(line: Line, size: float) -> tuple[str, str]:
+def _arrow(line: MapTrack, size: float) -> tuple[str, str]:
     """Return place and turn of the end of a line, along its last motion, and a triangle to draw there."""
     x, y = float(line.x_m[-1]), float(line.y_m[-1])
     for px, py in zip(line.x_m[::-1], line.y_m[::-1]):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mirror.annotation.detections import Detections
-from mirror.annotation.tracking.options import TrackingOptions, group_of
+from mirror.annotation.tracking.options import BoxTrackingOptions, group_of
 from mirror.annotation.tracking.smoothing import smooth_turning, smooth_velocity
 from mirror.annotation.tracking.static import merge_stationary
 from mirror.annotation.tracking.tracker import find_tracks, track
@@ -145,7 +145,7 @@ def test_one_frame_no_boxes_and_wrong_input() -> None:
     ego = Poses.identity(1)
     single = frame(0, np.array([[3.0, 0.0, 0.0]]), np.zeros(1), ego)
     assert [len(found) for found in track([single], ego)] == [0]
-    assert [len(found) for found in track([single], ego, TrackingOptions(min_boxes=1))] == [1]
+    assert [len(found) for found in track([single], ego, BoxTrackingOptions(min_boxes=1))] == [1]
     assert track([], Poses.identity(0)) == []
     assert [len(found) for found in track([Detections.empty(0), Detections.empty(1)], Poses.identity(2))] == [0, 0]
     with pytest.raises(UsageError, match="1 frames with 2 poses"):
@@ -153,7 +153,7 @@ def test_one_frame_no_boxes_and_wrong_input() -> None:
     with pytest.raises(UsageError, match="time 0 after 0"):
         track([single, single], Poses.identity(2))
     with pytest.raises(UsageError, match="--gate-m: nan"):
-        TrackingOptions(gate_m=float("nan"))
+        BoxTrackingOptions(gate_m=float("nan"))
     assert (group_of("Bus"), group_of("pedestrian"), group_of("motorcycle")) == ("vehicle", "pedestrian", "two_wheeler")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mirror.calibration.boards import Board
+from mirror.calibration.boards import CalibrationBoard
 from mirror.geometry import Poses, quaternion_exp
 from mirror.geometry.cameras import Camera
 
@@ -14,7 +14,7 @@ TURNS = [
 ]  # fmt: skip
 
 
-def draw_board(board: Board, square_px: int = 40) -> np.ndarray:
+def draw_board(board: CalibrationBoard, square_px: int = 40) -> np.ndarray:
     """The board as printed, with a white margin of one square."""
     size = (board.columns + 1, board.rows + 1)
     if board.kind == "charuco":
@@ -27,7 +27,7 @@ def draw_board(board: Board, square_px: int = 40) -> np.ndarray:
     return np.pad(inner, square_px, constant_values=235)
 
 
-def view(lens: Camera, board: Board, turn: tuple[float, ...], place: tuple[float, ...]) -> np.ndarray:
+def view(lens: Camera, board: CalibrationBoard, turn: tuple[float, ...], place: tuple[float, ...]) -> np.ndarray:
     """The board, whose first inner corner is at the origin, seen through the lens: every ray is traced."""
     printed, square_px = draw_board(board), 40
     inverse = Poses(quaternion_exp(np.array([turn])), np.array([place])).inverse()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from mirror.calibration.equations import JointProblem, exp_rotations
-from mirror.calibration.estimate import Conditions, estimate_rotations, explain
+from mirror.calibration.estimate import ObservingConditions, estimate_rotations, explain
 from mirror.calibration.rig import PosePrior, ScalePrior
 from mirror.errors import UsageError
 from mirror.geometry import Poses
 from tests.calibration.exact_rig import CAMERAS, exact_rig, mountings
 
 ERRORS = {"ahead": np.array([0.3, -0.5, 0.4]), "left": np.array([-0.6, 0.2, 0.1]), "right": np.array([0.0, 0.05, -0.9])}
-TURNING = Conditions(80.0, 22.0, dict.fromkeys(CAMERAS, 120.0), dict.fromkeys(CAMERAS, 500.0))
+TURNING = ObservingConditions(80.0, 22.0, dict.fromkeys(CAMERAS, 120.0), dict.fromkeys(CAMERAS, 500.0))
 
 
 def test_exact_tracks_give_the_injected_errors() -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mirror.calibration.boards import Board, find_size
+from mirror.calibration.boards import CalibrationBoard, find_size
 from mirror.calibration.intrinsics import Intrinsics, calibrate_intrinsics
 from mirror.cli.main import main
 from mirror.errors import UsageError
@@ -22,7 +22,7 @@ LENS = Camera("brown_conrady", 480, 360, 400.0, 402.0, 243.0, 178.0, (-0.12, 0.0
 FISHEYE = Camera("kannala_brandt", 480, 360, 200.0, 201.0, 243.0, 178.0, (0.03, -0.01, 0.0, 0.0))
 
 
-def views(lens: Camera, board: Board, distance: float = 12.0) -> list[tuple[str, np.ndarray]]:
+def views(lens: Camera, board: CalibrationBoard, distance: float = 12.0) -> list[tuple[str, np.ndarray]]:
     """Six boards in different orientations."""
     middle = (-(board.columns - 1) / 2.0, -(board.rows - 1) / 2.0)
     return [
@@ -41,12 +41,12 @@ def assert_lens(found: Intrinsics, lens: Camera, tolerance_px: float) -> None:
 
 @pytest.fixture(scope="module")
 def chessboards() -> list[tuple[str, np.ndarray]]:
-    return views(LENS, Board(9, 6))
+    return views(LENS, CalibrationBoard(9, 6))
 
 
 def test_chessboards_give_the_exact_lens(chessboards: list[tuple[str, np.ndarray]]) -> None:
     blank, small = ("blank.png", np.full((360, 480), 128, np.uint8)), ("small.png", chessboards[0][1][:300])
-    found = calibrate_intrinsics([*chessboards, blank, small], Board(9, 6))
+    found = calibrate_intrinsics([*chessboards, blank, small], CalibrationBoard(9, 6))
     assert list(found.image_rms_px) == [name for name, _ in chessboards]
     assert set(found.rejected) == {"blank.png", "small.png"}
     assert found.rms_px < 0.2
@@ -57,7 +57,7 @@ def test_chessboards_give_the_exact_lens(chessboards: list[tuple[str, np.ndarray
 
 
 def test_the_covariance_is_that_of_opencv(chessboards: list[tuple[str, np.ndarray]]) -> None:
-    board = Board(9, 6)
+    board = CalibrationBoard(9, 6)
     found = calibrate_intrinsics(chessboards, board)
     corners = []
     done = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
@@ -71,30 +71,33 @@ def test_the_covariance_is_that_of_opencv(chessboards: list[tuple[str, np.ndarra
 
 
 def test_charuco_boards_and_fisheyes_give_the_exact_lens() -> None:
-    charuco = Board(8, 5, "charuco")
+    charuco = CalibrationBoard(8, 5, "charuco")
     assert_lens(calibrate_intrinsics(views(LENS, charuco, 8.5), charuco), LENS, 1.0)
-    found = calibrate_intrinsics(views(FISHEYE, Board(9, 6), 7.0), Board(9, 6), "kannala_brandt")
+    found = calibrate_intrinsics(views(FISHEYE, CalibrationBoard(9, 6), 7.0), CalibrationBoard(9, 6), "kannala_brandt")
     assert_lens(found, FISHEYE, 1.0)
 
 
 def test_what_makes_no_lens_is_refused(chessboards: list[tuple[str, np.ndarray]]) -> None:
-    for stated in (Board(10, 7), Board(7, 5)):
+    for stated in (CalibrationBoard(10, 7), CalibrationBoard(7, 5)):
         with pytest.raises(UsageError) as refused:
             calibrate_intrinsics(chessboards, stated)
         assert refused.value.remedy == "--board 9x6"
     assert find_size(chessboards[0][1]) == (9, 6)
     with pytest.raises(UsageError, match="2 of 2 images"):
-        calibrate_intrinsics(chessboards[:2], Board(9, 6))
+        calibrate_intrinsics(chessboards[:2], CalibrationBoard(9, 6))
     with pytest.raises(UsageError, match="0 of 0 images"):
-        calibrate_intrinsics([], Board(9, 6))
+        calibrate_intrinsics([], CalibrationBoard(9, 6))
     flat = [
-        (f"{number}.png", view(LENS, Board(9, 6), (0.01 * number, 0.0, 0.1), (-4.0 + number, -2.5, 11.0 + number)))
+        (
+            f"{number}.png",
+            view(LENS, CalibrationBoard(9, 6), (0.01 * number, 0.0, 0.1), (-4.0 + number, -2.5, 11.0 + number)),
+        )
         for number in range(4)
     ]
     with pytest.raises(UsageError, match="orientation"):
-        calibrate_intrinsics(flat, Board(9, 6))
+        calibrate_intrinsics(flat, CalibrationBoard(9, 6))
     with pytest.raises(UsageError) as refused:
-        Board(8, 5, "charuco", "DICT_NONE")
+        CalibrationBoard(8, 5, "charuco", "DICT_NONE")
     assert refused.value.place == "--dictionary"
 
 
@@ -129,7 +132,7 @@ def test_the_command_writes_the_lens_into_a_recording(
 def test_real_images(real_data: Path) -> None:
     files = sorted((real_data / "chessboard").glob("*.jpg"))
     images = [(file.name, cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) for file in files]
-    found = calibrate_intrinsics(images, Board(9, 6))
+    found = calibrate_intrinsics(images, CalibrationBoard(9, 6))
     assert len(found.image_rms_px) >= 8
     assert found.rms_px < 1.5
     assert 0.5 < found.camera.fx_px / found.camera.width_px < 2.0

@@ -10,7 +10,7 @@ import pytest
 
 from mirror.calibration.estimate import FARTHEST_M
 from mirror.calibration.refinement.adjustment import Adjuster, RigState, adjust_rigs
-from mirror.calibration.refinement.features import Features, find_features, match_features
+from mirror.calibration.refinement.features import ImageFeatures, find_features, match_features
 from mirror.calibration.refinement.matching import MatchingOptions, choose_pairs, join_tracks
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs, RefinementPrior
 from mirror.calibration.refinement.scene import SceneRigs
@@ -18,7 +18,7 @@ from mirror.calibration.refinement.summary import summarise
 from mirror.calibration.refinement.triangulation import triangulate
 from mirror.calibration.rig import PosePrior
 from mirror.calibration.tracking import TrackedImage
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import UsageError
 from mirror.geometry import Poses, matrix_from_quaternion
 from tests.calibration.exact_rig import CAMERAS
@@ -158,7 +158,7 @@ def test_a_reference_camera_of_which_nothing_is_observable_keeps_its_calibration
     track = np.unique(track[often], return_inverse=True)[1].astype(np.int64)
     seen = FeatureTracks(track, *(part[own][often] for part in (tracks.image, tracks.uv_px, tracks.scale_px)))
     calibrations = [
-        Calibration(name, "factory", None, None, camera, rigs.ego_SE3_camera[np.array([number])], {})
+        CameraCalibration(name, "factory", None, None, camera, rigs.ego_SE3_camera[np.array([number])], {})
         for number, (name, camera) in enumerate(CAMERAS.items())
     ]
     scene = SceneRigs(rigs, calibrations, ["d"] * 3, [])
@@ -280,17 +280,17 @@ def test_matches_are_mutual_and_clear() -> None:
     rng = np.random.default_rng(2)
     one = rng.integers(0, 255, (40, 128)).astype(np.uint8)
     order = rng.permutation(40)
-    first = Features(np.zeros((40, 2)), np.ones(40), one)
-    second = Features(np.zeros((40, 2)), np.ones(40), one[order])
+    first = ImageFeatures(np.zeros((40, 2)), np.ones(40), one)
+    second = ImageFeatures(np.zeros((40, 2)), np.ones(40), one[order])
     pairs = match_features(first, second)
     assert len(pairs) == 40
     assert (order[pairs[:, 1]] == pairs[:, 0]).all()
-    twice = Features(np.zeros((80, 2)), np.ones(80), np.concatenate([one, one]))
+    twice = ImageFeatures(np.zeros((80, 2)), np.ones(80), np.concatenate([one, one]))
     assert not len(match_features(first, twice))
 
 
 def test_tracks_lose_images_with_two_features() -> None:
-    features = [Features(np.full((3, 2), float(k)), np.ones(3), np.zeros((3, 128), np.uint8)) for k in range(3)]
+    features = [ImageFeatures(np.full((3, 2), float(k)), np.ones(3), np.zeros((3, 128), np.uint8)) for k in range(3)]
     matches = {
         (0, 1): np.array([[0, 0], [1, 1]]),
         (1, 2): np.array([[0, 0], [1, 1]]),

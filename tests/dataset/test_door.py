@@ -11,7 +11,7 @@ import pytest
 
 from mirror.dataset.door.files import RECORDED, ImageFile
 from mirror.dataset.door.inspection import inspect_files, read_below
-from mirror.dataset.door.plan import Departure, Kept, Why
+from mirror.dataset.door.plan import Departure, KeptFile, Why
 from mirror.dataset.door.search import ByteSearch
 from mirror.dataset.door.secrets import Secrets
 from mirror.dataset.store import Store
@@ -66,7 +66,7 @@ def test_a_frame_that_stays_is_found_in_a_video_that_leaves(tmp_path: Path) -> N
             for stamp, one in zip(stretches[name], own[name])
         ]
 
-    kept = tuple(Kept(one, Why.WITHHELD) for one in rows("stays"))
+    kept = tuple(KeptFile(one, Why.WITHHELD) for one in rows("stays"))
     shown = {one.key: one for one in rows("leaves")}
     departure = Departure(
         files={"leaves.mp4": None}, static_masks=frozenset(), shown=shown, kept=kept, withheld=("stays.mp4",)

@@ -21,7 +21,7 @@ from mirror.evaluation.scorers import distributions
 from mirror.geometry.boxes import corners
 from mirror.geometry.poses import Poses
 from mirror.protocols.document import Protocol, load_protocol
-from mirror.protocols.metrics import EditFidelity, Part, Ssim
+from mirror.protocols.metrics import EditFidelity, Part, SsimMetric
 from mirror.protocols.png import decode_render, encode_png
 from mirror.protocols.views import RenderView, plan_views
 from mirror.protocols.views.view import to_pose
@@ -31,7 +31,7 @@ from tests.evaluation.colours import Colours
 from tests.evaluation.submissions import SPLIT, write_renders
 
 MOVED = ("left-1m", "left-2m")
-SSIM = Ssim(metric="ssim", preset="gaussian11", mask="map")
+SSIM = SsimMetric(metric="ssim", preset="gaussian11", mask="map")
 KEPT = ("background", "0m", *MOVED)
 
 
@@ -189,7 +189,7 @@ def test_sets_are_compared_with_the_recording_and_rows_with_the_exact_truth(
 ) -> None:
     """A copied recording has distance 0 in every group; the figures against the exact truth rank."""
     monkeypatch.setattr(distributions, "load_network", lambda metric, inputs: Colours())
-    monkeypatch.setattr(distributions.Distributions, "needs", lambda self, plan: {})
+    monkeypatch.setattr(distributions.DistributionScorer, "needs", lambda self, plan: {})
     protocol = reduce_protocol("vehicle-translation")
     protocol = protocol.model_copy(update={"frames": protocol.frames.model_copy(update={"cameras": ("front_narrow",)})})
     write_hidden_truth(tiny_dataset, plan_views(tiny_dataset, protocol, SPLIT), "tiny", 0, tmp_path / "hidden")

@@ -13,7 +13,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.evaluation.report import cover, error_map, write_report
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.protocols.views import RenderView
 from tests.evaluation.submissions import SPLIT, small, write_renders
@@ -99,7 +99,7 @@ def test_many_metrics_have_a_row_each(scored: dict[str, Evaluation], tmp_path: P
     mine = scored["mine"]
     assert mine.result is not None
     figures = tuple(
-        Figure(metric=f"ap_{number}", group="all", value=0.1 * number, better="higher", n=3) for number in range(9)
+        GroupFigure(metric=f"ap_{number}", group="all", value=0.1 * number, better="higher", n=3) for number in range(9)
     )
     result = mine.result.model_copy(update={"figures": figures})
     write_report(Evaluation(mine.plan, mine.check, result, mine.inputs, mine.scored), tmp_path / "report.html")

@@ -22,7 +22,7 @@ from mirror.evaluation.extractors.diff_grabcut import DiffGrabCut
 from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers.distributions import split_into_clips
-from mirror.evaluation.scorers.editing_accuracy import EditingAccuracy
+from mirror.evaluation.scorers.editing_accuracy import EditingScorer
 from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.geometry.box_projection import project_boxes
@@ -141,7 +141,7 @@ def test_distances_compare_the_features_of_each_group(
 ) -> None:
     network = Colours()
     monkeypatch.setattr(distributions, "load_network", lambda metric, inputs: network)
-    monkeypatch.setattr(distributions.Distributions, "needs", lambda self, plan: {})
+    monkeypatch.setattr(distributions.DistributionScorer, "needs", lambda self, plan: {})
     groups = "".join(f'[[groups]]\nname = "{name}"\nroles = ["held_out"]\n' for name in ("same", "darker"))
     protocol = small(task="generation", groups=groups, every=1, metrics=FID + FVD)
 
@@ -254,7 +254,7 @@ def test_vehicles_in_front_of_the_target_are_not_counted(dataset: Dataset, root:
             )
             moved = view.model_copy(update={"edits": (edit,)})
             hull = polygon_mask(target_hull(moved, edit), view.width_px, view.height_px)
-            values = EditingAccuracy().score(replace(job, views=(moved, job.views[1])), done.inputs)
+            values = EditingScorer().score(replace(job, views=(moved, job.views[1])), done.inputs)
             visible = hull & done.inputs.scored_mask(view)
             visible &= ~occluder if share > 1.0 else True
             counted[share] = values["target_px"], int(visible.sum()), int(hull.sum())

@@ -19,7 +19,7 @@ from hybridworldsim.generation.inference.clip_rollout import (
     views_with_boxes,
 )
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame
-from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.sampling.sampler import draw_noise
@@ -93,7 +93,7 @@ def test_an_absent_view_is_not_generated() -> None:
 def test_views_that_are_not_generated_are_given_and_counted(config) -> None:
     network, frames = make_network(config), single_frames(REFERENCES + 2)
     kept = torch.randn((1, 1, 2, 4, 4, 6), dtype=torch.float64)
-    rollout = Rollout(network, seeds(), frames[:REFERENCES], SamplerSettings(steps=1))
+    rollout = SequenceRollout(network, seeds(), frames[:REFERENCES], SamplerSettings(steps=1))
     first = rollout.step(frames[REFERENCES], active=[1], kept=kept)
     assert torch.equal(first[:, :, 0], kept[:, :, 0])
     # As a rig of the second camera alone, with its number in the rig and its part of the noise.

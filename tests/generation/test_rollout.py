@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings, sample_frame, target_velocity
-from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.inference.windows import join_conditions, seed_frames
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
@@ -25,7 +25,7 @@ CONFIGS = {"channels": AS_CHANNELS, "frames": AS_FRAMES}
 def test_each_frame_is_generated_from_the_frames_before_it(name: str) -> None:
     network, frames = make_network(CONFIGS[name]), single_frames(T + 4)
     settings = SamplerSettings(steps=2)
-    rollout = Rollout(network, seeds(), frames[:T], settings, seed=5, first=10)
+    rollout = SequenceRollout(network, seeds(), frames[:T], settings, seed=5, first=10)
     generated = [rollout.step(conditions) for conditions in frames[T:]]
     history = torch.cat([seeds(), *generated], dim=1)
     for place, latents in enumerate(generated):
@@ -45,7 +45,7 @@ def test_adapters_run_once_per_frame_and_references_once_for_all_steps(name: str
     for module, counts in ((network.background_adapter, adapted), (network.transformer_blocks[0], passes)):
         # Frames of two views each.
         module.register_forward_hook(lambda _, given, __, counts=counts: counts.append(len(given[0]) // 2))
-    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=3))
+    rollout = SequenceRollout(network, seeds(), frames[:T], SamplerSettings(steps=3))
     for conditions in frames[T:]:
         rollout.step(conditions)
     if name == "channels":
@@ -78,7 +78,7 @@ def test_every_reference_and_every_layout_counts(name: str) -> None:
 
 def test_a_bidirectional_network_rolls_out_without_a_cache() -> None:
     network, frames = make_network(replace(AS_FRAMES, causal=False)), single_frames(T + 2)
-    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
+    rollout = SequenceRollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
     assert all(bool(rollout.step(conditions).isfinite().all()) for conditions in frames[T:])
 
 
@@ -126,11 +126,11 @@ def test_a_guided_rollout_is_pushed_away_from_frames_without_layout(name: str) -
     """With one step the frame is linear in the velocity: at scale s it is empty + s * (plain - empty)."""
     network, frames = make_network(CONFIGS[name]), single_frames(T + 1)
     plain, empty, guided = (
-        Rollout(network, seeds(), frames[:T], SamplerSettings(steps=1, guidance=scale)).step(frames[T])
+        SequenceRollout(network, seeds(), frames[:T], SamplerSettings(steps=1, guidance=scale)).step(frames[T])
         for scale in (1.0, 0.0, 2.5)
     )
     bare = [replace(one, layout=torch.zeros_like(one.layout)) for one in frames if one.layout is not None]
-    by_hand = Rollout(network, seeds(), bare[:T], SamplerSettings(steps=1)).step(bare[T])
+    by_hand = SequenceRollout(network, seeds(), bare[:T], SamplerSettings(steps=1)).step(bare[T])
     torch.testing.assert_close(empty, by_hand, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(guided, empty + 2.5 * (plain - empty), rtol=1e-9, atol=1e-9)
     assert not torch.allclose(plain, empty)
@@ -147,7 +147,7 @@ def test_guidance_adapts_each_background_once_and_the_empty_layout_once(name: st
             adapted[adapter] += len(given[0]) // 2
 
         getattr(network, adapter).register_forward_hook(count)
-    rollout = Rollout(network, seeds(), frames[:T], settings)
+    rollout = SequenceRollout(network, seeds(), frames[:T], settings)
     generated = [rollout.step(conditions) for conditions in frames[T:]]
     # As channels, the layouts of a window are one image, and another one without boxes.
     wanted = (3, 2 * 3) if name == "channels" else (T + 3, T + 3 + 1)
@@ -172,7 +172,7 @@ def test_guidance_needs_a_layout_and_a_finite_scale() -> None:
     network = make_network(replace(AS_FRAMES, layout=None))
     frames = [replace(one, layout=None) for one in single_frames(T + 1)]
     with pytest.raises(UsageError, match="guidance of a network without layout"):
-        Rollout(network, seeds(), frames[:T], SamplerSettings(guidance=2.0)).step(frames[T])
+        SequenceRollout(network, seeds(), frames[:T], SamplerSettings(guidance=2.0)).step(frames[T])
     for scale in (float("nan"), float("inf"), -1.0):
         with pytest.raises(UsageError, match="guidance"):
             SamplerSettings(guidance=scale)
@@ -185,7 +185,9 @@ def test_half_precision_changes_a_frame_little(name: str) -> None:
     network = Transformer(CONFIGS[name]).eval().requires_grad_(False)
     frames = [one.to(torch.float32) for one in single_frames(T + 1)]
     full, half = (
-        Rollout(network, seeds().float(), frames[:T], SamplerSettings(steps=2, precision=precision)).step(frames[T])
+        SequenceRollout(network, seeds().float(), frames[:T], SamplerSettings(steps=2, precision=precision)).step(
+            frames[T]
+        )
         for precision in ("float32", "bf16")
     )
     assert half.dtype == torch.float32
@@ -216,8 +218,8 @@ def test_seeds_are_the_frames_before_the_window() -> None:
 def test_conditions_that_do_not_fit_are_refused() -> None:
     network, frames = make_network(AS_FRAMES), single_frames(T + 1)
     with pytest.raises(UsageError, match="3 seeds with conditions of 2 frames"):
-        Rollout(network, seeds(), frames[:2], SamplerSettings())
-    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings())
+        SequenceRollout(network, seeds(), frames[:2], SamplerSettings())
+    rollout = SequenceRollout(network, seeds(), frames[:T], SamplerSettings())
     with pytest.raises(UsageError, match="camera_to_ego"):
         rollout.step(replace(frames[T], camera_to_ego=frames[T].camera_to_ego * torch.nan))
     with pytest.raises(UsageError, match="as the seeds"):
@@ -240,7 +242,7 @@ def test_frames_without_a_generated_view_cost_no_adapter() -> None:
     encoded: list[int] = []
     encode = network.encode_layout
     network.encode_layout = lambda conditions: encoded.append(id(conditions)) or encode(conditions)  # type: ignore[method-assign, assignment, func-returns-value]
-    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
+    rollout = SequenceRollout(network, seeds(), frames[:T], SamplerSettings(steps=2))
     kept = torch.zeros((1, 1, 2, 4, 4, 6), dtype=torch.float64)
     for conditions in frames[T : T + 4]:
         rollout.step(conditions, active=[], kept=kept)
@@ -256,7 +258,7 @@ def test_numbers_that_are_not_finite_do_not_become_black_frames() -> None:
     with torch.no_grad():
         network.proj_out.bias[0] = torch.nan
     frames = single_frames(T + 1)
-    rollout = Rollout(network, seeds(), frames[:T], SamplerSettings(steps=1), first=17)
+    rollout = SequenceRollout(network, seeds(), frames[:T], SamplerSettings(steps=1), first=17)
     with pytest.raises(DatasetError, match="not finite") as caught:
         rollout.step(frames[T])
     assert caught.value.place == "frame 17"

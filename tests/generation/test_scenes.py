@@ -31,7 +31,7 @@ from hybridworldsim.generation.scenes.generator_files import GeneratorFiles, ope
 from hybridworldsim.generation.scenes.plan import plan_scene
 from hybridworldsim.generation.scenes.planned_views import PlannedScenes, render_plan
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
-from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
+from hybridworldsim.generation.scenes.rollout import SceneGenerator, roll_out_sequence
 from hybridworldsim.generation.scenes.run import PIXELS, SceneRequest, generate_scene
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of, make_scene_clip
 from hybridworldsim.generation.scenes.scene_edits import apply_edits, parse_edit, require_shown
@@ -391,7 +391,7 @@ def test_each_background_of_a_sequence_is_rendered_once(
 def test_seeds_of_the_empty_street_show_no_box(tiny_dataset: Dataset, traversal: str) -> None:
     """They seed as frames do whose road users are all removed, to the bit; recorded seeds keep their boxes."""
     plan, scene = scene_of(tiny_dataset, traversal)
-    generator = Generator(make_network(NETWORK).float(), TinyAutoencoder(CODEC), T)
+    generator = SceneGenerator(make_network(NETWORK).float(), TinyAutoencoder(CODEC), T)
     clip = make_scene_clip("c", plan.frames, scene, recorded=0)
     first = plan.frames[next(place for place in range(len(clip)) if views_with_boxes(clip, place).all())]
     boxes = first.frame.boxes("world")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
-from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.network import transformer
 from hybridworldsim.generation.network.conditions import Conditions
@@ -24,8 +24,10 @@ SLIDING = replace(EXACT, refresh_every=4)
 COUNT = 6
 
 
-def roll(settings: SamplerSettings, network: Transformer, frames: list[Conditions], **given) -> tuple[Rollout, Tensor]:
-    rollout = Rollout(network, seeds(), frames[:T], settings, **given)
+def roll(
+    settings: SamplerSettings, network: Transformer, frames: list[Conditions], **given
+) -> tuple[SequenceRollout, Tensor]:
+    rollout = SequenceRollout(network, seeds(), frames[:T], settings, **given)
     return rollout, torch.cat([rollout.step(one) for one in frames[T:]], dim=1)
 
 
@@ -71,7 +73,7 @@ def test_the_first_frame_and_each_refreshed_one_are_exact_and_the_others_are_not
     shares = []
     for place in range(COUNT):
         # The exact frame from the same references.
-        alone = Rollout(network, history[:, place : place + T], frames[place : place + T], EXACT, first=place)
+        alone = SequenceRollout(network, history[:, place : place + T], frames[place : place + T], EXACT, first=place)
         exact = alone.step(frames[place + T])
         shares.append(float((sliding[:, place : place + 1] - exact).norm() / exact.norm()))
     assert [share < 1e-9 for share in shares] == [True, False, False, False, True, False]
@@ -93,7 +95,7 @@ def test_a_period_of_one_is_the_exact_rollout() -> None:
 
 def test_other_views_or_a_frame_without_any_begin_with_exact_references() -> None:
     network, frames = make_network(AS_FRAMES), single_frames(T + 6)
-    rollout = Rollout(network, seeds(), frames[:T], replace(EXACT, refresh_every=9))
+    rollout = SequenceRollout(network, seeds(), frames[:T], replace(EXACT, refresh_every=9))
     assert rollout.sliding is not None
     kept = torch.zeros((1, 1, 2, 4, 4, 6), dtype=torch.float64)
     counts = []
@@ -111,7 +113,7 @@ def test_missing_views_of_earlier_references_stay_missing() -> None:
     for value in (0.0, 5.0):
         latents = seeds()
         latents[:, 1, 1] = value
-        rollout = Rollout(network, latents, frames[:T], SLIDING)
+        rollout = SequenceRollout(network, latents, frames[:T], SLIDING)
         results.append(torch.cat([rollout.step(one) for one in frames[T:]], dim=1))
     torch.testing.assert_close(*results, rtol=1e-9, atol=1e-9)
 
@@ -133,4 +135,4 @@ def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, float]) 
 @pytest.mark.parametrize("config", [AS_CHANNELS, replace(AS_FRAMES, causal=False)], ids=["channels", "bidirectional"])
 def test_networks_without_keys_to_keep_are_refused(config) -> None:
     with pytest.raises(UsageError, match="refresh_every 4 for this network"):
-        Rollout(make_network(config), seeds(), single_frames(T), SLIDING)
+        SequenceRollout(make_network(config), seeds(), single_frames(T), SLIDING)

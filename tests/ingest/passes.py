@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.ingest.clean import clean
-from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest.drives import T0_NS, Place
@@ -22,7 +22,7 @@ def run(
     cleaning, chosen = cleaning or CleaningOptions(), TriggerOptions(**options)
     listed = rois if isinstance(rois, list) else [rois]
     cleaned, _ = clean(track, cleaning, min_step_m=chosen.min_step_m)
-    return Trigger(listed, chosen, cleaning).passes(cleaned, frame=listed[0].frame if listed else None, is_clip=clip)
+    return RoiTrigger(listed, chosen, cleaning).passes(cleaned, frame=listed[0].frame if listed else None, is_clip=clip)
 
 
 def straight(

@@ -16,7 +16,7 @@ from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, WriteReport, write_traversal
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, TriggerOptions
 from mirror.schema.tables import POINTS
@@ -28,7 +28,9 @@ def drive(tmp_path: Path) -> DrivePasses:
     path = write_recording(tmp_path / "fleet", "a")
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "a")
-    return find_drive_passes(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
+    return find_drive_passes(
+        path, recording, source, RoiTrigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning
+    )
 
 
 def attempt(staging: Staging, drive: DrivePasses) -> WriteReport:

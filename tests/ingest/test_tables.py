@@ -13,7 +13,7 @@ from mirror.errors import RecordingError
 from mirror.geometry.quaternions import heading_deg, matrix_from_quaternion
 from mirror.ingest.passes import DrivePasses, PoseSlice, find_drive_passes, fingerprint
 from mirror.ingest.tables import assign_frames, build_pose_table, course
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest.recordings import LAT, LON, SCENE, START_NS, street, write_recording
@@ -28,7 +28,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> DrivePasses:
     path = write_recording(tmp_path_factory.mktemp("drives"), "d0", cameras=())
     recording, cleaning = open_recording(path), CleaningOptions()
     source = fingerprint(recording, "folder", "d0")
-    return find_drive_passes(path, recording, source, Trigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning)
+    return find_drive_passes(
+        path, recording, source, RoiTrigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning
+    )
 
 
 def made(first: np.ndarray, second: np.ndarray, **values: np.ndarray | None) -> PoseSlice:

@@ -10,7 +10,7 @@ import pytest
 
 from mirror.geometry.geodesy import utm_to_geodetic
 from mirror.ingest.clean import clean
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
@@ -25,7 +25,7 @@ def test_no_roi_and_rois_of_other_frames() -> None:
     track = straight(PLANE, 10.0, 400.0)
     assert run(track, []) == []
     cleaned, _ = clean(track, CleaningOptions())
-    other = Trigger([CITY.roi(), Place(frame="elsewhere").roi()], TriggerOptions(), CleaningOptions())
+    other = RoiTrigger([CITY.roi(), Place(frame="elsewhere").roi()], TriggerOptions(), CleaningOptions())
     assert other.passes(cleaned, frame="yard") == []
 
 
@@ -78,7 +78,7 @@ def city_drives(count: int) -> list[Track]:
 def test_threads_and_order_change_nothing() -> None:
     rois = [CITY.roi(200.0 * i, 150.0 * j, 120.0, f"roi_{i}_{j}") for i in range(-3, 4) for j in range(-3, 4)]
     tracks = [clean(track, CleaningOptions())[0] for track in city_drives(24)]
-    trigger = Trigger(rois, TriggerOptions(), CleaningOptions())
+    trigger = RoiTrigger(rois, TriggerOptions(), CleaningOptions())
     one_by_one = [trigger.passes(track) for track in tracks]
     assert sum(map(len, one_by_one)) > 100
     for workers, chunk in ((2, 1), (8, 5)):
@@ -87,7 +87,7 @@ def test_threads_and_order_change_nothing() -> None:
             at_once = [one for part in pool.map(lambda part: [trigger.passes(x) for x in part], chunks) for one in part]
         assert at_once == one_by_one
     assert [trigger.passes(track) for track in reversed(tracks)] == one_by_one[::-1]
-    again = Trigger(rois[::-1], TriggerOptions(), CleaningOptions())
+    again = RoiTrigger(rois[::-1], TriggerOptions(), CleaningOptions())
     assert [sorted(again.passes(track), key=lambda one: (one.scene_id, one.entry_ns)) for track in tracks] == [
         sorted(passes, key=lambda one: (one.scene_id, one.entry_ns)) for passes in one_by_one
     ]

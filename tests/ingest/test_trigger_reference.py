@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mirror.ingest.clean import clean
-from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from tests.ingest import reference
@@ -54,7 +54,7 @@ def cases(draw: st.DrawFn, places: list[str]) -> Case:
 def both(case: Case, options: TriggerOptions, clip: bool) -> tuple[list[Pass], list[reference.RefPass]]:
     cleaning = CleaningOptions()
     track, _ = clean(case.track, cleaning, min_step_m=options.min_step_m)
-    ours = Trigger(case.rois, options, cleaning).passes(track, frame=case.place.frame, is_clip=clip)
+    ours = RoiTrigger(case.rois, options, cleaning).passes(track, frame=case.place.frame, is_clip=clip)
     return ours, reference.passes(case.track, case.rois, options, cleaning, clip=clip)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mirror.ingest.clean import clean
-from mirror.ingest.trigger import Pass, Trigger
+from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 
@@ -20,7 +20,7 @@ def alternating(fixes: int, step_m: float = 0.6) -> tuple[list[Pass], float]:
     stamps = 1_700_000_000_000_000_000 + np.arange(fixes) * 1_000_000_000
     x = 100.0 + step_m * (np.arange(fixes) % 2 - 0.5)
     track, _ = clean(Track(stamps, x_m=x, y_m=np.zeros(fixes)), CleaningOptions())
-    trigger = Trigger([ROI], TriggerOptions(), CleaningOptions())
+    trigger = RoiTrigger([ROI], TriggerOptions(), CleaningOptions())
     began = time.process_time()
     passes = trigger.passes(track, frame="yard")
     return passes, time.process_time() - began

@@ -8,7 +8,7 @@ import torch
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from mirror.protocols.views.view import RenderView
 
@@ -28,7 +28,7 @@ def code_gaussians(means: torch.Tensor, size_m: float, seed: int, hidden: int = 
         return node
 
 
-def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> Street:
+def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> StreetModel:
     """Anchors in a box of 60 m, a ground below them and a sky around; the networks do not depend on the place."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -48,7 +48,7 @@ def street(anchors: int = 300, seed: int = 0, k: int = 10, hidden: int = 12) -> 
         around[:, 2] = around[:, 2].abs()
         for network in (background.geometry, background.colour):
             network.own.data[:, -3:] = 0.0
-        return Street(
+        return StreetModel(
             background,
             code_gaussians(flat, 1.5, seed + 1, hidden),
             code_gaussians(300.0 * around, 30.0, seed + 2, hidden),
@@ -82,7 +82,7 @@ def view(
     )
 
 
-def shifted(one: Street, by: np.ndarray, seed: int = 0) -> Street:
+def shifted(one: StreetModel, by: np.ndarray, seed: int = 0) -> StreetModel:
     """The same street in a frame with another origin."""
     other = street(len(one.background), seed, one.background.k)
     other.load_state_dict(one.state_dict())

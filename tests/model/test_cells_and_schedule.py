@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from hybridworldsim.model.densification.cells import best_per_cell, cell_keys, grow_anchors
 from hybridworldsim.model.densification.schedule import due_refinements, target_count
-from hybridworldsim.model.settings import Refinement
+from hybridworldsim.model.settings import AnchorRefinement
 
 
 @given(st.integers(0, 10_000), st.integers(0, 60), st.integers(0, 40), st.integers(0, 50))
@@ -52,7 +52,7 @@ def test_the_first_of_equal_scores_is_selected():
 
 
 def test_refinements_are_evenly_spaced_and_limited():
-    refinement = Refinement(begin=0.1, end=0.6, times=10)
+    refinement = AnchorRefinement(begin=0.1, end=0.6, times=10)
     assert [due_refinements(refinement, progress) for progress in (0.0, 0.1, 0.149, 0.151, 0.6, 1.0)] == [
         0,
         0,

@@ -11,7 +11,7 @@ from hybridworldsim.model.composition import Composition
 from hybridworldsim.model.partition import partition
 from hybridworldsim.model.parts import split_street
 from hybridworldsim.model.splats import concatenate_splats
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.viewpoint import to_viewpoint
@@ -53,7 +53,7 @@ def test_partition_is_one_inside_a_block_and_one_half_midway() -> None:
     torch.testing.assert_close(partition(places, centres, 25.0)[:, 0], torch.tensor([1.0, 1.0, 0.5, 0.0]).double())
 
 
-def image(blocks: list[tuple[Block, Street]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
+def image(blocks: list[tuple[Block, StreetModel]], x_m: float, by: np.ndarray | float = 0.0) -> np.ndarray:
     here = np.array([x_m, 0.0, 1.5]) + by
     output, _ = Composition(blocks).render(view(*here.tolist()), select_latents)
     return output.rgb.clamp(0.0, 1.0).mul(255.0).round().byte().numpy()

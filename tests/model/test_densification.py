@@ -19,13 +19,13 @@ from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.model.settings import Refinement
-from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.settings import AnchorRefinement
+from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from tests.model.streets import view
 
 K = 2
-PLENTY = Refinement(times=10, max_anchors=100)
+PLENTY = AnchorRefinement(times=10, max_anchors=100)
 VIEWPOINT = to_viewpoint(view(), np.zeros(3))
 
 
@@ -40,22 +40,22 @@ def anchors(count: int, apart_m: float = 5.0) -> Anchors:
     return node
 
 
-def decoded(node: Anchors, opacities: Tensor, visible_ids: Tensor | None = None) -> Splats:
+def decoded(node: Anchors, opacities: Tensor, visible_ids: Tensor | None = None) -> DecodedSplats:
     """Gaussians of some anchors with given opacities."""
     ids = torch.arange(len(node)) if visible_ids is None else visible_ids
     rows = (ids[:, None] * K + torch.arange(K)).flatten()
     none = torch.zeros(len(rows), 3)
     own = opacities.repeat_interleave(K)
-    return Splats(none, torch.zeros(len(rows), 4), none, own, none, rows, len(node) * K, len(rows), ids)
+    return DecodedSplats(none, torch.zeros(len(rows), 4), none, own, none, rows, len(node) * K, len(rows), ids)
 
 
-def refiner_of(node: Anchors, refinement: Refinement = PLENTY) -> tuple[AnchorRefiner, LazyAdam]:
+def refiner_of(node: Anchors, refinement: AnchorRefinement = PLENTY) -> tuple[AnchorRefiner, LazyAdam]:
     tables = LazyAdam(node, Anchors.TABLES)
     return AnchorRefiner(node, tables, refinement), tables
 
 
 def accumulate(
-    refiner: AnchorRefiner, part: Splats, gradients: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT
+    refiner: AnchorRefiner, part: DecodedSplats, gradients: Tensor, times: int, viewpoint: Viewpoint = VIEWPOINT
 ) -> None:
     for _ in range(times):
         refiner.accumulate(part, torch.arange(len(part)), gradients, viewpoint)
@@ -157,10 +157,10 @@ def code_gaussians(count: int) -> CodeGaussians:
     return node
 
 
-def splats(node: CodeGaussians) -> Splats:
+def splats(node: CodeGaussians) -> DecodedSplats:
     none = torch.zeros(len(node), 3)
     rows = torch.arange(len(node))
-    return Splats(none, torch.zeros(len(node), 4), none, torch.ones(len(node)), none, rows, len(node), len(node))
+    return DecodedSplats(none, torch.zeros(len(node), 4), none, torch.ones(len(node)), none, rows, len(node), len(node))
 
 
 def test_gaussians_with_the_largest_gradients_split_along_the_longest_axis() -> None:

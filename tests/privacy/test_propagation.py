@@ -7,7 +7,7 @@ import pytest
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.privacy.propagation.cameras import CameraView, project_to_cameras
+from mirror.privacy.propagation.cameras import PosedCamera, project_to_cameras
 from mirror.privacy.propagation.tracks import follow_tracks
 from mirror.privacy.regions import Region, covered_share, region_at
 
@@ -63,7 +63,7 @@ def test_a_region_is_found_in_the_other_camera(distance_m: float, kind: str) -> 
     size = np.array([0.16, 0.22]) if kind == "face" else np.array([0.46, 0.12])
     corners = np.array([[u * size[0] / 2, v * size[1] / 2, 0.0] for u in (-1, 1) for v in (-1, 1)])
     corners += np.array([0.6, -0.2, distance_m])
-    views = {"one": CameraView(CAMERA, at(0.0)), "two": CameraView(CAMERA, at(0.5, 6.0))}
+    views = {"one": PosedCamera(CAMERA, at(0.0)), "two": PosedCamera(CAMERA, at(0.5, 6.0))}
     boxes = {}
     for name, view in views.items():
         pixels = view.camera.project(view.world_SE3_camera.inverse().transform(corners)[0]).uv_px
@@ -77,6 +77,6 @@ def test_a_region_is_found_in_the_other_camera(distance_m: float, kind: str) -> 
 
 def test_cameras_without_overlap_or_pose_add_nothing() -> None:
     region = region_at((480.0, 200.0, 500.0, 226.0), "face")
-    views = {"one": CameraView(CAMERA, at(0.0)), "back": CameraView(CAMERA, at(0.0, 180.0))}
+    views = {"one": PosedCamera(CAMERA, at(0.0)), "back": PosedCamera(CAMERA, at(0.0, 180.0))}
     assert project_to_cameras({"one": [region], "back": [], "lost": [region]}, views) == {"one": [], "back": []}
     assert project_to_cameras({"one": [region]}, {}) == {}

@@ -8,18 +8,20 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
-from mirror.protocols.views.trajectories import Trajectory, read_trajectory
+from mirror.protocols.views.trajectories import VehicleTrajectory, read_trajectory
 from mirror.view.video import write_video
 
 SECOND = 1_000_000_000
 UTM = np.array([441_000.0, 4_475_000.0, 600.0])
 
 
-def quarter_turn(by: np.ndarray | float = 0.0) -> Trajectory:
+def quarter_turn(by: np.ndarray | float = 0.0) -> VehicleTrajectory:
     """A line along x, then a turn to the left, then along y."""
     half = np.sqrt(0.5)
     rotation = np.array([[1.0, 0.0, 0.0, 0.0], [half, 0.0, 0.0, half]])
-    return Trajectory(np.array([7 * SECOND, 8 * SECOND]), Poses(rotation, np.array([[0.0, 0, 0], [10.0, 0, 0]]) + by))
+    return VehicleTrajectory(
+        np.array([7 * SECOND, 8 * SECOND]), Poses(rotation, np.array([[0.0, 0, 0], [10.0, 0, 0]]) + by)
+    )
 
 
 def test_shift_is_to_the_vehicles_left() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.presets import PRESETS, Preset
+from hybridworldsim.rasterizer.presets import PRESETS, GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import blend, project
 
@@ -48,7 +48,7 @@ def project_small(
 
 
 def render_image(
-    scene: dict[str, Tensor], features: Tensor, *, preset: Preset = PRESET, tile_size: int = 16, **options: Any
+    scene: dict[str, Tensor], features: Tensor, *, preset: GsplatPreset = PRESET, tile_size: int = 16, **options: Any
 ) -> tuple[Tensor, Tensor, ProjectedGaussians]:
     """Image, alpha and what was projected."""
     size = options.get("width", WIDTH), options.get("height", HEIGHT)

@@ -14,7 +14,7 @@ from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.rasterizer.cpu.projection import project as project_module
 from hybridworldsim.rasterizer.cpu.projection.ordered_output import PART
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
 from tests.rasterizer.projections import Inputs, default_view, distance, gradients, leaves, options, random_gaussians
@@ -223,8 +223,10 @@ def test_anything_finite_gives_numbers(shape: list[float], opacity: float, antia
 
 
 @pytest.mark.parametrize("exponent", [-45, -38, -31, -30, -29, -23, -19, 0, 19, 30, 38])
-@pytest.mark.parametrize("lens", [None, Lens(model="fisheye")])
-def test_quaternions_of_any_length_that_counts_are_the_same_rotation(exponent: int, lens: Lens | None) -> None:
+@pytest.mark.parametrize("lens", [None, LensDistortion(model="fisheye")])
+def test_quaternions_of_any_length_that_counts_are_the_same_rotation(
+    exponent: int, lens: LensDistortion | None
+) -> None:
     means, quats, scales, opacities, viewmat = random_gaussians(500)
     means[:] = torch.tensor([0.3, 0.2, 4.0])
     units = torch.nn.functional.normalize(quats.double(), dim=1)

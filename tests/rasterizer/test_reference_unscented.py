@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.reference.unscented import PROJECTIONS, project_unscented
 from mirror.errors import UsageError
 from tests.rasterizer.lenses import BROWN, FISHEYE
@@ -60,24 +60,24 @@ def test_the_transform_is_the_textbooks_weighted_sums():
 def test_a_lens_without_distortion_is_nearly_the_pinhole():
     scene = gaussians(40, seed=21)
     scene["scales"] = scene["scales"] * 0.02
-    plain, bent = project_small(**scene), project_small(**scene, lens=Lens(model="pinhole"))
+    plain, bent = project_small(**scene), project_small(**scene, lens=LensDistortion(model="pinhole"))
     assert torch.equal(plain.ids, bent.ids)
     assert torch.allclose(plain.means2d, bent.means2d, rtol=0, atol=1e-3)
     assert torch.allclose(plain.conics, bent.conics, rtol=1e-3, atol=1e-6)
 
 
 def test_a_fisheye_ends_where_its_polynomial_turns_back():
-    lens = Lens(model="fisheye", radial_coeffs=(-0.3, 0.0, 0.0, 0.0))
+    lens = LensDistortion(model="fisheye", radial_coeffs=(-0.3, 0.0, 0.0, 0.0))
     assert lens.max_angle(1.0, 1.0, 100.0, 100.0, 200, 200) == pytest.approx((1 / 0.9) ** 0.5, rel=1e-12)
-    assert Lens(model="fisheye").max_angle(50.0, 100.0, 30.0, 40.0, 60, 80) == pytest.approx(1.0, rel=1e-12)
+    assert LensDistortion(model="fisheye").max_angle(50.0, 100.0, 30.0, 40.0, 60, 80) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_coefficients_that_a_lens_does_not_have_are_refused():
     with pytest.raises(UsageError, match="4 finite numbers for a fisheye"):
-        Lens(model="fisheye", radial_coeffs=(0.1,) * 6)
+        LensDistortion(model="fisheye", radial_coeffs=(0.1,) * 6)
     with pytest.raises(UsageError, match="0 finite numbers for a fisheye"):
-        Lens(model="fisheye", tangential_coeffs=(0.1, 0.2))
+        LensDistortion(model="fisheye", tangential_coeffs=(0.1, 0.2))
     with pytest.raises(UsageError, match="6 finite numbers for a pinhole"):
-        Lens(model="pinhole", radial_coeffs=(float("nan"),) * 6)
+        LensDistortion(model="pinhole", radial_coeffs=(float("nan"),) * 6)
     with pytest.raises(UsageError, match="no lens 'ortho'"):
-        Lens(model="ortho")
+        LensDistortion(model="ortho")

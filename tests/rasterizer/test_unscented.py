@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.cpu.projection.project import project as compiled
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference import project as reference
 from tests.rasterizer.projections import Inputs, distance, gradients, leaves, options, random_gaussians
@@ -17,20 +17,20 @@ from tests.rasterizer.projections import Inputs, distance, gradients, leaves, op
 K = torch.tensor([[300.0, 0.0, 315.0], [0.0, 310.0, 245.0], [0.0, 0.0, 1.0]])
 WIDTH, HEIGHT = 640, 480
 LENSES = {
-    "plain": Lens(model="pinhole"),
-    "radial": Lens(model="pinhole", radial_coeffs=(-0.28, 0.07, 0.001, 0.01, -0.002, 0.0005)),
-    "everything": Lens(
+    "plain": LensDistortion(model="pinhole"),
+    "radial": LensDistortion(model="pinhole", radial_coeffs=(-0.28, 0.07, 0.001, 0.01, -0.002, 0.0005)),
+    "everything": LensDistortion(
         model="pinhole",
         radial_coeffs=(-0.1, 0.03, -0.001, 0.02, 0.004, -0.0003),
         tangential_coeffs=(0.003, -0.002),
         thin_prism_coeffs=(0.002, -0.0005, -0.001, 0.0004),
     ),
-    "equidistant": Lens(model="fisheye"),
-    "fisheye": Lens(model="fisheye", radial_coeffs=(-0.02, 0.004, -0.001, 0.0001)),
+    "equidistant": LensDistortion(model="fisheye"),
+    "fisheye": LensDistortion(model="fisheye", radial_coeffs=(-0.02, 0.004, -0.001, 0.0001)),
 }
 
 
-def through(project: Any, inputs: Inputs, lens: Lens, **how: Any) -> ProjectedGaussians:
+def through(project: Any, inputs: Inputs, lens: LensDistortion, **how: Any) -> ProjectedGaussians:
     means, quats, scales, opacities, viewmat = inputs
     shape = (means, quats, scales, opacities, viewmat, K, WIDTH, HEIGHT)
     return project(*shape, **(options(**how) | {"lens": lens}))
@@ -134,7 +134,7 @@ def test_a_fisheye_shows_what_is_less_than_90_degrees_off_its_axis(project: Any)
     torch.testing.assert_close(seen.means2d[:, 0].double(), size / 2 + focal * angle[:5], rtol=0, atol=1e-2)
 
     # 1 + 3 k1 angle^2 is 0 at 74 degrees: what lies beyond turns back
-    turning = Lens(model="fisheye", radial_coeffs=(-0.2, 0.0, 0.0, 0.0))
+    turning = LensDistortion(model="fisheye", radial_coeffs=(-0.2, 0.0, 0.0, 0.0))
     seen = project(means, *shape, *camera, **(options() | {"lens": turning}))
     assert degrees[seen.ids].tolist() == [0.0, 45.0]
     assert (seen.counts["near"], seen.counts["frustum"]) == (6, 3)

@@ -16,7 +16,7 @@ from mirror.errors import RecordingError
 from mirror.ingest.passes import find_drive_passes, fingerprint
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, write_traversal
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.calibration import Calibration, require_covariance, to_calibration_table
 from mirror.recordings.folder_document import read_document
 from mirror.recordings.readers.folder import FolderRecording
@@ -121,7 +121,7 @@ def test_ingest_refuses_invalid_covariances_of_any_reader(tmp_path: Path) -> Non
     path = write_drive(tmp_path, "drive")
     recording = Third(path, read_document(path / "recording.json"))
     options = TriggerOptions()
-    trigger = Trigger([SCENE], options, CleaningOptions())
+    trigger = RoiTrigger([SCENE], options, CleaningOptions())
     source = fingerprint(recording, "third", "drive")
     drive = find_drive_passes(path, recording, source, trigger, [SCENE], CleaningOptions())
     (number,) = drive.slices

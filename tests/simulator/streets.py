@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
-from hybridworldsim.simulator.street.ground import Ground
-from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
+from hybridworldsim.simulator.street.ground import StreetGround
+from hybridworldsim.simulator.street.street import EgoCamera, Street, StreetRecording
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
 from mirror.schema.road_map import MapArea, MapLane, RoadMap
@@ -45,13 +45,13 @@ def straight_street() -> Street:
     return Street(
         scene_id="straight",
         road_map=RoadMap("straight", None, False, lanes, (MapArea("road", (outline,)),)),
-        ground=Ground(flat),
+        ground=StreetGround(flat),
         vehicle=VehicleParameters(),
         rig={
-            "front_wide": RigCamera(camera, Poses.from_matrix(mounting)),
-            "rear": RigCamera(camera, Poses.from_matrix(rear)),
+            "front_wide": EgoCamera(camera, Poses.from_matrix(mounting)),
+            "rear": EgoCamera(camera, Poses.from_matrix(rear)),
         },
-        recordings={"drive-1": Recording("drive-1", 1_700_000_000_000_000_000, times, drive, (), "day", "clear")},
+        recordings={"drive-1": StreetRecording("drive-1", 1_700_000_000_000_000_000, times, drive, (), "day", "clear")},
         middle_m=(0.5 * LENGTH_M, 0.0),
         radius_m=0.5 * LENGTH_M,
     )

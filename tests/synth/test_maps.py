@@ -9,17 +9,17 @@ import shapely
 from mirror.schema.road_map import RoadMap
 from mirror.synth import street_map
 from mirror.synth.fleet.places import GUANGZHOU_HIGHWAY, KARLSRUHE_CAMPUS, KARLSRUHE_RURAL, TORONTO_URBAN
-from mirror.synth.street.plan import Plan, plan_scene
+from mirror.synth.street.plan import StreetPlan, plan_scene
 from mirror.traffic.following.signals import Signal, signal_state
 
 
 @pytest.fixture(scope="module", params=[TORONTO_URBAN, KARLSRUHE_RURAL, GUANGZHOU_HIGHWAY, KARLSRUHE_CAMPUS])
-def plan(request: pytest.FixtureRequest) -> Plan:
+def plan(request: pytest.FixtureRequest) -> StreetPlan:
     return plan_scene(request.param, 20.0, 3)
 
 
 @pytest.fixture(scope="module")
-def road_map(plan: Plan) -> RoadMap:
+def road_map(plan: StreetPlan) -> RoadMap:
     return street_map(plan)
 
 
@@ -27,7 +27,7 @@ def area_of(road_map: RoadMap) -> shapely.Geometry:
     return shapely.union_all([shapely.Polygon(part.rings[0], part.rings[1:]) for part in road_map.drivable])
 
 
-def test_the_drivable_area_is_that_of_the_carriageways(plan: Plan, road_map: RoadMap) -> None:
+def test_the_drivable_area_is_that_of_the_carriageways(plan: StreetPlan, road_map: RoadMap) -> None:
     assert not road_map.fitted
     assert area_of(road_map).symmetric_difference(plan.carriageways).area < 1e-6
 
@@ -44,7 +44,7 @@ def test_lanes_are_linked_both_ways_and_join(road_map: RoadMap) -> None:
             assert road_map.lanes[lane.left].right == name
 
 
-def test_driving_lanes_lie_on_the_carriageway_and_follow_the_ground(plan: Plan, road_map: RoadMap) -> None:
+def test_driving_lanes_lie_on_the_carriageway_and_follow_the_ground(plan: StreetPlan, road_map: RoadMap) -> None:
     area = area_of(road_map).buffer(0.05)
     for lane in road_map.lanes_of():
         assert shapely.contains(area, shapely.points(lane.center_m[:, :2])).all(), lane.lane_id
@@ -63,7 +63,7 @@ def test_zebras_lie_under_the_crossing_lanes(road_map: RoadMap) -> None:
         assert zebras.contains(shapely.Point(middle))
 
 
-def test_signals_show_what_the_traffic_obeys(plan: Plan, road_map: RoadMap) -> None:
+def test_signals_show_what_the_traffic_obeys(plan: StreetPlan, road_map: RoadMap) -> None:
     names = {Signal.GREEN: "green", Signal.AMBER: "amber", Signal.RED: "red", Signal.RED_AMBER: "red_amber"}
     for clock_s in np.arange(-70.0, 130.0, 0.73):
         shown = signal_state(plan.network, clock_s)

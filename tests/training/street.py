@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
-from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import Source, Viewpoint, to_viewpoint
@@ -25,7 +25,7 @@ SETTINGS = Settings(
     far_count=50,
     hidden=8,
     offsets=4,
-    refinement=Refinement(begin=0.2, end=0.9, times=3, max_anchors=400),
+    refinement=AnchorRefinement(begin=0.2, end=0.9, times=3, max_anchors=400),
 )
 
 

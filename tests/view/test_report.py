@@ -23,7 +23,7 @@ from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import CANONICAL_CAMERAS
 from mirror.view.images import busiest_frame, category_colours, legend, rig_images, same_place
 from mirror.view.report import map_legend, write_report
-from mirror.view.svg import Line, scene_map
+from mirror.view.svg import MapTrack, scene_map
 
 VOID = {"meta", "img", "input", "br"}
 RASTERS = {(90, 160, 3), (104, 192, 3), (76, 120, 3)}
@@ -187,7 +187,7 @@ def test_tiles_agree_with_the_statistics(dataset: Dataset, recordings: list[Path
 
 
 def test_only_maps_of_the_globe_point_north() -> None:
-    line = Line(np.array([0.0, 9.0]), np.array([0.0, 9.0]), "unknown", "one")
+    line = MapTrack(np.array([0.0, 9.0]), np.array([0.0, 9.0]), "unknown", "one")
     assert "N ↑" in scene_map("a", 100.0, [line], north=True)
     assert "N ↑" not in scene_map("a", 100.0, [line], north=False)
 

@@ -9,7 +9,7 @@ import torch
 
 from hybridworldsim.model.blocks import Block, select_views
 from hybridworldsim.model.losses import colour_loss
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import AppearanceSelector
 from hybridworldsim.training.data_loader import TrainingImageCache
@@ -24,7 +24,9 @@ _RATE: Final = 0.05
 _MAX_IMAGES: Final = 8
 
 
-def fit_appearances(street: Street, block: Block, run: Run, appearance: AppearancePolicy) -> tuple[TrainedCamera, ...]:
+def fit_appearances(
+    street: StreetModel, block: Block, run: Run, appearance: AppearancePolicy
+) -> tuple[TrainedCamera, ...]:
     """Add latents to a street for untrained traversals and cameras of its scene that see it.
 
     Each latent begins as the nearest trained one; nothing else is optimised.
@@ -82,7 +84,7 @@ def fit_appearances(street: Street, block: Block, run: Run, appearance: Appearan
 
 
 def _fit_latent(
-    street: Street, nearest: Source, images: TrainingImageCache, views: list[RenderView], part: Rectangle
+    street: StreetModel, nearest: Source, images: TrainingImageCache, views: list[RenderView], part: Rectangle
 ) -> torch.Tensor:
     latent = street.appearance(nearest).detach().clone().requires_grad_()
     adam = torch.optim.Adam([latent], lr=_RATE)

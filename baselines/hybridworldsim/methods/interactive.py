@@ -18,7 +18,7 @@ from torch import Tensor
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.composition import Composition, Decoded
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.documents import TrainedCamera
 from hybridworldsim.training.driven_lines import DrivenLines
@@ -49,7 +49,7 @@ class InteractiveStreet:
         blocks: each block with its street, and the traversals and cameras that it was trained on.
     """
 
-    def __init__(self, blocks: Sequence[tuple[Block, Street, Sequence[TrainedCamera]]]) -> None:
+    def __init__(self, blocks: Sequence[tuple[Block, StreetModel, Sequence[TrainedCamera]]]) -> None:
         self._composition = Composition([(block, street) for block, street, _ in blocks])
         self._cameras = [camera for _, _, cameras in blocks for camera in cameras]
         self._lines = DrivenLines(self._cameras, ())

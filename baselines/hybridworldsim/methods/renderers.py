@@ -27,7 +27,7 @@ from mirror.methods.capabilities import Capabilities
 from mirror.protocols.views.view import RenderView
 
 
-class Renderer(Protocol):
+class BlockRenderer(Protocol):
     """Renders views of a trained model."""
 
     def __call__(self, view: RenderView) -> UInt8:

@@ -32,7 +32,7 @@ _PREVIEWS: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PreparedScene:
     """Everything that the blocks of a scene are trained with.
 
     Attributes:
@@ -89,7 +89,9 @@ class BlockTraining:
         return previews
 
 
-def prepare_scene(dataset: Dataset, task: ReconstructionTask, block_m: float, reporter: ProgressReporter) -> Scene:
+def prepare_scene(
+    dataset: Dataset, task: ReconstructionTask, block_m: float, reporter: ProgressReporter
+) -> PreparedScene:
     """Select blocks and views, estimate missing layers, and read the geometry of a scene; no model is written.
 
     Args:
@@ -120,7 +122,7 @@ def prepare_scene(dataset: Dataset, task: ReconstructionTask, block_m: float, re
             reporter.message(f"without {kind}: {', '.join(missing)}")
     if training.stationary_count:
         reporter.message(f"{training.stationary_count} images of a stationary vehicle are left out")
-    return Scene(
+    return PreparedScene(
         blocks=blocks,
         selected=selected,
         geometry=geometry,

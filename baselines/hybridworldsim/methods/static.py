@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from hybridworldsim.methods.overrides import override_settings, settings_document
-from hybridworldsim.methods.renderers import Renderer, one_point, open_block, render_nearest, training_sources
-from hybridworldsim.methods.scene_preparation import BlockTraining, Scene, prepare_scene, source_pairs
+from hybridworldsim.methods.renderers import BlockRenderer, one_point, open_block, render_nearest, training_sources
+from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScene, prepare_scene, source_pairs
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry
@@ -85,7 +85,7 @@ class StaticMethod:
             write_costs(out, result)
         return result
 
-    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> Renderer:  # noqa: B008 - immutable
+    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> BlockRenderer:  # noqa: B008 - immutable
         """Open a renderer; see `InstalledMethod.open`.
 
         Raises:
@@ -101,7 +101,7 @@ class StaticMethod:
         return write_parameters(path, trainer.model, half=half)
 
     def _train_blocks(
-        self, scene: Scene, task: ReconstructionTask, out: Path, reporter: ProgressReporter
+        self, scene: PreparedScene, task: ReconstructionTask, out: Path, reporter: ProgressReporter
     ) -> dict[str, TrainingOutcome | None]:
         """Train the selected blocks; returns the outcome of each block, None where it is not finished.
 
@@ -219,7 +219,7 @@ class StaticMethod:
         )
 
 
-def _summarize(out: Path, outcomes: dict[str, TrainingOutcome | None], scene: Scene) -> ReconstructionResult:
+def _summarize(out: Path, outcomes: dict[str, TrainingOutcome | None], scene: PreparedScene) -> ReconstructionResult:
     finished = {name: outcome for name, outcome in outcomes.items() if outcome is not None}
     return ReconstructionResult(
         folder=out,

@@ -20,7 +20,7 @@ from hybridworldsim.model.initialization import InitialGeometry, initial_street
 from hybridworldsim.model.ply_export import export_gaussians, psnr_to_model_db, write_ply
 from hybridworldsim.model.settings import Settings
 from hybridworldsim.model.storage import load_block, save_block
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.model.trainer import StreetTrainer
 from hybridworldsim.rasterizer.covers import covered_before
 from hybridworldsim.trainable.method import Rendering, TrainableMethod
@@ -85,12 +85,12 @@ class StreetMethod(StaticMethod):
 
 
 @dataclass(frozen=True, eq=False)
-class OpenBlock:
+class OpenStreetBlock:
     """A trained block."""
 
     run: Run
     block: Block
-    street: Street
+    street: StreetModel
 
 
 class StreetRenderer:
@@ -104,7 +104,7 @@ class StreetRenderer:
         UsageError: no trained appearance matches the policy, or there is nothing to fit or no truth to fit to.
     """
 
-    def __init__(self, blocks: Sequence[OpenBlock], appearance: AppearancePolicy) -> None:
+    def __init__(self, blocks: Sequence[OpenStreetBlock], appearance: AppearancePolicy) -> None:
         trained = [block.run.sources for block in blocks]
         if appearance.policy == FITTED:
             trained = [fit_appearances(block.street, block.block, block.run, appearance) for block in blocks]
@@ -165,9 +165,9 @@ def make(initial: InitialGeometry, settings: Any) -> StreetTrainer:
     return StreetTrainer(initial_street(initial, settings), settings)
 
 
-def _open(folder: Path) -> OpenBlock:
+def _open(folder: Path) -> OpenStreetBlock:
     block, street, _ = load_block(folder / MODEL)
-    return OpenBlock(read_run(folder), block, street)
+    return OpenStreetBlock(read_run(folder), block, street)
 
 
 METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed))

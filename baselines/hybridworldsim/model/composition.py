@@ -11,8 +11,8 @@ from torch import Tensor
 
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.parts import MIN_WEIGHT, LatentSelector, Part, fade, split_street
-from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import RenderOutput, Street, render
+from hybridworldsim.model.splats import DecodedSplats
+from hybridworldsim.model.street import StreetModel, StreetOutput, render
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
@@ -37,11 +37,11 @@ class Composition:
         UsageError: there is no block, or the blocks differ in size or overlap.
     """
 
-    def __init__(self, blocks: Sequence[tuple[Block, Street]]) -> None:
+    def __init__(self, blocks: Sequence[tuple[Block, StreetModel]]) -> None:
         self._split = split_street(blocks)
         self._parts = [_RenderablePart(part) for part in self._split.parts]
 
-    def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[RenderOutput, Mapping[str, int]]:
+    def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[StreetOutput, Mapping[str, int]]:
         """Render a view.
 
         Args:
@@ -78,7 +78,7 @@ class Composition:
         return Decoded(np.array(home.origin_m), tuple(shown))
 
     @torch.inference_mode()
-    def draw(self, view: RenderView, decoded: Decoded) -> RenderOutput:
+    def draw(self, view: RenderView, decoded: Decoded) -> StreetOutput:
         """Draw decoded Gaussians in a view, which need not be the one that they were decoded for."""
         if not decoded.splats:
             return _empty_render(view)
@@ -95,7 +95,7 @@ class Decoded:
     """
 
     origin_m: Float64
-    splats: tuple[Splats, ...]
+    splats: tuple[DecodedSplats, ...]
 
 
 class _RenderablePart:
@@ -112,7 +112,7 @@ class _RenderablePart:
         self._bounds = torch.stack([_bounding_sphere(*points) for points in zip(means, self._reach_m)])
         self._is_unweighted = bool((part.background == 1.0).all()), bool((part.ground == 1.0).all())
 
-    def decode(self, viewpoint: Viewpoint, sky: float, select_latents: LatentSelector) -> list[Splats]:
+    def decode(self, viewpoint: Viewpoint, sky: float, select_latents: LatentSelector) -> list[DecodedSplats]:
         """Decode the nodes that a viewpoint may see; a node outside the view is not decoded."""
         nodes = select_visible(viewpoint, self._bounds[:, :3], self._bounds[:, 3]).tolist()
         background, ground, sky_visible = (node in nodes for node in range(3))
@@ -138,11 +138,11 @@ class _RenderablePart:
         return shown
 
 
-def _empty_render(view: RenderView) -> RenderOutput:
+def _empty_render(view: RenderView) -> StreetOutput:
     """A black image with no parts, for a view that sees no node."""
     rows, columns = view.height_px, view.width_px
     black, nothing = torch.zeros(rows, columns, 3), torch.zeros(rows, columns)
-    return RenderOutput(black, nothing, nothing.clone(), (), {})
+    return StreetOutput(black, nothing, nothing.clone(), (), {})
 
 
 def _bounding_sphere(means: Tensor, reach_m: Tensor) -> Tensor:
@@ -154,7 +154,7 @@ def _bounding_sphere(means: Tensor, reach_m: Tensor) -> Tensor:
     return torch.cat([centre, ((means - centre).norm(dim=1) + reach_m).max()[None]])
 
 
-def _translate(splats: Splats, shift_m: Float64) -> Splats:
+def _translate(splats: DecodedSplats, shift_m: Float64) -> DecodedSplats:
     """Translate Gaussians into the frame of another block."""
     if not shift_m.any():
         return splats

@@ -14,7 +14,7 @@ from hybridworldsim.model.densification.cells import best_per_cell, cell_keys
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
 from hybridworldsim.model.settings import Settings
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 
@@ -50,7 +50,7 @@ class InitialGeometry:
     points_rgb: UInt8 | None = None
 
 
-def initial_street(initial: InitialGeometry, settings: Settings) -> Street:
+def initial_street(initial: InitialGeometry, settings: Settings) -> StreetModel:
     """Make an untrained street; equal input and seed give an equal street.
 
     Args:
@@ -69,7 +69,7 @@ def initial_street(initial: InitialGeometry, settings: Settings) -> Street:
         sky_start = sky_seeds(initial, settings.sky_count, settings.sky_radius, settings.far_count)
         ground = CodeGaussians(ground_start, settings.plain_code, settings.latent, settings.hidden)
         sky = CodeGaussians(sky_start, settings.plain_code, settings.latent, settings.hidden)
-        return Street(background, ground, sky, AppearanceLatents(initial.sources, settings.latent))
+        return StreetModel(background, ground, sky, AppearanceLatents(initial.sources, settings.latent))
 
 
 def thin_points(points: Float64, size_m: float, max_count: int) -> Float64:

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.partition import partition
-from hybridworldsim.model.splats import Splats
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.splats import DecodedSplats
+from hybridworldsim.model.street import StreetModel
 from mirror.arrays import Float64
 from mirror.errors import UsageError
 
@@ -45,7 +45,7 @@ class Part:
     """
 
     block: Block
-    street: Street
+    street: StreetModel
     background: Tensor
     ground: Tensor
     stored_count: int
@@ -73,7 +73,7 @@ class Parts:
         return partition(place, self.centres, self.ramp_m)[0]
 
 
-def split_street(blocks: Sequence[tuple[Block, Street]]) -> Parts:
+def split_street(blocks: Sequence[tuple[Block, StreetModel]]) -> Parts:
     """Divide the street among its blocks.
 
     Anchors and ground Gaussians are weighted by `partition`, and those without weight are left out. Distant structures
@@ -103,7 +103,7 @@ def split_street(blocks: Sequence[tuple[Block, Street]]) -> Parts:
             if other is not block:
                 is_covered |= _is_inside(other, block, sky)
         kept = ~(is_covered & (sky.norm(dim=1) < _MAX_FAR_SHARE * _dome_radius_m(sky)))
-        smaller = Street(
+        smaller = StreetModel(
             subset(street.background, weighted_rows[0]),
             subset(street.ground, weighted_rows[1]),
             subset(street.sky, kept.nonzero().squeeze(1)),
@@ -124,7 +124,7 @@ def subset(node: _Node, weighted_rows: Tensor) -> _Node:
     return smaller
 
 
-def fade(splats: Splats, weights: Tensor) -> Splats:
+def fade(splats: DecodedSplats, weights: Tensor) -> DecodedSplats:
     """Multiply the optical depth of Gaussians by weights (N,)."""
     return replace(splats, opacities=1.0 - (1.0 - splats.opacities).clamp_min(1e-6) ** weights)
 

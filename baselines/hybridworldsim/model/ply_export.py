@@ -18,7 +18,7 @@ from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY
 from hybridworldsim.model.parts import MIN_WEIGHT, LatentSelector, split_street
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.rasterizer.reference.spherical_harmonics import spherical_harmonics
@@ -64,7 +64,7 @@ class ExportedGaussians:
 
 
 def export_gaussians(
-    blocks: Sequence[tuple[Block, Street]],
+    blocks: Sequence[tuple[Block, StreetModel]],
     views: Sequence[RenderView],
     select_latents: LatentSelector,
     *,
@@ -118,7 +118,7 @@ def export_gaussians(
 
 def psnr_to_model_db(
     exported: ExportedGaussians,
-    blocks: Sequence[tuple[Block, Street]],
+    blocks: Sequence[tuple[Block, StreetModel]],
     views: Sequence[RenderView],
     select_latents: LatentSelector,
 ) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.initialization import InitialGeometry
-from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground, read_driven_poses
+from hybridworldsim.mvs.ground import FittedGround, compute_wheel_contacts, fit_ground, read_driven_poses
 from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
@@ -41,7 +41,7 @@ class SceneGeometry:
     points_m: Float64
     points_rgb: UInt8
     driven_m: Float64
-    ground: Ground
+    ground: FittedGround
     ground_count: int = 0
 
     @property

@@ -29,7 +29,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class LearningRates:
+class ModelLearningRates:
     """Learning rates of Adam: about twice those of Scaffold-GS and 3DGS, for small budgets."""
 
     means: Rate = Rate(1e-2, 1e-4)
@@ -43,7 +43,7 @@ class LearningRates:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class AnchorRefinement:
     """The schedule that adds and removes anchors, and their largest number.
 
     Attributes:
@@ -132,8 +132,8 @@ class Settings:
     depth_weight: float = 0.04
     normal_weight: float = 1e-5
     normal_every: int = 4
-    rates: LearningRates = field(default_factory=LearningRates)
-    refinement: Refinement = field(default_factory=Refinement)
+    rates: ModelLearningRates = field(default_factory=ModelLearningRates)
+    refinement: AnchorRefinement = field(default_factory=AnchorRefinement)
     seed: int = 0
 
     def __post_init__(self) -> None:

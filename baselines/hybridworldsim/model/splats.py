@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
-class Splats:
+class DecodedSplats:
     """The decoded Gaussians of a node.
 
     Attributes:
@@ -39,9 +39,9 @@ class Splats:
         return len(self.means)
 
 
-def concatenate_splats(parts: Sequence[Splats]) -> Splats:
+def concatenate_splats(parts: Sequence[DecodedSplats]) -> DecodedSplats:
     """Concatenate the Gaussians of several nodes; `rows` counts through all of them."""
-    return Splats(
+    return DecodedSplats(
         torch.cat([part.means for part in parts]),
         torch.cat([part.quats for part in parts]),
         torch.cat([part.scales for part in parts]),

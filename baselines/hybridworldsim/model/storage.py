@@ -16,7 +16,7 @@ from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.blocks import Block
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, Seeds
-from hybridworldsim.model.street import Street
+from hybridworldsim.model.street import StreetModel
 from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.run.state import load
 from mirror.errors import DatasetError
@@ -43,7 +43,7 @@ class BlockEntry(BaseModel):
 
 
 def save_block(
-    path: Path, block: Block, street: Street, *, half: bool = False, about: Mapping[str, Any] | None = None
+    path: Path, block: Block, street: StreetModel, *, half: bool = False, about: Mapping[str, Any] | None = None
 ) -> int:
     """Write a block. An anchor has 50 numbers (place, k = 3 offsets, code of 32, 6 sizes): 200 bytes.
 
@@ -78,7 +78,7 @@ def save_block(
     return len(data)
 
 
-def load_block(path: Path) -> tuple[Block, Street, dict[str, Any]]:
+def load_block(path: Path) -> tuple[Block, StreetModel, dict[str, Any]]:
     """Read what `save_block` wrote.
 
     Returns:
@@ -117,7 +117,7 @@ def _to_stored(name: str, parameter: Tensor, half: bool, path: Path) -> Tensor:
     return table
 
 
-def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> Street:
+def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[Source]) -> StreetModel:
     """A street of the stored sizes whose tables have no rows."""
     latent = tables["appearance.drives"].shape[1]
     no_rows = torch.empty(0, 3)
@@ -140,4 +140,4 @@ def _empty_street(tables: Mapping[str, Tensor], radius_m: float, sources: list[S
             )
             for name in ("ground", "sky")
         )
-        return Street(background, ground, sky, AppearanceLatents(sources, latent))
+        return StreetModel(background, ground, sky, AppearanceLatents(sources, latent))

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from hybridworldsim.model.appearance import AppearanceLatents
 from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
-from hybridworldsim.model.splats import Splats, concatenate_splats
+from hybridworldsim.model.splats import DecodedSplats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
@@ -24,7 +24,7 @@ class NodeRows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RenderOutput:
+class StreetOutput:
     """A rendered image, and the tensors whose gradients the optimiser reads.
 
     Attributes:
@@ -38,11 +38,11 @@ class RenderOutput:
     rgb: Tensor
     alpha: Tensor
     depth_m: Tensor
-    parts: tuple[Splats, ...]
+    parts: tuple[DecodedSplats, ...]
     meta: dict[str, Any]
 
 
-class Street(nn.Module):
+class StreetModel(nn.Module):
     """The static model of a block.
 
     Args:
@@ -65,7 +65,7 @@ class Street(nn.Module):
 
     def decode(
         self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: NodeRows | None = None
-    ) -> tuple[Splats, ...]:
+    ) -> tuple[DecodedSplats, ...]:
         """Decode each node for a viewpoint: the given rows, or all rows that the viewpoint may see."""
         anchors, ground, sky = rows or (None, None, None)
         return (
@@ -82,7 +82,7 @@ class Street(nn.Module):
         *,
         rows: NodeRows | None = None,
         track_gradients: bool = False,
-    ) -> RenderOutput:
+    ) -> StreetOutput:
         """Render a viewpoint.
 
         Args:
@@ -96,8 +96,8 @@ class Street(nn.Module):
         return render(viewpoint, parts, track_gradients=track_gradients)
 
 
-def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: bool = False) -> RenderOutput:
-    """Rasterize the decoded Gaussians of nodes; see `Street.forward`.
+def render(viewpoint: Viewpoint, parts: tuple[DecodedSplats, ...], *, track_gradients: bool = False) -> StreetOutput:
+    """Rasterize the decoded Gaussians of nodes; see `StreetModel.forward`.
 
     Args:
         viewpoint: the camera.
@@ -120,4 +120,4 @@ def render(viewpoint: Viewpoint, parts: tuple[Splats, ...], *, track_gradients: 
         absgrad=track_gradients,
         nonfinite="cull",
     )
-    return RenderOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)
+    return StreetOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)

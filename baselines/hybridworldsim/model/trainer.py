@@ -16,7 +16,7 @@ from hybridworldsim.model.lazy_adam import BETA1, BETA2, EPS, LazyAdam
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
 from hybridworldsim.model.settings import Rate, Settings
-from hybridworldsim.model.street import NodeRows, RenderOutput, Street
+from hybridworldsim.model.street import NodeRows, StreetModel, StreetOutput
 from hybridworldsim.model.visibility_cache import VisibilityCache
 from hybridworldsim.trainable.method import Rendering, StepReport
 from hybridworldsim.trainable.training_image import TrainingImage
@@ -35,7 +35,7 @@ class StreetTrainer:
         settings: its settings.
     """
 
-    def __init__(self, street: Street, settings: Settings) -> None:
+    def __init__(self, street: StreetModel, settings: Settings) -> None:
         self.street, self.settings = street, settings
         self._generator = torch.Generator().manual_seed(settings.seed)
         self._adam = torch.optim.Adam(_shared_parameters(street), lr=1e-3, betas=(BETA1, BETA2), eps=EPS, fused=True)
@@ -49,7 +49,7 @@ class StreetTrainer:
         self._steps, self._refined, self._last, self._progress = 0, 0, 0, 0.0
 
     @property
-    def model(self) -> Street:
+    def model(self) -> StreetModel:
         """See `TrainableMethod`."""
         return self.street
 
@@ -125,7 +125,7 @@ class StreetTrainer:
             street.sky.rows(sky, gathered[2]),
         )
 
-    def _record_visibility(self, output: RenderOutput, viewpoint: Viewpoint) -> None:
+    def _record_visibility(self, output: StreetOutput, viewpoint: Viewpoint) -> None:
         """Record which rows the image shows: those with a gradient of the opacity."""
         shown_rows = [
             part.rows[:0] if part.opacities.grad is None else part.rows[part.opacities.grad != 0.0]
@@ -143,7 +143,7 @@ class StreetTrainer:
         for tables, means_factor in zip(self._tables, (1.0, 1.0, self.settings.sky_radius)):
             yield {name: self._rate(name, means_factor if name == "means" else 1.0) for name in tables.names}
 
-    def _losses(self, output: RenderOutput, image: TrainingImage) -> dict[str, Tensor]:
+    def _losses(self, output: StreetOutput, image: TrainingImage) -> dict[str, Tensor]:
         settings = self.settings
         losses = {"rgb": colour_loss(output.rgb, image.rgb, image.scored)}
         if settings.structure_weight:
@@ -156,7 +156,7 @@ class StreetTrainer:
                 losses["normal"] = normal_loss(output.depth_m, image.depth_m, known, image.viewpoint.K)
         return losses
 
-    def _refine(self, output: RenderOutput, viewpoint: Viewpoint, progress: float) -> None:
+    def _refine(self, output: StreetOutput, viewpoint: Viewpoint, progress: float) -> None:
         """Collect the statistics of the image, and refine when it is due."""
         refinement = self.settings.refinement
         (rows, gradients), *others = image_gradients(output, viewpoint)
@@ -201,7 +201,7 @@ class StreetTrainer:
         }
 
 
-def _shared_parameters(street: Street) -> list[dict[str, Any]]:
+def _shared_parameters(street: StreetModel) -> list[dict[str, Any]]:
     """Parameters that all images share: networks and latents."""
     networks = [street.background.geometry, *(node.colour for node in street.nodes)]
     return [

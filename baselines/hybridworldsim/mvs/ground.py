@@ -33,7 +33,7 @@ _ABOVE: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class FittedGround:
     """A height field; outside its grid the height is constant, equal to the nearest height of the grid.
 
     Attributes:
@@ -89,7 +89,7 @@ def compute_wheel_contacts(world_SE3_ego: Poses) -> Float64:
     return np.concatenate([middle, middle + aside, middle - aside])
 
 
-def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
+def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> FittedGround:
     """Fit the ground of a scene.
 
     Args:
@@ -128,7 +128,7 @@ def fit_ground(driven_m: Float64, points_m: Float64 | None = None) -> Ground:
         ground = _solve(both, weight, low, shape, middle[2])
     off = driven[:, 2] - ground.height(driven[:, :2])
     sigma = float(1.4826 * np.median(np.abs(off)))
-    return Ground(ground.origin_m, ground.spacing_m, ground.knots_m, sigma)
+    return FittedGround(ground.origin_m, ground.spacing_m, ground.knots_m, sigma)
 
 
 def _thin(positions: Float64) -> Float64:
@@ -140,7 +140,7 @@ def _thin(positions: Float64) -> Float64:
     return np.asarray(total / counts[:, None])
 
 
-def _solve(positions: Float64, weight: Float64, low: Float64, shape: tuple[int, ...], level: float) -> Ground:
+def _solve(positions: Float64, weight: Float64, low: Float64, shape: tuple[int, ...], level: float) -> FittedGround:
     """Solve the weighted least squares for the knots, with a penalty on second differences and on slopes."""
     from scipy.sparse import coo_matrix, diags, identity, kron
     from scipy.sparse.linalg import spsolve
@@ -169,7 +169,7 @@ def _solve(positions: Float64, weight: Float64, low: Float64, shape: tuple[int, 
     first_differences = [kron(first(shape[0]), identity(shape[1])), kron(identity(shape[0]), first(shape[1]))]
     matrix = matrix + (_LEVEL / _LINE_SIGMA_M) ** 2 * sum(part.T @ part for part in first_differences)
     knots = spsolve(matrix.tocsc(), design.T @ (weight * (positions[:, 2] - level)))
-    return Ground(low, _SPACING_M, knots.reshape(shape[0], shape[1]) + level, np.nan)
+    return FittedGround(low, _SPACING_M, knots.reshape(shape[0], shape[1]) + level, np.nan)
 
 
 def _basis(

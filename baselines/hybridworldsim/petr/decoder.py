@@ -18,7 +18,7 @@ class Attention(nn.Module):
         return x + attended
 
 
-class FeedForward(nn.Module):
+class PetrFeedForward(nn.Module):
     """Two linear layers with a shortcut, named as in the published checkpoints."""
 
     def __init__(self, dim: int, hidden: int, dropout: float) -> None:
@@ -37,7 +37,7 @@ class DecoderLayer(nn.Module):
     def __init__(self, dim: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()
         self.attentions = nn.ModuleList([Attention(dim, heads, dropout), Attention(dim, heads, dropout)])
-        self.ffns = nn.ModuleList([FeedForward(dim, hidden, dropout)])
+        self.ffns = nn.ModuleList([PetrFeedForward(dim, hidden, dropout)])
         self.norms = nn.ModuleList([nn.LayerNorm(dim) for _ in range(3)])
 
     def forward(self, x: Tensor, position: Tensor, memory: Tensor, memory_position: Tensor) -> Tensor:
@@ -65,7 +65,7 @@ class Decoder(nn.Module):
         return outputs
 
 
-class Transformer(nn.Module):
+class PetrTransformer(nn.Module):
     """Holds the decoder under the published name."""
 
     def __init__(self, layers: int, dim: int, heads: int, hidden: int, dropout: float) -> None:

@@ -8,7 +8,7 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from hybridworldsim.petr.decoder import Transformer
+from hybridworldsim.petr.decoder import PetrTransformer
 from hybridworldsim.petr.encoding import encode_points, inverse_sigmoid, multiview_sine, query_sine
 
 # The logarithm of the odds of 0.01: queries begin as background.
@@ -100,7 +100,7 @@ class Head(nn.Module):
             nn.Conv2d(3 * settings.depths, 4 * dim, 1), nn.ReLU(), nn.Conv2d(4 * dim, dim, 1)
         )
         self.query_embedding = nn.Sequential(nn.Linear(3 * half, dim), nn.ReLU(), nn.Linear(dim, dim))
-        self.transformer = Transformer(settings.layers, dim, settings.heads, settings.hidden, settings.dropout)
+        self.transformer = PetrTransformer(settings.layers, dim, settings.heads, settings.hidden, settings.dropout)
         nn.init.uniform_(self.reference_points.weight, 0.0, 1.0)
         nn.init.constant_(last.bias, _RARE)
 

@@ -8,14 +8,16 @@ from typing import Any
 from torch import Tensor
 
 from hybridworldsim.rasterizer.inputs import NonFinite, refuse_nonfinite
-from hybridworldsim.rasterizer.presets import PRESETS, Preset
+from hybridworldsim.rasterizer.presets import PRESETS, GsplatPreset
 from mirror.errors import UsageError
 from mirror.installation import install_command
 
 _DEFAULTS = {"camera_model": "pinhole", "segmented": False, "with_ut": False}
 
 
-def rasterization(preset: Preset, nonfinite: NonFinite, **arguments: Any) -> tuple[Tensor, Tensor, dict[str, Any]]:
+def rasterization(
+    preset: GsplatPreset, nonfinite: NonFinite, **arguments: Any
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Call gsplat.
 
     Args:

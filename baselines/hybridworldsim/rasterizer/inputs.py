@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.limits import check_image_size, refuse_too_many
 from hybridworldsim.rasterizer.rows import has_kernels
 from mirror.errors import UsageError
@@ -190,7 +190,7 @@ def make_lenses(
     with_ut: bool,
     antialiased: bool,
     coefficients: dict[str, Tensor | None],
-) -> Sequence[Lens | None]:
+) -> Sequence[LensDistortion | None]:
     """Make the lens of each image; None for a pinhole, which EWA splatting projects.
 
     Args:
@@ -222,7 +222,7 @@ def make_lenses(
             raise _shape_error(name, tensor, f"({', '.join(map(str, leading))}, coefficients)")
         tables[name] = tensor.detach().reshape(-1, tensor.shape[-1]).tolist()
     return [
-        Lens(model=camera_model, **{name: tuple(table[image]) for name, table in tables.items()})
+        LensDistortion(model=camera_model, **{name: tuple(table[image]) for name, table in tables.items()})
         for image in range(len(inputs.means) * inputs.cameras)
     ]
 

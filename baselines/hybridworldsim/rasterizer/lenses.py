@@ -32,7 +32,7 @@ _COEFFICIENTS = {"pinhole": (6, 2, 4), "fisheye": (4, 0, 0)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lens:
+class LensDistortion:
     """The distortion of a lens.
 
     Attributes:

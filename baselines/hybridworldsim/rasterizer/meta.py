@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.inputs import Inputs
-from hybridworldsim.rasterizer.presets import Preset
+from hybridworldsim.rasterizer.presets import GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.rows import scatter_rows, take_rows
 
@@ -52,7 +52,7 @@ class Blending:
     width: int
     height: int
     tile_size: int
-    preset: Preset
+    preset: GsplatPreset
     backend: str
 
     def to_batch_shape(self, images: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ outside 1e-19 to 1e19 their rotations are NaN or wrong.)"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preset:
+class GsplatPreset:
     """One generation of gsplat.
 
     Attributes:
@@ -56,16 +56,18 @@ class Preset:
 PRESETS = {
     preset.name: preset
     for preset in (
-        Preset(name="gsplat-1.3", releases=("1.3", "1.4"), extent="square", alpha_max=0.999, compensation_min=0.0),
-        Preset(name="gsplat-1.5", releases=("1.5",), extent="ellipse", alpha_max=0.999, compensation_min=0.0),
+        GsplatPreset(
+            name="gsplat-1.3", releases=("1.3", "1.4"), extent="square", alpha_max=0.999, compensation_min=0.0
+        ),
+        GsplatPreset(name="gsplat-1.5", releases=("1.5",), extent="ellipse", alpha_max=0.999, compensation_min=0.0),
         # alpha's cap since commit c5ff586b, compensation's floor since 421f7698
-        Preset(name="gsplat-1.6", releases=("1.6",), extent="ellipse", alpha_max=0.99, compensation_min=0.005),
+        GsplatPreset(name="gsplat-1.6", releases=("1.6",), extent="ellipse", alpha_max=0.99, compensation_min=0.005),
     )
 }
 DEFAULT_PRESET = "gsplat-1.5"
 
 
-def get_preset(name: str) -> Preset:
+def get_preset(name: str) -> GsplatPreset:
     """Get the preset of a name.
 
     Args:

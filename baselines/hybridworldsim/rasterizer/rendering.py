@@ -12,9 +12,9 @@ from torch import Tensor
 
 from hybridworldsim.rasterizer.blended_image import BlendedImage
 from hybridworldsim.rasterizer.inputs import Inputs, RenderMode, refuse_nonfinite
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.meta import BlendedView, Blending, GaussianLayout, make_meta
-from hybridworldsim.rasterizer.presets import Preset
+from hybridworldsim.rasterizer.presets import GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.rows import copy_rows, take_rows, take_rows_with_column
 
@@ -49,7 +49,7 @@ class RenderOptions:
     render_mode: RenderMode
     antialiased: bool
     absgrad: bool
-    preset: Preset
+    preset: GsplatPreset
     backend: str
 
 
@@ -60,7 +60,7 @@ def import_backend(name: str) -> Backend:
 
 
 def render(
-    inputs: Inputs, options: RenderOptions, lenses: Sequence[Lens | None], packed: bool
+    inputs: Inputs, options: RenderOptions, lenses: Sequence[LensDistortion | None], packed: bool
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Render each scene through each of its cameras.
 
@@ -117,7 +117,7 @@ def render(
 
 
 def _project(
-    inputs: Inputs, options: RenderOptions, backend: Backend, scene: int, camera: int, lens: Lens | None
+    inputs: Inputs, options: RenderOptions, backend: Backend, scene: int, camera: int, lens: LensDistortion | None
 ) -> ProjectedGaussians:
     """Project the Gaussians of a scene, without those that are culled because they are not finite."""
     tables = [inputs.means[scene], inputs.quats[scene], inputs.scales[scene], inputs.opacities[scene]]

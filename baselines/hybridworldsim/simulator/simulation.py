@@ -27,7 +27,7 @@ from hybridworldsim.simulator.policies.protocol import (
 )
 from hybridworldsim.simulator.street.route import RoutePlan, plan_route
 from hybridworldsim.simulator.street.street import Street
-from hybridworldsim.simulator.world import Snapshot, StateRecorder, World, state_log
+from hybridworldsim.simulator.world import SimulatedWorld, Snapshot, StateRecorder, state_log
 from mirror.arrays import Float64, Int64, UInt8
 from mirror.errors import UsageError
 from mirror.metrics.safety import find_collisions
@@ -57,7 +57,7 @@ class Simulation:
     scenario: Scenario
     route: RoutePlan
     seed: int
-    world: World
+    world: SimulatedWorld
     recorder: StateRecorder
     stops_at_collision: bool = True
     recorded: Trajectory | None = None
@@ -213,7 +213,7 @@ def _start(street: Street, scenario: Scenario, chosen: int, stops_at_collision: 
     stage = Stage(street, scenario, ego, route, recording, start_s, chosen)
     agents = AllAgents(cast_agents(stage))
     start_ns = street.recordings[recording].start_ns + round(start_s * 1e9)
-    world = World(street.vehicle, ego, agents, start_ns, 1.0 / scenario.rate_hz, street.signals)
+    world = SimulatedWorld(street.vehicle, ego, agents, start_ns, 1.0 / scenario.rate_hz, street.signals)
     recorder = StateRecorder()
     recorder.add(world.now)
     touching = find_collisions(recorder.log())

@@ -70,7 +70,7 @@ class Snapshot:
         return Boxes(rows)
 
 
-class World:
+class SimulatedWorld:
     """The ego and all agents.
 
     Args:

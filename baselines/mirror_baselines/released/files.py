@@ -24,7 +24,7 @@ _NEAR: Final = 0.25
 
 
 @dataclass(frozen=True)
-class Source:
+class ViewSource:
     """What shows a view: an image, or a frame of a video.
 
     Attributes:
@@ -74,7 +74,7 @@ class ReleasedFiles:
         lines = [f"{name} {hash_file(path)}" for name, path in files]
         return hashlib.sha256("\n".join([*lines, str(self.sample)]).encode()).hexdigest()
 
-    def locate(self, plan: Plan) -> dict[str, Source]:
+    def locate(self, plan: Plan) -> dict[str, ViewSource]:
         """Find what shows each view, by the view's path.
 
         Raises:
@@ -82,7 +82,7 @@ class ReleasedFiles:
             DatasetError: views have no image, or two.
         """
         groups = list(dict.fromkeys(view.group for view in plan.views))
-        found: dict[str, Source] = {}
+        found: dict[str, ViewSource] = {}
         every_clip = self._read_clips()
         for group in groups:
             folder = self._group_folder(group, alone=len(groups) == 1)
@@ -163,13 +163,13 @@ class ReleasedFiles:
         return clips
 
 
-def _find_image(view: RenderView, images: Mapping[tuple[str, int], Path]) -> Source | None:
+def _find_image(view: RenderView, images: Mapping[tuple[str, int], Path]) -> ViewSource | None:
     # The export rounds to microseconds; recordings of nuScenes have whole ones.
     key = (channel_name(view.camera), (view.timestamp_ns + 500) // 1000)
-    return Source(images[key], None) if key in images else None
+    return ViewSource(images[key], None) if key in images else None
 
 
-def _find_frame(view: RenderView, clips: Sequence[_Clip]) -> Source | None:
+def _find_frame(view: RenderView, clips: Sequence[_Clip]) -> ViewSource | None:
     for clip in clips:
         if (clip.traversal_id, clip.camera) == (view.traversal_id, view.camera):
             place = (view.timestamp_ns - clip.timestamp_ns) * 1e-9 * clip.hz
@@ -179,7 +179,7 @@ def _find_frame(view: RenderView, clips: Sequence[_Clip]) -> Source | None:
                 and abs(place - frame) <= _NEAR
                 and frame < _count_frames(clip.file, clip.file.stat().st_mtime_ns)
             ):
-                return Source(clip.file, frame)
+                return ViewSource(clip.file, frame)
     return None
 
 

@@ -19,7 +19,7 @@ from mirror.protocols.truth.raster import cached_raster
 from mirror.protocols.truth.source import GroundTruth
 from mirror.protocols.views import Plan
 from mirror.protocols.views.view import RenderView
-from mirror_baselines.released.files import ReleasedFiles, Source
+from mirror_baselines.released.files import ReleasedFiles, ViewSource
 
 _ASPECT: Final = 0.03
 """Largest relative difference of aspect ratios that counts as a squeezed image; 448 x 256 of 1600 x 900 has 0.016."""
@@ -80,7 +80,7 @@ def to_recorded_size(pixels: UInt8, width: int, height: int, file: Path, *, lowe
     return whole
 
 
-def _read_all(views: Sequence[RenderView], sources: Mapping[str, Source]) -> Iterator[tuple[RenderView, UInt8]]:
+def _read_all(views: Sequence[RenderView], sources: Mapping[str, ViewSource]) -> Iterator[tuple[RenderView, UInt8]]:
     """Read the images of views: each video once, from its first frame to the last one that is needed."""
     images = [view for view in views if sources[view.path].frame is None]
     for view in images:
@@ -96,7 +96,7 @@ def _read_all(views: Sequence[RenderView], sources: Mapping[str, Source]) -> Ite
 
 
 def _read_video(
-    file: Path, views: Sequence[RenderView], sources: Mapping[str, Source]
+    file: Path, views: Sequence[RenderView], sources: Mapping[str, ViewSource]
 ) -> Iterator[tuple[RenderView, UInt8]]:
     from mirror.recordings.video_file import open_video
     from mirror.recordings.video_frames import FrameConverter

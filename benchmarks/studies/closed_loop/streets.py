@@ -11,7 +11,7 @@ import numpy as np
 
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
-from hybridworldsim.simulator.street.ground import Ground
+from hybridworldsim.simulator.street.ground import StreetGround
 from hybridworldsim.simulator.street.of_synth import street_of_drive
 from hybridworldsim.simulator.street.street import Street
 from mirror.synth import street_map
@@ -77,8 +77,8 @@ def open_training_place(vehicle: Vehicle, preset: str, seed: int, drive_id: str)
     drive = make_drive(preset, seed, drive_id)
     world = drive.world
     street = Street(
-        drive.roi.scene_id, street_map(world.plan), Ground(world.height_m), vehicle.street.vehicle, vehicle.street.rig,
-        {}, (0.0, 0.0), drive.roi.radius_m, roi=drive.roi, drive=drive,
+        drive.roi.scene_id, street_map(world.plan), StreetGround(world.height_m), vehicle.street.vehicle,
+        vehicle.street.rig, {}, (0.0, 0.0), drive.roi.radius_m, roi=drive.roi, drive=drive,
     )  # fmt: skip
     return Place(street, drive, vehicle.cameras)
 

@@ -17,7 +17,7 @@ from hybridworldsim.methods.overrides import settings_document
 from hybridworldsim.methods.static import StaticMethod
 from hybridworldsim.methods.street import STRUCTURE_WEIGHT, StreetMethod
 from hybridworldsim.methods.street import make as make_street
-from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.settings import AnchorRefinement, Settings
 from mirror_baselines import mtgs_style, omnire_style, vanilla_3dgs
 from mirror_baselines.splatting.scaling import scale_splatting
 
@@ -136,7 +136,7 @@ def _trials() -> Iterator[Entry]:
             yield Entry(choice(baseline_name(package), name), _explicit(package, change(package.TUNED)))
 
 
-def _as_many_bytes(settings: Settings) -> Refinement:
+def _as_many_bytes(settings: Settings) -> AnchorRefinement:
     """Code-Gaussians in place of anchors: 27 numbers each, against 50."""
     grown, anchor, plain = settings.refinement, 9 + 3 * settings.offsets + settings.code, 11 + settings.plain_code
     return replace(grown, most_ground=grown.most_ground + grown.max_anchors * anchor // plain)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mirror.annotation.tracking.options import ACCELERATION_MPS2, TrackingOptions
+from mirror.annotation.tracking.options import ACCELERATION_MPS2, BoxTrackingOptions
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
 from mirror.installation import install_command
@@ -108,7 +108,7 @@ class _Filters:
         )
 
 
-def associate(frames: Sequence[WorldBoxes], options: TrackingOptions) -> list[Tracklet]:
+def associate(frames: Sequence[WorldBoxes], options: BoxTrackingOptions) -> list[Tracklet]:
     """Match the boxes of consecutive frames.
 
     Args:
@@ -159,7 +159,7 @@ def _assignment() -> Callable[[Float64], tuple[Int64, Int64]]:
 
 
 def _match(
-    filters: _Filters, living: Sequence[Tracklet], boxes: WorldBoxes, options: TrackingOptions
+    filters: _Filters, living: Sequence[Tracklet], boxes: WorldBoxes, options: BoxTrackingOptions
 ) -> tuple[Int64, Int64]:
     """Rows of the tracks and of the boxes that belong together; the sum of squared distances is least."""
     nothing = np.empty(0, np.int64)

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 from mirror.annotation.box_layer import choose_box_layer, ego_poses_at, read_box_layer
 from mirror.annotation.detections import Detections
 from mirror.annotation.run import box_table
-from mirror.annotation.tracking.options import TrackingOptions
+from mirror.annotation.tracking.options import BoxTrackingOptions
 from mirror.annotation.tracking.static import merge_stationary
-from mirror.annotation.tracking.tracker import Track, find_tracks, to_frames
+from mirror.annotation.tracking.tracker import ObjectTrack, find_tracks, to_frames
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import DerivedLayer, find_missing
 from mirror.dataset.layer_writer import require_layer_name
@@ -50,7 +50,7 @@ class TrackingReport:
 def track_layer(
     dataset: Dataset,
     layer: str | None = None,
-    options: TrackingOptions | None = None,
+    options: BoxTrackingOptions | None = None,
     *,
     version: str | None = None,
     progress: ProgressReporter | None = None,
@@ -62,7 +62,7 @@ def track_layer(
     Args:
         dataset: a local dataset, or a view of it.
         layer: ``source@version``; None: the only layer of boxes.
-        options: see `TrackingOptions`.
+        options: see `BoxTrackingOptions`.
         version: version of the new layers; None: that of the boxes.
         progress: receives the number of traversals.
 
@@ -70,7 +70,7 @@ def track_layer(
         UsageError: there is no such layer of boxes, or there are several and none is named.
         DatasetError: a layer of this name was made with other options or of other boxes.
     """
-    options, progress = options or TrackingOptions(), progress or NullProgress()
+    options, progress = options or BoxTrackingOptions(), progress or NullProgress()
     layer = choose_box_layer(dataset, layer)
     source, _, own_version = layer.partition("@")
     new_source, version = f"{source}-tracks", version or own_version
@@ -113,9 +113,9 @@ def track_layer(
 def _track_scene(
     frames: Mapping[str, list[Detections]],
     poses: Mapping[str, Poses],
-    options: TrackingOptions,
+    options: BoxTrackingOptions,
     progress: ProgressReporter,
-) -> dict[str, list[Track]]:
+) -> dict[str, list[ObjectTrack]]:
     """Tracks by traversal of one scene."""
     tracks = {}
     for name, detections in frames.items():

@@ -28,7 +28,7 @@ def group_of(category: str) -> str:
 
 
 @dataclass(frozen=True)
-class TrackingOptions:
+class BoxTrackingOptions:
     """Settings of the tracker of image features.
 
     Attributes:
@@ -69,3 +69,7 @@ class TrackingOptions:
                     expected=f"a finite number, {'more than 0' if positive else 'at least 0'}",
                     remedy=f"give another number with {place}",
                 )  # fmt: skip
+
+
+TrackingOptions = BoxTrackingOptions
+"""The name of `BoxTrackingOptions` in version 0.1; it stays importable."""

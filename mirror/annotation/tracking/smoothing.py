@@ -19,7 +19,7 @@ _STRAIGHT: Final = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class SmoothedPath:
     """A smoothed path at F times.
 
     Attributes:
@@ -35,7 +35,7 @@ class Path:
 
 def smooth_velocity(
     time_s: Float64, measured: Float64, sigma_m: Float64, acceleration: float, speed_mps: float
-) -> Path:
+) -> SmoothedPath:
     """Smooth with the model of constant velocity.
 
     Args:
@@ -64,10 +64,12 @@ def smooth_velocity(
         means.append(state)
         covariances.append(covariance)
     smoothed, spread = _backwards(means, covariances, priors, prior_covariances, steps)
-    return Path(smoothed[:, :2], smoothed[:, 2:], spread)
+    return SmoothedPath(smoothed[:, :2], smoothed[:, 2:], spread)
 
 
-def smooth_turning(time_s: Float64, measured: Float64, sigma_m: Float64, acceleration: float, start: Path) -> Path:
+def smooth_turning(
+    time_s: Float64, measured: Float64, sigma_m: Float64, acceleration: float, start: SmoothedPath
+) -> SmoothedPath:
     """Smooth with the model of constant turn rate and velocity.
 
     Args:
@@ -99,7 +101,7 @@ def smooth_turning(time_s: Float64, measured: Float64, sigma_m: Float64, acceler
         covariances.append(covariance)
     smoothed, spread = _backwards(means, covariances, priors, prior_covariances, steps)
     heading = np.stack((np.cos(smoothed[:, 2]), np.sin(smoothed[:, 2])), axis=1)
-    return Path(smoothed[:, :2], smoothed[:, 3:4] * heading, spread)
+    return SmoothedPath(smoothed[:, :2], smoothed[:, 3:4] * heading, spread)
 
 
 def _turn(state: Float64, dt: float) -> tuple[Float64, Float64]:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from mirror.annotation.tracking.options import group_of
-from mirror.annotation.tracking.tracker import Track
+from mirror.annotation.tracking.tracker import ObjectTrack
 
 _POSE_SIGMA_M: Final = 0.1
 _FARTHEST_M: Final = 0.6
@@ -18,7 +18,7 @@ _SIGMAS: Final = 3.0
 _SIZE_RATIO: Final = 1.2
 
 
-def merge_stationary(tracks: Mapping[str, Sequence[Track]]) -> dict[str, list[Track]]:
+def merge_stationary(tracks: Mapping[str, Sequence[ObjectTrack]]) -> dict[str, list[ObjectTrack]]:
     """Give stationary objects that agree between traversals their common position, heading axis and size.
 
     Objects agree if they are of one group, at most 0.6 m and three standard deviations apart (with 0.1 m for the poses
@@ -51,11 +51,11 @@ def merge_stationary(tracks: Mapping[str, Sequence[Track]]) -> dict[str, list[Tr
     return result
 
 
-def _place(item: Track) -> np.ndarray:
+def _place(item: ObjectTrack) -> np.ndarray:
     return np.asarray(item.centre_m[0, :2])
 
 
-def _agree(one: Track, other: Track) -> bool:
+def _agree(one: ObjectTrack, other: ObjectTrack) -> bool:
     away = float(np.linalg.norm(_place(one) - _place(other)))
     sigma = float(np.sqrt(one.sigma_m**2 + other.sigma_m**2 + 2.0 * _POSE_SIGMA_M**2))
     ratio = one.size_m / other.size_m
@@ -66,7 +66,7 @@ def _agree(one: Track, other: Track) -> bool:
     )
 
 
-def _merge(entries: Sequence[tuple[str, int, Track]], result: dict[str, list[Track]]) -> None:
+def _merge(entries: Sequence[tuple[str, int, ObjectTrack]], result: dict[str, list[ObjectTrack]]) -> None:
     items = [item for _, _, item in entries]
     weight = np.array([1.0 / (item.sigma_m**2 + _POSE_SIGMA_M**2) for item in items])
     weight /= weight.sum()

@@ -12,8 +12,8 @@ import numpy as np
 
 from mirror.annotation.detections import Detections
 from mirror.annotation.tracking.association import Tracklet, WorldBoxes, associate
-from mirror.annotation.tracking.options import ACCELERATION_MPS2, TrackingOptions, group_of
-from mirror.annotation.tracking.smoothing import Path, smooth_turning, smooth_velocity
+from mirror.annotation.tracking.options import ACCELERATION_MPS2, BoxTrackingOptions, group_of
+from mirror.annotation.tracking.smoothing import SmoothedPath, smooth_turning, smooth_velocity
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
@@ -28,7 +28,7 @@ _HEIGHT_S: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class ObjectTrack:
     """One object at the F frames in which it exists.
 
     Attributes:
@@ -59,14 +59,14 @@ class Track:
 
 
 def track(
-    detections: Sequence[Detections], world_SE3_ego: Poses, options: TrackingOptions | None = None
+    detections: Sequence[Detections], world_SE3_ego: Poses, options: BoxTrackingOptions | None = None
 ) -> list[Detections]:
     """Track the boxes of a traversal.
 
     Args:
         detections: boxes of each frame, in order of time.
         world_SE3_ego: one pose of the vehicle for each frame.
-        options: see `TrackingOptions`.
+        options: see `BoxTrackingOptions`.
 
     Returns:
         The boxes of the tracks in each frame, with ids, smooth positions, velocities and one size each.
@@ -78,14 +78,14 @@ def track(
 
 
 def find_tracks(
-    detections: Sequence[Detections], world_SE3_ego: Poses, options: TrackingOptions | None = None
-) -> list[Track]:
+    detections: Sequence[Detections], world_SE3_ego: Poses, options: BoxTrackingOptions | None = None
+) -> list[ObjectTrack]:
     """The tracks of a traversal in the world frame; arguments as those of `track`.
 
     Raises:
         UsageError: frames and poses do not fit, or times do not ascend.
     """
-    options = options or TrackingOptions()
+    options = options or BoxTrackingOptions()
     if len(detections) != len(world_SE3_ego):
         raise UsageError(
             f"{len(detections)} frames with {len(world_SE3_ego)} poses", expected="one pose for each frame"
@@ -100,7 +100,7 @@ def find_tracks(
         return []
     time_s = (stamps - stamps[0]).astype(np.float64) * 1e-9
     frames = [_to_world(found, world_SE3_ego[row], float(time_s[row]), options) for row, found in enumerate(detections)]
-    tracks: list[Track] = []
+    tracks: list[ObjectTrack] = []
     for tracklet in associate(frames, options):
         if len(tracklet.frames) >= options.min_boxes:
             score = track_score([float(frames[f].score[b]) for f, b in zip(tracklet.frames, tracklet.boxes)])
@@ -114,9 +114,11 @@ def track_score(scores: Sequence[float]) -> float:
     return float(np.mean(scores)) * len(scores) / (len(scores) + _NOT_SURE)
 
 
-def to_frames(tracks: Sequence[Track], detections: Sequence[Detections], world_SE3_ego: Poses) -> list[Detections]:
+def to_frames(
+    tracks: Sequence[ObjectTrack], detections: Sequence[Detections], world_SE3_ego: Poses
+) -> list[Detections]:
     """The boxes of tracks in each frame, in the ego frame at that frame's time."""
-    rows: dict[int, list[tuple[Track, int]]] = defaultdict(list)
+    rows: dict[int, list[tuple[ObjectTrack, int]]] = defaultdict(list)
     for item in tracks:
         for place, frame in enumerate(item.frames.tolist()):
             rows[frame].append((item, place))
@@ -147,7 +149,7 @@ def to_frames(tracks: Sequence[Track], detections: Sequence[Detections], world_S
     return result
 
 
-def _to_world(found: Detections, world_SE3_ego: Poses, time_s: float, options: TrackingOptions) -> WorldBoxes:
+def _to_world(found: Detections, world_SE3_ego: Poses, time_s: float, options: BoxTrackingOptions) -> WorldBoxes:
     pose = world_SE3_ego @ found.ego_SE3_box if len(found) else found.ego_SE3_box
     forward = matrix_from_quaternion(pose.rotation)[..., 0] if len(found) else np.empty((0, 3))
     away = np.linalg.norm(found.ego_SE3_box.translation[:, :2], axis=1)
@@ -169,8 +171,8 @@ def _fit(
     tracklet: Tracklet,
     frames: Sequence[WorldBoxes],
     time_s: Float64,
-    options: TrackingOptions,
-) -> Track:
+    options: BoxTrackingOptions,
+) -> ObjectTrack:
     """Fit the path of one object, and choose the frames in which it has a box."""
     own = np.array(tracklet.frames)
     boxes = list(zip(tracklet.frames, tracklet.boxes))
@@ -187,7 +189,7 @@ def _fit(
     stationary = _is_stationary(time_s[own], centre[:, :2], sigma)
     if stationary or tracklet.group == "static":
         share = sigma**-2 / (sigma**-2).sum()
-        path = Path(
+        path = SmoothedPath(
             np.tile(share @ centre[:, :2], (len(every), 1)),
             np.zeros((len(every), 2)),
             np.full(len(every), (sigma**-2).sum() ** -0.5),
@@ -206,7 +208,7 @@ def _fit(
         names[frames[f].category[b]] += float(frames[f].score[b]) + 1e-9
     is_measured = np.zeros(len(every), np.bool_)
     is_measured[at] = True
-    return Track(
+    return ObjectTrack(
         track_id=track_id,
         category=max(names, key=lambda name: names[name]),
         score=score,
@@ -236,7 +238,7 @@ def _is_stationary(time_s: Float64, position: Float64, sigma: Float64) -> bool:
     return bool(scatter < _STATIONARY_RMS and drift < _STATIONARY_DRIFT)
 
 
-def _heading(path: Path, yaw: Float64, at: Int64) -> Float64:
+def _heading(path: SmoothedPath, yaw: Float64, at: Int64) -> Float64:
     """Heading (F,): that of the motion where it is fast enough, else the boxes' own, corrected for half turns."""
     speed = np.linalg.norm(path.velocity_mps, axis=1)
     moving = speed > _HEADING_MPS

@@ -20,7 +20,7 @@ _OCTAVE_LAYERS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class ImageFeatures:
     """Features of one image.
 
     Attributes:
@@ -42,7 +42,7 @@ class Features:
         return np.sqrt(histograms / np.maximum(histograms.sum(axis=1, keepdims=True), 1.0))
 
 
-def find_features(image: TrackedImage, most: int) -> Features:
+def find_features(image: TrackedImage, most: int) -> ImageFeatures:
     """Find features of static surfaces.
 
     Args:
@@ -56,16 +56,16 @@ def find_features(image: TrackedImage, most: int) -> Features:
     )
     found, raw = sift.detectAndCompute(image.grey, image.is_static.astype(np.uint8))
     if raw is None:
-        return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8))
+        return ImageFeatures(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.uint8))
     uv = np.array([point.pt for point in found], np.float64) + OPENCV_OFFSET_PX
     scale = 0.5 * np.array([point.size for point in found], np.float64)
     # A place with two orientations is one feature of the track builder: the first is kept.
     _, first = np.unique(np.round(uv, 2), axis=0, return_index=True)
     first = np.sort(first)
-    return Features(uv[first], scale[first], raw[first].astype(np.uint8))
+    return ImageFeatures(uv[first], scale[first], raw[first].astype(np.uint8))
 
 
-def match_features(one: Features, other: Features) -> Int64:
+def match_features(one: ImageFeatures, other: ImageFeatures) -> Int64:
     """Pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), np.int64)

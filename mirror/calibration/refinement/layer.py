@@ -10,7 +10,7 @@ from mirror.calibration.refinement.report import GAUGE, METHOD
 from mirror.calibration.refinement.summary import CameraRefinement
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.derived_layer import DerivedLayer
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.schema.tables import CALIBRATIONS
 
 SOURCE: Final = "refined"
@@ -31,7 +31,9 @@ def refined_layer(view: Dataset, traversal_id: str, version: str, inputs: Mappin
     return DerivedLayer(view.layout, traversal_id, CALIBRATIONS.name, SOURCE, version, inputs, described)
 
 
-def write_refined(view: Dataset, layer: DerivedLayer, cameras: Sequence[tuple[Calibration, CameraRefinement]]) -> None:
+def write_refined(
+    view: Dataset, layer: DerivedLayer, cameras: Sequence[tuple[CameraCalibration, CameraRefinement]]
+) -> None:
     """Write the layer of one traversal.
 
     A refined camera has a row of stage ``refined`` with the validity of the calibration that was refined. Calibrations
@@ -54,7 +56,7 @@ def write_refined(view: Dataset, layer: DerivedLayer, cameras: Sequence[tuple[Ca
     writer.finish(CALIBRATIONS, rows)
 
 
-def _refined_row(used: Calibration, one: CameraRefinement) -> dict[str, Any]:
+def _refined_row(used: CameraCalibration, one: CameraRefinement) -> dict[str, Any]:
     pose = {name: float(value[0]) for name, value in one.ego_SE3_camera.to_columns().items()}
     return {
         **used.row,

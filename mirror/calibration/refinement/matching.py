@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Float64, Int64
-from mirror.calibration.refinement.features import Features, match_features
+from mirror.calibration.refinement.features import ImageFeatures, match_features
 from mirror.calibration.refinement.rigs import FeatureTracks, MovingRigs
 from mirror.calibration.tracking import fit_one_pose
 from mirror.geometry import matrix_from_quaternion
@@ -76,7 +76,9 @@ def choose_pairs(rigs: MovingRigs, options: MatchingOptions) -> Int64:
     return np.array(sorted(chosen), np.int64).reshape(-1, 2)
 
 
-def match_pair(rigs: MovingRigs, one: int, other: int, features: Sequence[Features], options: MatchingOptions) -> Int64:
+def match_pair(
+    rigs: MovingRigs, one: int, other: int, features: Sequence[ImageFeatures], options: MatchingOptions
+) -> Int64:
     """Matches (M, 2) of two images that fit one relative pose; none if they are fewer than ``options.least``."""
     first, second = features[one], features[other]
     pairs = match_features(first, second)
@@ -89,7 +91,7 @@ def match_pair(rigs: MovingRigs, one: int, other: int, features: Sequence[Featur
     return pairs[fits] if fits.sum() >= options.least else np.empty((0, 2), np.int64)
 
 
-def join_tracks(features: Sequence[Features], matches: Mapping[tuple[int, int], Int64]) -> FeatureTracks:
+def join_tracks(features: Sequence[ImageFeatures], matches: Mapping[tuple[int, int], Int64]) -> FeatureTracks:
     """Join matches to tracks. A track that has two features of one image loses both; a rest of two or more stays."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from mirror.calibration.frame_choice import FrameChoice
-from mirror.calibration.refinement.features import Features, find_features
+from mirror.calibration.refinement.features import ImageFeatures, find_features
 from mirror.calibration.refinement.rigs import MovingRigs
 from mirror.calibration.sampling import choose_frames, stack_poses, static_pixels
 from mirror.calibration.tracking import TrackedImage
@@ -20,7 +20,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.image import Image
 from mirror.dataset.store import Store
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.errors import DatasetError, MirrorError, UsageError
 from mirror.schema.documents import Rig
 from mirror.schema.files import write_bytes
@@ -51,7 +51,7 @@ class TraversalImages:
     reference: str | None
     frames: list[Frame] = field(default_factory=list)
     images: list[tuple[int, Image]] = field(default_factory=list)
-    features: list[Features] = field(default_factory=list)
+    features: list[ImageFeatures] = field(default_factory=list)
     unread: list[str] = field(default_factory=list)
     problem: str | None = None
     status: str = "refined"
@@ -98,7 +98,7 @@ def read_features(item: TraversalImages, most: int, store: Store, work: Path, ad
         item.status, item.problem = "failed", "none of its images could be read"
 
 
-def _find_features(frame: Frame, image: Image, most: int, file: Path) -> Features:
+def _find_features(frame: Frame, image: Image, most: int, file: Path) -> ImageFeatures:
     import cv2
 
     grey = np.asarray(cv2.cvtColor(image.decode(), cv2.COLOR_RGB2GRAY), np.uint8)
@@ -109,9 +109,9 @@ def _find_features(frame: Frame, image: Image, most: int, file: Path) -> Feature
     return found
 
 
-def _read_features(file: Path) -> Features:
+def _read_features(file: Path) -> ImageFeatures:
     with np.load(file, allow_pickle=False) as data:
-        return Features(*(data[name] for name in _PARTS))
+        return ImageFeatures(*(data[name] for name in _PARTS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +126,9 @@ class SceneRigs:
     """
 
     rigs: MovingRigs
-    calibrations: Sequence[Calibration]
+    calibrations: Sequence[CameraCalibration]
     drives: Sequence[str]
-    features: Sequence[Features]
+    features: Sequence[ImageFeatures]
 
 
 def gather_rigs(items: Sequence[TraversalImages]) -> SceneRigs:
@@ -138,7 +138,7 @@ def gather_rigs(items: Sequence[TraversalImages]) -> SceneRigs:
         DatasetError: poses or calibrations of an image are missing.
     """
     mountings: dict[tuple[str, str, int | None], int] = {}
-    calibrations: list[Calibration] = []
+    calibrations: list[CameraCalibration] = []
     drives: list[str] = []
     frame, mounting, poses, features = [], [], [], []
     times: list[float] = []

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 
 import tyro
 
-from mirror.annotation.tracking.options import TrackingOptions
+from mirror.annotation.tracking.options import BoxTrackingOptions
 from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode
 
@@ -31,7 +31,7 @@ class TrackArguments:
     """The layer of boxes."""
     version: Annotated[str | None, help_text(default="that of the boxes", metavar="NAME")] = None
     """Version of the layer of tracks."""
-    options: tyro.conf.OmitArgPrefixes[TrackingOptions] = field(default_factory=TrackingOptions)
+    options: tyro.conf.OmitArgPrefixes[BoxTrackingOptions] = field(default_factory=BoxTrackingOptions)
     json: bool = False
     """Print JSON."""
 

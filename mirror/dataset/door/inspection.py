@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from mirror.dataset.door.contents import contents
 from mirror.dataset.door.files import RECORDED, ImageFile, ImageKey
-from mirror.dataset.door.plan import Departure, Kept, Why
+from mirror.dataset.door.plan import Departure, KeptFile, Why
 from mirror.dataset.door.secrets import Secrets, describe, pixel_hash, video_packets
 from mirror.dataset.images.decoding import decode_rgb
 from mirror.pools import thread_pool
@@ -162,7 +162,7 @@ class _Door:
         if kept is not None:
             yield self._same(name, place, "the bytes of ", sha256, kept)
 
-    def _same(self, name: str, place: str, what: str, sha256: str, kept: Kept) -> Leak | SameBytes:
+    def _same(self, name: str, place: str, what: str, sha256: str, kept: KeptFile) -> Leak | SameBytes:
         """Bytes that must not leave; they may where a published image has them, unless it shows a face as recorded."""
         key = self._secrets.shown.get(sha256)
         if key is not None and not (kept.why is Why.ORIGINAL and self._is_recorded(key)):

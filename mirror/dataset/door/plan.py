@@ -24,7 +24,7 @@ class Why(Enum):
     ORIGINAL = "the original of a redacted image"
 
 
-class Kept(NamedTuple):
+class KeptFile(NamedTuple):
     """A file that must not leave.
 
     Attributes:
@@ -50,7 +50,7 @@ class Departure:
 
     files: Mapping[str, str | None]
     shown: Mapping[ImageKey, ImageFile]
-    kept: tuple[Kept, ...]
+    kept: tuple[KeptFile, ...]
     withheld: tuple[str, ...]
     static_masks: frozenset[str]
 
@@ -87,9 +87,9 @@ def plan_departure(files: DatasetFiles, is_withheld: Callable[[ImageKey], bool])
     kept = []
     for one in files.images:
         if one.key in why or one.key not in shown:
-            kept.append(Kept(one, why.get(one.key, Why.WITHHELD)))
+            kept.append(KeptFile(one, why.get(one.key, Why.WITHHELD)))
         elif one.layer == RECORDED and one != shown[one.key]:
-            kept.append(Kept(one, Why.ORIGINAL))
+            kept.append(KeptFile(one, Why.ORIGINAL))
     leaving: dict[str, str | None] = {name: sha256 for name, sha256 in files.documents.items() if _leaves(name, newest)}
     leaving |= dict.fromkeys(files.static_masks)
     leaving |= files.masks
@@ -134,7 +134,7 @@ def require_own_files(departure: Departure) -> None:
             )
 
 
-def _shared_error(kept: Kept) -> DatasetError:
+def _shared_error(kept: KeptFile) -> DatasetError:
     return DatasetError(
         f"it would leave, and it shows {kept.why.value}",
         file=kept.file.name,

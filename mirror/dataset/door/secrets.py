@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
 from mirror.dataset.door.files import ImageFile, ImageKey
-from mirror.dataset.door.plan import Departure, Kept, Why
+from mirror.dataset.door.plan import Departure, KeptFile, Why
 from mirror.dataset.door.search import ByteSearch
 from mirror.dataset.images.decoding import decode_rgb
 from mirror.dataset.store import Store
@@ -39,19 +39,19 @@ class Secrets:
     """
 
     def __init__(self, store: Store, departure: Departure, progress: ProgressReporter) -> None:
-        self.bytes: dict[str, Kept] = {}
+        self.bytes: dict[str, KeptFile] = {}
         self.search = ByteSearch()
         self.shown: dict[str, ImageKey] = {}
         self._store = store
-        self._sizes: dict[tuple[int, int], list[Kept]] = {}
-        self._videos: dict[str, dict[int | None, Kept]] = {}
+        self._sizes: dict[tuple[int, int], list[KeptFile]] = {}
+        self._videos: dict[str, dict[int | None, KeptFile]] = {}
         self._departure = departure
-        self._pixels: dict[tuple[int, int], dict[str, Kept]] = {}
+        self._pixels: dict[tuple[int, int], dict[str, KeptFile]] = {}
         self._lock = threading.Lock()
         for key, one in departure.shown.items():
             if one.sha256 is not None:
                 self.shown.setdefault(one.sha256, key)
-        parts: dict[tuple[str, int, int], Kept] = {}
+        parts: dict[tuple[str, int, int], KeptFile] = {}
         for kept in departure.kept:
             one = kept.file
             parts.setdefault((one.name, one.offset, one.length), kept)
@@ -65,30 +65,30 @@ class Secrets:
                 self._add(kept, data)
                 progress.advance(1)
 
-    def pixels(self, size: tuple[int, int]) -> Mapping[str, Kept]:
+    def pixels(self, size: tuple[int, int]) -> Mapping[str, KeptFile]:
         """Return the SHA-256 of the pixels of the images that stay and have a size; they are decoded on first use."""
         with self._lock:
             if size not in self._pixels:
                 self._pixels[size] = dict(self._hash_pixels(size))
             return self._pixels[size]
 
-    def packets(self) -> Mapping[str, Kept]:
+    def packets(self) -> Mapping[str, KeptFile]:
         """Return the SHA-256 of the packets of the video frames that stay."""
-        found: dict[str, Kept] = {}
+        found: dict[str, KeptFile] = {}
         for frames in self._videos.values():
             data = self._read(next(iter(frames.values())))
             packets = video_packets(data) if data else ()
             found |= {digest: frames[pts] for pts, digest in packets if pts in frames}
         return found
 
-    def _read(self, kept: Kept) -> bytes:
+    def _read(self, kept: KeptFile) -> bytes:
         """The bytes of a file; none where it is missing: its hash in the table remains."""
         try:
             return self._store.read_range(kept.file.name, kept.file.offset, kept.file.length)
         except FileNotFoundError:
             return b""
 
-    def _add(self, kept: Kept, data: bytes) -> None:
+    def _add(self, kept: KeptFile, data: bytes) -> None:
         found = hashlib.sha256(data).hexdigest() if data else None
         for digest in (kept.file.sha256, found):
             if digest is None or self._is_unchanged(kept, digest):
@@ -97,11 +97,11 @@ class Secrets:
             if digest == found:
                 self.search.add(data, digest)
 
-    def _is_unchanged(self, kept: Kept, sha256: str) -> bool:
+    def _is_unchanged(self, kept: KeptFile, sha256: str) -> bool:
         """Return whether bytes are those of an image that a redaction did not change: they leave."""
         return kept.why is Why.ORIGINAL and self._departure.shown[kept.file.key].sha256 == sha256
 
-    def _hash_pixels(self, size: tuple[int, int]) -> Iterator[tuple[str, Kept]]:
+    def _hash_pixels(self, size: tuple[int, int]) -> Iterator[tuple[str, KeptFile]]:
         for kept in self._sizes.get(size, ()):
             if kept.file.layer.startswith("depth/"):
                 continue
@@ -114,7 +114,7 @@ class Secrets:
             yield digest, kept
 
     def _hash_of_pixels(self, one: ImageFile) -> str | None:
-        pixels = decode_rgb(self._read(Kept(one, Why.WITHHELD)), one.codec)
+        pixels = decode_rgb(self._read(KeptFile(one, Why.WITHHELD)), one.codec)
         return None if pixels is None else pixel_hash(pixels)
 
 

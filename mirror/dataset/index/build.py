@@ -19,7 +19,7 @@ from mirror.dataset.index.global_tables import (
     read_passes,
     rows_to_table,
 )
-from mirror.dataset.index.inputs import Inputs, read_inputs
+from mirror.dataset.index.inputs import IndexInputs, read_inputs
 from mirror.dataset.index.scene_tables import plain_schema, write_scene_tables
 from mirror.dataset.index.traversal_table import PreviousTraversals, TraversalTable
 from mirror.dataset.layout import MANIFEST, Layout, read_manifest
@@ -124,7 +124,7 @@ def build_index(
     return IndexReport(changed, tuple(sorted(kept)), _rows(layout), time.perf_counter() - start)
 
 
-def _require_recorded_sizes(layout: Layout, inputs: Inputs) -> None:
+def _require_recorded_sizes(layout: Layout, inputs: IndexInputs) -> None:
     """Raise an error if the size of a recorded table differs from its manifest. No table is read."""
     for key, item in inputs.traversals.items():
         for name, entry in item.recorded.files.items():
@@ -156,7 +156,7 @@ def _intact_manifest(layout: Layout) -> Manifest | None:
     return manifest
 
 
-def _unchanged(previous: Manifest | None, inputs: Inputs) -> frozenset[str]:
+def _unchanged(previous: Manifest | None, inputs: IndexInputs) -> frozenset[str]:
     if previous is None:
         return frozenset()
     return frozenset(

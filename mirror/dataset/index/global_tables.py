@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from mirror.dataset.index.geoparquet import bounding_box, continuous, with_geo_metadata, wkb_polygon
-from mirror.dataset.index.inputs import Inputs
+from mirror.dataset.index.inputs import IndexInputs
 from mirror.dataset.index.scene_tables import canonical_dictionaries, plain_schema
 from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
@@ -21,7 +21,7 @@ from mirror.schema.tables import PASSES, Table
 _VERTICES_A_CIRCLE = 256
 
 
-def read_passes(layout: Layout, inputs: Inputs) -> pa.Table:
+def read_passes(layout: Layout, inputs: IndexInputs) -> pa.Table:
     """Read the ledgers of all drives as one table.
 
     Raises:
@@ -52,7 +52,9 @@ def accepted_passes(passes: pa.Table) -> dict[str, dict[str, Any]]:
     return {row["traversal_id"]: row for row in accepted.to_pylist()}
 
 
-def encode_global(inputs: Inputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table) -> dict[str, bytes]:
+def encode_global(
+    inputs: IndexInputs, passes: pa.Table, traversals: pa.Table, row_groups: pa.Table
+) -> dict[str, bytes]:
     """Encode the global tables except that of the traversals; the result maps table names to file bytes.
 
     Args:
@@ -78,7 +80,7 @@ def _plain(data: pa.Table, table: Table) -> pa.Table:
     return data.cast(plain_schema(table)).replace_schema_metadata(None)
 
 
-def _scenes(inputs: Inputs, traversals: pa.Table) -> pa.Table:
+def _scenes(inputs: IndexInputs, traversals: pa.Table) -> pa.Table:
     columns = ["scene_id", "drive_id", "images", "duration_s"]
     own: dict[str, list[Mapping[str, Any]]] = {scene_id: [] for scene_id in inputs.scenes}
     for row in traversals.select(columns).to_pylist():

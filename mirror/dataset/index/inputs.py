@@ -47,7 +47,7 @@ class TraversalInput:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class IndexInputs:
     """All inputs of the index.
 
     Attributes:
@@ -64,7 +64,7 @@ class Inputs:
     fingerprints: Mapping[str, str]
 
 
-def read_inputs(store: Store) -> Inputs:
+def read_inputs(store: Store) -> IndexInputs:
     """Read the small files that list all others: manifests, drive documents, rigs and regions of interest.
 
     Raises:
@@ -134,7 +134,7 @@ def read_inputs(store: Store) -> Inputs:
     ordered = dict(sorted(traversals.items()))
     maps = _manifests(store, [f"{MAPS}/{name}" for name in store.list_folders(MAPS) if not name.startswith(".")])
     map_hashes = {f"map:{folder.removeprefix(f'{MAPS}/')}": value for folder, (_, value) in sorted(maps.items())}
-    return Inputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes, map_hashes))
+    return IndexInputs(scenes, drives, ordered, _fingerprints(scenes, ordered, drive_hashes, map_hashes))
 
 
 def read_rois(store: Store) -> dict[str, Roi]:

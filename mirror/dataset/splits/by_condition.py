@@ -9,7 +9,7 @@ from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie
 from mirror.dataset.splits.units import connected_components, members_by_component
 from mirror.errors import DatasetError
-from mirror.schema.documents import ByCondition, Condition, Role
+from mirror.schema.documents import ByCondition, LightAndWeather, Role
 
 
 def assign(traversals: Sequence[Candidate], ties: Sequence[Tie], parameters: ByCondition) -> Assignment:
@@ -58,9 +58,9 @@ def role_of(item: Candidate, parameters: ByCondition) -> Role:
     return "unused"
 
 
-def _matches(item: Candidate, condition: Condition) -> bool:
+def _matches(item: Candidate, condition: LightAndWeather) -> bool:
     return condition.light in (None, item.light) and condition.weather in (None, item.weather)
 
 
-def _text(condition: Condition) -> str:
+def _text(condition: LightAndWeather) -> str:
     return ",".join(f"{name}={value}" for name, value in condition.model_dump(exclude_none=True).items())

@@ -35,7 +35,7 @@ class Tie:
 
 
 @dataclass(frozen=True)
-class Leak:
+class SplitLeak:
     """Two tied traversals with different roles.
 
     Attributes:
@@ -70,7 +70,7 @@ def find_ties(candidates: Candidates, *, by_scene: bool) -> list[Tie]:
     return found
 
 
-def find_leaks(ties: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
+def find_leaks(ties: Iterable[Tie], roles: Mapping[str, str]) -> list[SplitLeak]:
     """Find the ties between different roles: for each tie, one leak for each pair of roles.
 
     Traversals that are ``unused`` or unassigned have no role.
@@ -87,7 +87,7 @@ def find_leaks(ties: Iterable[Tie], roles: Mapping[str, str]) -> list[Leak]:
             if role != "unused":
                 example.setdefault(role, member)
         for first, second in combinations(example, 2):
-            result.append(Leak(tie, example[first], first, example[second], second))
+            result.append(SplitLeak(tie, example[first], first, example[second], second))
     return result
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from mirror.errors import UsageError
-from mirror.evaluation.extractors.extractor import Extractor
+from mirror.evaluation.extractors.extractor import ObjectExtractor
 
-__all__ = ["DEFAULT_EXTRACTOR", "EXTRACTORS", "Extractor", "make_extractor"]
+__all__ = ["DEFAULT_EXTRACTOR", "EXTRACTORS", "Extractor", "ObjectExtractor", "make_extractor"]
+
+Extractor = ObjectExtractor
+"""The name of `ObjectExtractor` in version 0.1; it stays importable from here."""
 
 DEFAULT_EXTRACTOR: Final = "diff-grabcut"
 """The only extractor that comes with the toolkit, and so the only one whose regions can be verified."""
@@ -20,7 +23,7 @@ EXTRACTORS: Final = {
 """Extractors by name, each with its argument and description."""
 
 
-def make_extractor(text: str) -> Extractor:
+def make_extractor(text: str) -> ObjectExtractor:
     """Make an extractor from the text of ``--extractor``: a name, and for some extractors a colon and an argument.
 
     Raises:

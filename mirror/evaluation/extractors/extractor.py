@@ -7,7 +7,7 @@ from typing import Protocol
 from mirror.arrays import Bool, UInt8
 
 
-class Extractor(Protocol):
+class ObjectExtractor(Protocol):
     """Finds the region of an edited object in a render, without knowing the requested position of the object.
 
     Attributes:

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.result import GroupFigure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.check import MAX_TABLE_BYTES
@@ -57,7 +57,7 @@ class DetectedFrame(Document):
     boxes: tuple[DetectedBox, ...]
 
 
-class Detections(Document):
+class SubmittedDetections(Document):
     """``detections/<traversal>.json``: the detections that a submission states for a traversal."""
 
     format: Literal["mirror-detections"] = "mirror-detections"
@@ -65,7 +65,7 @@ class Detections(Document):
     frames: tuple[DetectedFrame, ...]
 
 
-class Annotation:
+class AnnotationScorer:
     """The scorer of the task ``annotation``."""
 
     version = 1
@@ -93,7 +93,7 @@ class Annotation:
         """Read a table, and count its boxes."""
         return {"boxes": sum(len(frame.boxes) for frame in _read_detections(job, inputs).values())}
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Compute the figures over the boxes of all frames together."""
         group = plan.protocol.groups[0].name
         metric = _detection_metric(plan.protocol)
@@ -148,7 +148,7 @@ def _read_detections(job: Job, inputs: ScoringInputs) -> dict[int, DetectedFrame
     path = job.reads[0]
     raw = parse_untrusted(inputs.read(path), path, MAX_TABLE_BYTES)
     try:
-        frames = Detections.model_validate(raw).frames
+        frames = SubmittedDetections.model_validate(raw).frames
     except (ValidationError, RecursionError) as error:
         first = error.errors()[0] if isinstance(error, ValidationError) else None
         place = "" if first is None else ".".join(map(str, first["loc"]))
@@ -210,10 +210,10 @@ def _predicted_boxes(sample: str, frame: DetectedFrame | None, config: Detection
     return _make_boxes(sample, names, Poses(numbers[:, :4], numbers[:, 4:]), sizes, velocity, scores)
 
 
-def _make_figures(group: str, detection: NuScenesDetection, count: int) -> Iterable[Figure]:
-    def figure(metric: str, value: float, reason: str | None) -> Figure:
+def _make_figures(group: str, detection: NuScenesDetection, count: int) -> Iterable[GroupFigure]:
+    def figure(metric: str, value: float, reason: str | None) -> GroupFigure:
         measure = find_measure(metric)
-        return Figure(
+        return GroupFigure(
             metric=metric,
             group=group,
             value=finite_or_none(value),
@@ -237,4 +237,4 @@ def _make_figures(group: str, detection: NuScenesDetection, count: int) -> Itera
             yield figure(f"ap_{name}", float(np.mean(row)), None)
 
 
-SCORER: Final = Annotation()
+SCORER: Final = AnnotationScorer()

@@ -13,7 +13,7 @@ import numpy as np
 from mirror.arrays import AnyArray, Float32, Int64, UInt8
 from mirror.errors import DatasetError
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, assign_blocks
-from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.result import GroupFigure, finite_or_none
 from mirror.evaluation.scorers.edit_fidelity import (
     fidelity_figures,
     fidelity_metrics,
@@ -28,7 +28,7 @@ from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.features.frechet import frechet_distance
 from mirror.metrics.features.kid import kid
 from mirror.protocols.document import Protocol
-from mirror.protocols.metrics import Fid, Fvd, Kid, Metric, metric_name
+from mirror.protocols.metrics import FidMetric, FvdMetric, KidMetric, Metric, metric_name
 from mirror.protocols.views.plan import Plan
 from mirror.protocols.views.view import RenderView
 
@@ -42,7 +42,7 @@ _CLIP: Final = "clip:"
 _MIN_KID_SAMPLES: Final = 4
 
 
-class Distributions:
+class DistributionScorer:
     """The scorer of the tasks ``vehicle-translation`` and ``generation``."""
 
     version = 2
@@ -56,14 +56,14 @@ class Distributions:
         return {
             metric_name(metric): MEASURES[metric_name(metric)].needs
             for metric in plan.protocol.metrics
-            if isinstance(metric, Fid | Kid | Fvd)
+            if isinstance(metric, FidMetric | KidMetric | FvdMetric)
         }
 
     def unavailable(self, plan: Plan, manifest: SubmissionManifest) -> Mapping[str, str]:
         """Return FVD if no camera has enough consecutive frames for a clip."""
         unavailable = {}
         for metric in plan.protocol.metrics:
-            if isinstance(metric, Fvd) and not any(split_into_clips(plan.views, metric.frames)):
+            if isinstance(metric, FvdMetric) and not any(split_into_clips(plan.views, metric.frames)):
                 unavailable[metric_name(metric)] = (
                     f"no camera has {metric.frames} consecutive frames in split {plan.split}: record longer, or denser"
                 )
@@ -77,7 +77,7 @@ class Distributions:
         jobs: list[Job] = []
         truth_names: set[str] = set()
         needs_images = any(
-            isinstance(metric, Fid | Kid) and metric_name(metric) not in inputs.unavailable
+            isinstance(metric, FidMetric | KidMetric) and metric_name(metric) not in inputs.unavailable
             for metric in plan.protocol.metrics
         )
         for view in plan.views:
@@ -87,7 +87,7 @@ class Distributions:
                 truth_names.add(truth_job_name(view))
                 jobs.append(Job(truth_job_name(view), (view,), (), recorded=True, in_table=False))
         for metric in plan.protocol.metrics:
-            if isinstance(metric, Fvd) and metric_name(metric) not in inputs.unavailable:
+            if isinstance(metric, FvdMetric) and metric_name(metric) not in inputs.unavailable:
                 for clip in split_into_clips(plan.views, metric.frames):
                     jobs.append(_make_clip_job(clip, "render"))
                     truth_job = _make_clip_job(clip, "truth")
@@ -108,14 +108,18 @@ class Distributions:
             values.update(score_fidelity(job.views[0], images[0], inputs))
         return values
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Return one distance for each group, against the recorded images of the same views."""
         by_name = {scored_job.job.name: scored_job for scored_job in scored}
         figures = fidelity_figures(plan.protocol, [one for one in scored if one.job.in_table], inputs)
         for group in plan.protocol.groups:
             views = [view for view in plan.views if view.group == group.name]
             for metric in plan.protocol.metrics:
-                if isinstance(metric, Fid | Kid | Fvd) and metric_name(metric) not in inputs.unavailable and views:
+                if (
+                    isinstance(metric, FidMetric | KidMetric | FvdMetric)
+                    and metric_name(metric) not in inputs.unavailable
+                    and views
+                ):
                     figures.append(_compute_figure(plan.protocol, metric, group.name, views, by_name, inputs))
         return figures
 
@@ -150,9 +154,9 @@ def load_networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extract
     """Return the networks of the available metrics by the kind of their features; each process loads them once."""
     networks: dict[str, Extractor] = {}
     for metric in inputs.protocol.metrics:
-        if not isinstance(metric, Fid | Kid | Fvd) or metric_name(metric) in inputs.unavailable:
+        if not isinstance(metric, FidMetric | KidMetric | FvdMetric) or metric_name(metric) in inputs.unavailable:
             continue
-        if isinstance(metric, Fvd) != clips:
+        if isinstance(metric, FvdMetric) != clips:
             continue
         kind = _feature_kind(metric)
         if kind not in inputs.made:
@@ -162,20 +166,20 @@ def load_networks(inputs: ScoringInputs, *, clips: bool) -> Mapping[str, Extract
 
 
 def _feature_kind(metric: Metric) -> str:
-    if isinstance(metric, Fid | Kid):
+    if isinstance(metric, FidMetric | KidMetric):
         return f"inception-{metric.mode}"
-    if isinstance(metric, Fvd):
+    if isinstance(metric, FvdMetric):
         return f"i3d-{metric.crop}"
     raise TypeError(f"{metric.metric} is not a metric of sets")
 
 
 def load_network(metric: Metric, inputs: ScoringInputs) -> Extractor:
     """Load the network of a metric."""
-    if isinstance(metric, Fid | Kid):
+    if isinstance(metric, FidMetric | KidMetric):
         from mirror.metrics.features.fid import load_inception
 
         return load_inception(metric.mode, inputs.resolver)
-    if isinstance(metric, Fvd):
+    if isinstance(metric, FvdMetric):
         from mirror.metrics.features.fvd import load_i3d
 
         return load_i3d("direct224" if metric.crop == "squeeze" else "centre-crop", inputs.resolver)
@@ -209,9 +213,9 @@ def _compute_figure(
     views: Sequence[RenderView],
     scored: Mapping[str, ScoredJob],
     inputs: ScoringInputs,
-) -> Figure:
-    clips = split_into_clips(views, metric.frames) if isinstance(metric, Fvd) else [(view,) for view in views]
-    jobs = [_job_names(clip, isinstance(metric, Fvd)) for clip in clips]
+) -> GroupFigure:
+    clips = split_into_clips(views, metric.frames) if isinstance(metric, FvdMetric) else [(view,) for view in views]
+    jobs = [_job_names(clip, isinstance(metric, FvdMetric)) for clip in clips]
     column = f"feature.{_feature_kind(metric)}"
     sides = [
         np.stack([_read_feature(scored[names[side]], column, inputs) for names in jobs]) if jobs else np.empty((0, 0))
@@ -222,10 +226,10 @@ def _compute_figure(
     unit, better = MEASURES[name].unit, MEASURES[name].better
     if len(jobs) < min_samples:
         reason = f"{len(jobs)} samples; at least {min_samples} are needed"
-        return Figure(metric=name, group=group, value=None, reason=reason, unit=unit, better=better, n=len(jobs))
+        return GroupFigure(metric=name, group=group, value=None, reason=reason, unit=unit, better=better, n=len(jobs))
     blocks = assign_blocks(protocol, [clip[0] for clip in clips])
     low, high, interval_reason = _compute_interval(distance, sides[0], sides[1], blocks, protocol, min_samples)
-    return Figure(
+    return GroupFigure(
         metric=name,
         group=group,
         value=finite_or_none(distance(*sides)),
@@ -259,9 +263,9 @@ def _read_feature(scored_job: ScoredJob, column: str, inputs: ScoringInputs) -> 
 
 def _select_distance(metric: Metric, seed: int) -> tuple[Callable[[AnyArray, AnyArray], float], int]:
     """Return the distance between two sets of features, and the number of samples that it needs in each."""
-    if isinstance(metric, Kid):
+    if isinstance(metric, KidMetric):
         return lambda render, truth: kid(render, truth, seed=seed).value, _MIN_KID_SAMPLES
-    ddof = metric.ddof if isinstance(metric, Fvd) else 1
+    ddof = metric.ddof if isinstance(metric, FvdMetric) else 1
     return lambda render, truth: frechet_distance(render, truth, ddof=ddof).value, 2
 
 
@@ -294,7 +298,7 @@ def _compute_interval(
 
 
 def _warn_of_few_images(metric: Metric, count: int) -> str | None:
-    if isinstance(metric, Fid) and count < metric.warn_below:
+    if isinstance(metric, FidMetric) and count < metric.warn_below:
         return (
             f"{count} images are fewer than {metric.warn_below}: the distance is biased upwards; compare it only with "
             "figures of the same images"
@@ -302,4 +306,4 @@ def _warn_of_few_images(metric: Metric, count: int) -> str | None:
     return None
 
 
-SCORER: Final = Distributions()
+SCORER: Final = DistributionScorer()

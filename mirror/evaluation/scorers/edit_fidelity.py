@@ -8,7 +8,7 @@ from typing import Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.evaluation.figures import compute_figures, compute_overall_figure
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.reconstruction import find_score, score_pixels
 from mirror.evaluation.scorers.scorer import ScoredJob, Values
@@ -93,9 +93,9 @@ def _least(scores: list[Score], of_target: Score) -> Score:
     return of_target if math.isnan(of_target) else min(score for score in scores if not math.isnan(score))
 
 
-def fidelity_figures(protocol: Protocol, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> list[Figure]:
+def fidelity_figures(protocol: Protocol, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> list[GroupFigure]:
     """Compute the figures against the exact truth: of each group whose vehicles move, and of all groups that rank."""
-    figures: list[Figure] = []
+    figures: list[GroupFigure] = []
     members = [one for one in scored if has_fidelity(one.job.views[0], inputs)]
     for metric in fidelity_metrics(protocol) if members else ():
         measure = MEASURES[metric_name(metric)]

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool
-from mirror.evaluation.extractors import Extractor, make_extractor
+from mirror.evaluation.extractors import ObjectExtractor, make_extractor
 from mirror.evaluation.figures import compute_figures, compute_overall_figure
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.edit_fidelity import fidelity_figures, has_fidelity, score_fidelity
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.reconstruction import find_score
@@ -34,7 +34,7 @@ _VARIANTS: Final[Mapping[str, HullVariant]] = {
 }
 
 
-class EditingAccuracy:
+class EditingScorer:
     """The scorer of the task ``editing-accuracy``."""
 
     version = 3
@@ -93,9 +93,9 @@ class EditingAccuracy:
                     values[f"{name}.reason"] = reason
         return {**values, **score_fidelity(view, render, inputs)} if has_fidelity(view, inputs) else values
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Return the means of each group of shifted vehicles, and the means over the groups that rank."""
-        figures: list[Figure] = []
+        figures: list[GroupFigure] = []
         background = _background_group(plan.protocol)
         names = [group.name for group in plan.protocol.groups if group.name != background]
         for group in names:
@@ -119,10 +119,10 @@ def _background_group(protocol: Protocol) -> str:
     return next(group.name for group in protocol.groups if group.without_vehicles)
 
 
-def _get_extractor(inputs: ScoringInputs) -> Extractor:
+def _get_extractor(inputs: ScoringInputs) -> ObjectExtractor:
     if "extractor" not in inputs.made:
         inputs.made["extractor"] = make_extractor(inputs.extractor)
-    extractor: Extractor = inputs.made["extractor"]  # type: ignore[assignment]
+    extractor: ObjectExtractor = inputs.made["extractor"]  # type: ignore[assignment]
     return extractor
 
 
@@ -145,4 +145,4 @@ def _occluder_mask(view: RenderView, edit: Edit, inputs: ScoringInputs) -> Bool:
     return hidden
 
 
-SCORER: Final = EditingAccuracy()
+SCORER: Final = EditingScorer()

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Final
 
 from mirror.arrays import Bool, UInt8
 from mirror.evaluation.figures import compute_figures, compute_overall_figure
-from mirror.evaluation.result import Figure, finite_or_none
+from mirror.evaluation.result import GroupFigure, finite_or_none
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import STAND_IN_PREFIX, HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.score import EMPTY_MASK, Score
-from mirror.protocols.metrics import ImageMetric, Lpips, Metric, PsnrCc, Ssim, metric_name
+from mirror.protocols.metrics import ImageMetric, LpipsMetric, Metric, PsnrCcMetric, SsimMetric, metric_name
 from mirror.protocols.views.plan import Plan
 
 if TYPE_CHECKING:
     from mirror.metrics.features.perceptual import PerceptualDistance
 
 
-class Reconstruction:
+class ReconstructionScorer:
     """The scorer of the tasks ``reconstruction`` and ``lane-shift``."""
 
     version = 1
@@ -34,7 +34,7 @@ class Reconstruction:
         """Return the weights of LPIPS (trunk and heads) and of ST-LPIPS (one file)."""
         weights: dict[str, tuple[str, ...]] = {}
         for metric in plan.protocol.metrics:
-            if isinstance(metric, Lpips):
+            if isinstance(metric, LpipsMetric):
                 names = (metric_name(metric), _stand_in(metric))
                 weights |= {name: MEASURES[name].needs for name in names if name in MEASURES}
         return weights
@@ -66,12 +66,12 @@ class Reconstruction:
             values.update(more)
         return values
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Return the means of each group in the protocol's order, of the PSNR also over all pixels of a group.
 
         Where several groups rank, the means over these groups follow.
         """
-        figures: list[Figure] = []
+        figures: list[GroupFigure] = []
         for group in plan.protocol.groups:
             members = [scored_job for scored_job in scored if scored_job.job.views[0].group == group.name]
             views = [scored_job.job.views[0] for scored_job in members]
@@ -101,10 +101,10 @@ def computed_metric_name(metric: Metric, inputs: ScoringInputs) -> str | None:
     name = metric_name(metric)
     if name not in inputs.unavailable:
         return name
-    return _stand_in(metric) if isinstance(metric, Lpips) and _stand_in(metric) in inputs.stand_ins else None
+    return _stand_in(metric) if isinstance(metric, LpipsMetric) and _stand_in(metric) in inputs.stand_ins else None
 
 
-def _stand_in(metric: Lpips) -> str:
+def _stand_in(metric: LpipsMetric) -> str:
     return f"{STAND_IN_PREFIX}{metric_name(metric)}"
 
 
@@ -136,17 +136,17 @@ def score_pixels(
     mask = None if scored.all() else scored
     if isinstance(metric, ImageMetric):
         return MEASURES[metric.metric].load()(render, truth, mask=mask), {}
-    if isinstance(metric, PsnrCc):
+    if isinstance(metric, PsnrCcMetric):
         corrected = psnr_cc(render, truth, mask=mask, iterations=metric.iterations)
         return corrected.db, {} if corrected.full_rank else {"psnr_cc.rank": corrected.rank}
-    if isinstance(metric, Ssim):
+    if isinstance(metric, SsimMetric):
         return ssim(render, truth, mask=mask, preset=metric.preset, mask_mode=metric.mask), {}
-    if isinstance(metric, Lpips):
+    if isinstance(metric, LpipsMetric):
         return _load_network(metric, inputs)([render], truth, mask, metric.mask)[0], {}
     raise TypeError(f"{metric.metric} is not a metric of single images")
 
 
-def _load_network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
+def _load_network(metric: LpipsMetric, inputs: ScoringInputs) -> PerceptualDistance:
     from mirror.metrics.features.lpips import load_lpips
     from mirror.metrics.features.st_lpips import load_st_lpips
 
@@ -162,7 +162,7 @@ def _load_network(metric: Lpips, inputs: ScoringInputs) -> PerceptualDistance:
     return network
 
 
-def _add_rank_note(figure: Figure, name: str, scored: Sequence[ScoredJob]) -> Figure:
+def _add_rank_note(figure: GroupFigure, name: str, scored: Sequence[ScoredJob]) -> GroupFigure:
     deficient = sum(f"{name}.rank" in scored_job.values for scored_job in scored)
     if not deficient:
         return figure
@@ -170,7 +170,7 @@ def _add_rank_note(figure: Figure, name: str, scored: Sequence[ScoredJob]) -> Fi
     return figure.model_copy(update={"note": note})
 
 
-def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> Figure:
+def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> GroupFigure:
     """Compute the PSNR of the mean squared error over all scored pixels of all images, as torchmetrics does."""
     jobs_values = [scored_job.values for scored_job in scored]
     pairs = [(int(values["scored_px"] or 0), find_score(values, "psnr")) for values in jobs_values]
@@ -179,7 +179,7 @@ def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> Figure:
     squares = math.fsum(pixels * 10.0 ** (-score / 10.0) for pixels, score in known)
     value = -10.0 * math.log10(squares / total) if squares > 0.0 else None
     reason = None if value is not None else "all images are equal to the truth" if total else "no pixel is scored"
-    return Figure(
+    return GroupFigure(
         metric="psnr_pooled",
         group=group,
         value=None if value is None else finite_or_none(value),
@@ -192,4 +192,4 @@ def _compute_pooled_psnr(group: str, scored: Sequence[ScoredJob]) -> Figure:
     )
 
 
-SCORER: Final = Reconstruction()
+SCORER: Final = ReconstructionScorer()

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.scorers.scorer import HiddenUse, Job, ScoredJob, Values
 from mirror.evaluation.scorers.speed import frames_per_second
-from mirror.evaluation.submission.manifest import Runtime as Reported
-from mirror.evaluation.submission.manifest import SubmissionManifest
+from mirror.evaluation.submission.manifest import Runtime, SubmissionManifest
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.registry import load_method
 from mirror.metrics.catalogue import MEASURES
@@ -22,7 +21,7 @@ from mirror.protocols.views.plan import Plan
 _REMEDY: Final = "state it in the manifest under runtime"
 
 
-class Runtime:
+class RuntimeScorer:
     """Scores the task ``runtime``."""
 
     version = 1
@@ -47,7 +46,7 @@ class Runtime:
         """Return no values."""
         return {}
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Return the figures of the manifest, and the measured speed."""
         runtime = inputs.manifest.runtime
         figures = []
@@ -57,7 +56,7 @@ class Runtime:
             if value is None or runtime is None:
                 continue
             figures.append(
-                Figure(
+                GroupFigure(
                     metric=name,
                     group="reported",
                     value=value,
@@ -73,9 +72,9 @@ class Runtime:
         return figures
 
 
-def _measure_speed(plan: Plan, name: str, model: Path) -> Figure:
+def _measure_speed(plan: Plan, name: str, model: Path) -> GroupFigure:
     speed, count = frames_per_second(load_method(name).open(model, AppearancePolicy()), plan.views)
-    return Figure(
+    return GroupFigure(
         metric="frames_per_second",
         group="measured",
         value=speed,
@@ -87,7 +86,7 @@ def _measure_speed(plan: Plan, name: str, model: Path) -> Figure:
     )
 
 
-def reported(runtime: Reported | None, name: str) -> float | None:
+def reported(runtime: Runtime | None, name: str) -> float | None:
     """Return one figure of a manifest; None if the manifest does not state it."""
     if runtime is None:
         return None
@@ -99,4 +98,4 @@ def reported(runtime: Reported | None, name: str) -> float | None:
     return value
 
 
-SCORER: Final = Runtime()
+SCORER: Final = RuntimeScorer()

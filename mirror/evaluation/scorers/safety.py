@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.evaluation.figures import MIN_BLOCKS, TOO_FEW_BLOCKS, compute_figures
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.scorer import Values
 from mirror.metrics.catalogue import MEASURES
 from mirror.metrics.safety import StateLog, read_state_log, score_rollout
@@ -114,7 +114,7 @@ def rollout_view(scored: ScoredRollout, group: str) -> RenderView:
     )
 
 
-def rollout_figures(protocol: Protocol, scored: Sequence[ScoredRollout]) -> Iterator[Figure]:
+def rollout_figures(protocol: Protocol, scored: Sequence[ScoredRollout]) -> Iterator[GroupFigure]:
     """Compute the means of all rollouts, and those of each scene, scenario, world and condition."""
     group = protocol.groups[0].name
     views = [rollout_view(one, group) for one in scored]

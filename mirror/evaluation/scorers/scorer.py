@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol, TypeAlias
 
-from mirror.evaluation.result import Figure
+from mirror.evaluation.result import GroupFigure
 from mirror.evaluation.scorers.inputs import ScoringInputs
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.protocols.views.plan import Plan
@@ -77,5 +77,5 @@ class Scorer(Protocol):
     def score(self, job: Job, inputs: ScoringInputs) -> Values:
         """Compute the values of one job; called in a worker process."""
 
-    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[Figure]:
+    def figures(self, plan: Plan, scored: Sequence[ScoredJob], inputs: ScoringInputs) -> Sequence[GroupFigure]:
         """Compute the figures of the result from the values of all jobs."""

@@ -25,7 +25,7 @@ Kind = Literal["manifest", "refused", "missing", "wrong size", "corrupt", "extra
 
 
 @dataclass(frozen=True)
-class Problem:
+class SubmissionProblem:
     """One problem of a submission.
 
     Attributes:
@@ -40,7 +40,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class CheckReport:
+class SubmissionCheck:
     """The result of a check.
 
     Attributes:
@@ -55,7 +55,7 @@ class CheckReport:
 
     expected: int
     present: int
-    problems: tuple[Problem, ...]
+    problems: tuple[SubmissionProblem, ...]
     manifest: SubmissionManifest | None
     hash: str
     hashes: Mapping[str, str] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class CheckReport:
 
 def check_submission(
     files: UntrustedFiles, plan: Plan, *, decode: bool = False, advance: Callable[[int], None] = lambda _: None
-) -> CheckReport:
+) -> SubmissionCheck:
     """Check a submission.
 
     The size of each expected render is read from its PNG header, and the checksums of its PNG chunks are verified. A
@@ -80,29 +80,29 @@ def check_submission(
         decode: whether to decode every image: pixel data can be incomplete although all checksums are right.
         advance: called with 1 after each checked file.
     """
-    problems: list[Problem] = []
+    problems: list[SubmissionProblem] = []
     manifest, manifest_hash = None, ""
     try:
         manifest, manifest_hash = read_manifest(files)
     except UntrustedError as error:
-        problems.append(Problem("manifest", MANIFEST, _without_file(error)))
+        problems.append(SubmissionProblem("manifest", MANIFEST, _without_file(error)))
     else:
         problems += _find_manifest_problems(manifest, plan)
     expected = expected_files(plan)
-    problems += [Problem("refused", path, why) for path, why in files.refused.items()]
+    problems += [SubmissionProblem("refused", path, why) for path, why in files.refused.items()]
     problems += [
-        Problem("missing", path, "is not there")
+        SubmissionProblem("missing", path, "is not there")
         for path in expected
         if path not in files.sizes and path not in files.refused
     ]
     problems += [
-        Problem("extra", path, "is not expected, and was not opened")
+        SubmissionProblem("extra", path, "is not expected, and was not opened")
         for path in files.sizes
         if path not in expected and path not in _OWN and not path.startswith(MASKS)
     ]
     present = [(path, size) for path, size in expected.items() if path in files.sizes]
 
-    def check_and_advance(item: tuple[str, tuple[int, int] | None]) -> Problem | str:
+    def check_and_advance(item: tuple[str, tuple[int, int] | None]) -> SubmissionProblem | str:
         problem_or_hash = _check_file(files, *item, decode=decode)
         advance(1)
         return problem_or_hash
@@ -110,14 +110,16 @@ def check_submission(
     hashes = {} if manifest is None else {MANIFEST: manifest_hash}
     with thread_pool(_THREADS) as pool:
         for (path, _), problem_or_hash in zip(sorted(present), pool.map(check_and_advance, sorted(present))):
-            if isinstance(problem_or_hash, Problem):
+            if isinstance(problem_or_hash, SubmissionProblem):
                 problems.append(problem_or_hash)
             else:
                 hashes[path] = problem_or_hash
     order = get_args(Kind)
     problems.sort(key=lambda problem: (order.index(problem.kind), problem.path))
     not_checked = tuple(_list_not_checked([size for _, size in present], decode=decode))
-    return CheckReport(len(expected), len(present), tuple(problems), manifest, _hash_all(hashes), hashes, not_checked)
+    return SubmissionCheck(
+        len(expected), len(present), tuple(problems), manifest, _hash_all(hashes), hashes, not_checked
+    )
 
 
 def _hash_all(hashes: Mapping[str, str]) -> str:
@@ -135,19 +137,19 @@ def _list_not_checked(sizes: Sequence[tuple[int, int] | None], *, decode: bool) 
         yield f"the boxes in {tables} tables: `mirror evaluate` reads them"
 
 
-def report_unreadable_manifest(files: UntrustedFiles, error: UntrustedError) -> CheckReport:
+def report_unreadable_manifest(files: UntrustedFiles, error: UntrustedError) -> SubmissionCheck:
     """Report on a submission whose manifest names no protocol or split, so that its expected files are unknown.
 
     Args:
         files: the submission.
         error: the problem of its manifest.
     """
-    problems = [Problem("manifest", MANIFEST, _without_file(error))]
-    problems += [Problem("refused", path, why) for path, why in sorted(files.refused.items())]
-    return CheckReport(0, 0, tuple(problems), None, "")
+    problems = [SubmissionProblem("manifest", MANIFEST, _without_file(error))]
+    problems += [SubmissionProblem("refused", path, why) for path, why in sorted(files.refused.items())]
+    return SubmissionCheck(0, 0, tuple(problems), None, "")
 
 
-def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[Problem]:
+def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[SubmissionProblem]:
     expected = {
         "protocol": plan.protocol.name,
         "protocol_hash": plan.protocol.hash,
@@ -158,9 +160,9 @@ def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[Pr
     problems = []
     if manifest.appearance.policy == "fitted" and plan.protocol.fitted_part is None:
         problem = f"appearance.policy is 'fitted', but protocol {plan.protocol.name} lets no appearance be fitted"
-        problems.append(Problem("manifest", MANIFEST, problem))
+        problems.append(SubmissionProblem("manifest", MANIFEST, problem))
     return problems + [
-        Problem(
+        SubmissionProblem(
             "manifest", MANIFEST, f"{key} is {getattr(manifest, key)!r}, not {value!r}: made for another evaluation"
         )
         for key, value in expected.items()
@@ -168,27 +170,33 @@ def _find_manifest_problems(manifest: SubmissionManifest, plan: Plan) -> list[Pr
     ]
 
 
-def _check_file(files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool) -> Problem | str:
+def _check_file(
+    files: UntrustedFiles, path: str, size: tuple[int, int] | None, *, decode: bool
+) -> SubmissionProblem | str:
     """Return the problem of a file, or its SHA-256 if it has none."""
     max_bytes = MAX_TABLE_BYTES if size is None else max_png_bytes(*size)
     if files.sizes[path] > max_bytes:
-        return Problem("corrupt", path, f"has {files.sizes[path]:,} bytes; at most {max_bytes:,} can be needed")
+        return SubmissionProblem(
+            "corrupt", path, f"has {files.sizes[path]:,} bytes; at most {max_bytes:,} can be needed"
+        )
     try:
         data = files.read(path, max_bytes)
     except UntrustedError as error:
-        return Problem("corrupt", path, _without_file(error))
+        return SubmissionProblem("corrupt", path, _without_file(error))
     if size is not None:
         actual = png_size(data)
         if actual is not None and actual != size:
-            return Problem("wrong size", path, f"is {actual[0]} x {actual[1]} px, not {size[0]} x {size[1]} px")
+            return SubmissionProblem(
+                "wrong size", path, f"is {actual[0]} x {actual[1]} px, not {size[0]} x {size[1]} px"
+            )
         problem = find_png_problem(data)
         if problem is not None:
-            return Problem("corrupt", path, problem)
+            return SubmissionProblem("corrupt", path, problem)
         if decode:
             try:
                 decode_render(data, *size, path)
             except RenderError as error:
-                return Problem("corrupt", path, error.problem)
+                return SubmissionProblem("corrupt", path, error.problem)
     return hashlib.sha256(data).hexdigest()
 
 

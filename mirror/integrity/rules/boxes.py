@@ -14,7 +14,7 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
 from mirror.integrity.finding import Cost, Finding, Severity
 from mirror.integrity.layer_files import changed_files, missing_files, rows_without_image
-from mirror.integrity.motion import Motion
+from mirror.integrity.motion import MotionColumns
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 
@@ -45,7 +45,7 @@ def _box_numbers(view: SceneView) -> Iterator[Finding]:
 )
 def _box_quaternion(view: SceneView) -> Iterator[Finding]:
     boxes = view.boxes
-    placed = Motion(boxes)
+    placed = MotionColumns(boxes)
     length = np.linalg.norm(placed.rotation, axis=1)
     yield from boxes.findings(
         ~placed.unit & np.isfinite(length),
@@ -62,7 +62,7 @@ def _box_quaternion(view: SceneView) -> Iterator[Finding]:
 )
 def _box_unseen(view: SceneView) -> Iterator[Finding]:
     boxes = view.boxes
-    placed = Motion(boxes)
+    placed = MotionColumns(boxes)
     size = np.column_stack([boxes.floats(name) for name in ("length_m", "width_m", "height_m")])
     usable = placed.unit & np.isfinite(placed.position).all(axis=1) & (np.isfinite(size) & (size > 0)).all(axis=1)
     cameras = _cameras(view) if len(boxes) else {}
@@ -86,7 +86,7 @@ def _cameras(view: SceneView) -> dict[int, list[tuple[Camera, Poses]]]:
     images, rows = view.images, view.all_calibrations
     codes, names = images.text_codes("camera")
     there = {(number, names[code]) for _, number, own in images.slices() for code in np.unique(codes[own]).tolist()}
-    mounted = Motion(rows)
+    mounted = MotionColumns(rows)
     found: dict[int, list[tuple[Camera, Poses]]] = {}
     for row, camera in view.cameras.items():
         number = int(rows.traversal[row])
@@ -162,7 +162,7 @@ def _box_velocity(view: SceneView) -> Iterator[Finding]:
 def _in_world(view: SceneView) -> tuple[Float64, Float64, Bool]:
     """Centres (N, 3) and velocities (N, 3) of boxes in the world, and which boxes have a recorded pose."""
     boxes, poses = view.boxes, view.poses
-    placed = Motion(boxes)
+    placed = MotionColumns(boxes)
     velocity = np.column_stack([boxes.floats(name) for name in ("vx_mps", "vy_mps")] + [np.zeros(len(boxes))])
     world, turned = np.full((len(boxes), 3), np.nan), np.full((len(boxes), 3), np.nan)
     covered = np.zeros(len(boxes), np.bool_)

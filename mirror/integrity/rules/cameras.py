@@ -10,7 +10,7 @@ import numpy as np
 from mirror.geometry.cameras import COEFFICIENTS, Camera
 from mirror.geometry.quaternions import angle_between_deg, quaternion_normalise, rotate
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.motion import Motion
+from mirror.integrity.motion import MotionColumns
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 
@@ -152,7 +152,7 @@ def _valid_share(camera: Camera) -> float:
     remedy="correct the calibration in the recording, and `mirror ingest RECORDING... --replace`",
 )
 def _mounting(view: SceneView) -> Iterator[Finding]:
-    mounted = Motion(view.all_calibrations)
+    mounted = MotionColumns(view.all_calibrations)
     bad = ~(mounted.unit & np.isfinite(mounted.position).all(axis=1))
     yield from view.all_calibrations.findings(
         bad,
@@ -229,7 +229,7 @@ _ANGLE_DEG = 15.0
 )
 def _symmetry(view: SceneView) -> Iterator[Finding]:
     rows = view.calibrations
-    mounted = Motion(rows)
+    mounted = MotionColumns(rows)
     cameras, names = rows.text_codes("camera")
     stages = rows.text_codes("stage")[0]
     usable = mounted.unit & np.isfinite(mounted.position).all(axis=1)
@@ -247,7 +247,7 @@ def _symmetry(view: SceneView) -> Iterator[Finding]:
                     break
 
 
-def _difference(mounted: Motion, left: int, right: int) -> str | None:
+def _difference(mounted: MotionColumns, left: int, right: int) -> str | None:
     """Describe how a pair differs from being mirrored at the plane y = 0; None: it does not."""
     mirror = np.array([1.0, -1.0, 1.0])
     place = float(np.linalg.norm(mounted.position[left] - mirror * mounted.position[right]))
@@ -273,7 +273,7 @@ _LIMIT_DEG = 0.3
 )
 def _stages(view: SceneView) -> Iterator[Finding]:
     rows = view.calibrations
-    mounted = Motion(rows)
+    mounted = MotionColumns(rows)
     differ = np.zeros(len(rows), np.bool_)
     angle = np.zeros(len(rows))
     compared = rows.same_group("camera") & mounted.unit
@@ -344,7 +344,7 @@ _JUMP_M = 0.05
 )
 def _jump(view: SceneView) -> Iterator[Finding]:
     rows = view.all_calibrations
-    mounted = Motion(rows)
+    mounted = MotionColumns(rows)
     usable = mounted.unit & np.isfinite(mounted.position).all(axis=1)
     start = np.where(rows.is_known("valid_from_ns"), rows.integers("valid_from_ns"), _MIN)
     order = np.lexsort((start, rows.text_codes("stage")[0], rows.text_codes("camera")[0], rows.owner))

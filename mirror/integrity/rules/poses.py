@@ -10,7 +10,7 @@ import pyarrow as pa
 from mirror.arrays import Float64
 from mirror.geometry.quaternions import angle_between_deg, quaternion_normalise
 from mirror.integrity.finding import Finding, Severity
-from mirror.integrity.motion import Motion
+from mirror.integrity.motion import MotionColumns
 from mirror.integrity.rule import scene_rule
 from mirror.integrity.scene_view import SceneView
 from mirror.schema.tables import EGO_POSES
@@ -145,7 +145,7 @@ def _acceleration(view: SceneView) -> Iterator[Finding]:
     )
 
 
-def accelerations(motion: Motion) -> Float64:
+def accelerations(motion: MotionColumns) -> Float64:
     """Return the horizontal accelerations (N,), by second differences.
 
     They are over half a second to both sides, or a step if that is longer.
@@ -196,7 +196,7 @@ def _turn_rate(view: SceneView) -> Iterator[Finding]:
     )
 
 
-def turn_rates(motion: Motion) -> Float64:
+def turn_rates(motion: MotionColumns) -> Float64:
     """Turn rate (N,) in degrees a second towards the pose a fifth of a second later, or the next if that is later."""
     poses = motion.poses
     stamps = poses.integers("timestamp_ns")
@@ -257,7 +257,7 @@ def _frozen(view: SceneView) -> Iterator[Finding]:
     )
 
 
-def _turn_deg(motion: Motion, begin: int, end: int) -> float:
+def _turn_deg(motion: MotionColumns, begin: int, end: int) -> float:
     """The angle between the first and the last orientation of a run of poses; 0 where it is not known."""
     # A course is made of positions: it says nothing of its own.
     if motion.poses.text("orientation", begin) != "recorded" or not (motion.unit[begin] and motion.unit[end]):

@@ -22,7 +22,7 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.metrics.images.affine_kernels import tally_levels
 from mirror.metrics.images.colour_correction import SATURATED
-from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.images.pairs import ImagePair, as_pairs
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
@@ -99,7 +99,7 @@ def psnr_affine(
     return of_layout([_score(pair) for pair in as_pairs(render, truth, mask, data_range, layout)], layout)
 
 
-def _score(pair: Pair) -> AffinePsnr:
+def _score(pair: ImagePair) -> AffinePsnr:
     channels = pair.render.shape[2]
     if pair.empty:
         return AffinePsnr(EMPTY_MASK, (math.nan,) * channels, (math.nan,) * channels)
@@ -118,7 +118,7 @@ class _Fit:
     mean_squared_error: float
 
 
-def _fit_levels(pair: Pair) -> list[_Fit]:
+def _fit_levels(pair: ImagePair) -> list[_Fit]:
     """Fit 8-bit channels by tallies of the truth at each level of the render: sums of integers, without rounding."""
     channels = pair.render.shape[2]
     tallies = np.zeros((channels, _LEVELS, 5), np.int64)
@@ -153,7 +153,7 @@ def _fit_tally(tally: list[list[int]], data_range: float) -> _Fit:
     return _Fit(gain, offset / data_range, math.fsum(errors) / pixels / data_range**2)
 
 
-def _fit_values(pair: Pair) -> list[_Fit]:
+def _fit_values(pair: ImagePair) -> list[_Fit]:
     pair.refuse_non_finite()
     render, truth = (pair.selected(image).astype(np.float64) / pair.data_range for image in (pair.render, pair.truth))
     return [_fit_channel(render[:, channel], truth[:, channel]) for channel in range(render.shape[1])]

@@ -21,7 +21,7 @@ import numpy as np
 
 from mirror.arrays import Bool, Float64, Int64
 from mirror.errors import UsageError
-from mirror.metrics.images.pairs import Pair, as_pair, as_pairs
+from mirror.metrics.images.pairs import ImagePair, as_pair, as_pairs
 from mirror.metrics.images.psnr import psnr
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_array, as_image, of_layout
 from mirror.metrics.score import Score
@@ -126,7 +126,7 @@ def psnr_cc(
     return of_layout([_corrected_psnr(pair, iterations) for pair in pairs], layout)
 
 
-def _corrected_psnr(pair: Pair, iterations: int) -> CorrectedPsnr:
+def _corrected_psnr(pair: ImagePair, iterations: int) -> CorrectedPsnr:
     correction = _correct(pair, iterations)
     target = pair.selected(pair.truth).astype(np.float64) / pair.data_range
     equal = np.array_equal(pair.selected(pair.render), pair.selected(pair.truth))
@@ -167,7 +167,7 @@ def correct_colours(
     return _correct(as_pair(*images, None if mask is None else as_array(mask, "mask"), data_range), iterations)
 
 
-def _correct(pair: Pair, iterations: int) -> Correction:
+def _correct(pair: ImagePair, iterations: int) -> Correction:
     if pair.empty:
         raise UsageError("the mask selects no pixel to fit colours to", expected="at least one")
     if iterations < 1:

@@ -23,7 +23,7 @@ from typing import Final, overload
 import numpy as np
 
 from mirror.arrays import AnyArray, Float64, Int64
-from mirror.metrics.images.pairs import ROUNDING_VARIANCE, Pair, as_pairs
+from mirror.metrics.images.pairs import ROUNDING_VARIANCE, ImagePair, as_pairs
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
@@ -79,7 +79,7 @@ def psnr_invariant(
     return of_layout([_score(pair) for pair in as_pairs(render, truth, mask, data_range, layout)], layout)
 
 
-def _score(pair: Pair) -> Score:
+def _score(pair: ImagePair) -> Score:
     if pair.empty:
         return EMPTY_MASK
     pair.refuse_non_finite()
@@ -98,7 +98,7 @@ def _score(pair: Pair) -> Score:
     return Score(-10.0 / channels * math.fsum(math.log10(value) for value in values))
 
 
-def _blocks(pair: Pair) -> Iterator[Float64]:
+def _blocks(pair: ImagePair) -> Iterator[Float64]:
     """Yield render, two ramps and truth of the selected pixels, 64 rows at a time: (N, 2 C + 2), centred on 0.5."""
     height, width = pair.render.shape[:2]
     across = np.linspace(-0.5, 0.5, width)

@@ -19,7 +19,7 @@ _LEAST, _MOST = 1e-60, 1e60
 
 
 @dataclass(frozen=True)
-class Pair:
+class ImagePair:
     """Two images that can be compared.
 
     Attributes:
@@ -69,7 +69,7 @@ class Pair:
 
 def as_pairs(
     render: Pixels, truth: Pixels, mask: Pixels | None, data_range: float | None, layout: Layout | None
-) -> list[Pair]:
+) -> list[ImagePair]:
     """Return the pair of an image, or the pairs of a batch, checked by `as_pair`.
 
     Raises:
@@ -82,8 +82,8 @@ def as_pairs(
     return [as_pair(*images, data_range) for images in zip(renders, truths, masks)]
 
 
-def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> Pair:
-    """Check the two images and the mask of a metric, and return them as a `Pair`.
+def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> ImagePair:
+    """Check the two images and the mask of a metric, and return them as a `ImagePair`.
 
     Args:
         render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.
@@ -122,4 +122,4 @@ def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range
         raise UsageError(f"data_range {data_range}", expected=f"{_LEAST} to {_MOST}, whose fourth power float64 holds")
     if render.ndim == 2:
         render, truth = render[..., None], truth[..., None]
-    return Pair(render, truth, mask, float(data_range))
+    return ImagePair(render, truth, mask, float(data_range))

@@ -16,7 +16,7 @@ import numpy as np
 from mirror.arrays import AnyArray
 from mirror.errors import UsageError
 from mirror.metrics.images.aggregate import Summary, summarise
-from mirror.metrics.images.pairs import Pair, as_pairs
+from mirror.metrics.images.pairs import ImagePair, as_pairs
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
 
@@ -136,7 +136,7 @@ class Psnr:
         return PsnrSummary(summarise(self.scores), pooled)
 
 
-def _relative_squares(pair: Pair) -> tuple[float, int]:
+def _relative_squares(pair: ImagePair) -> tuple[float, int]:
     """Sum of squared differences as parts of the range, and their number."""
     if pair.render.dtype == np.uint8:
         mask = None if pair.mask is None else np.ascontiguousarray(pair.mask).view(np.uint8)

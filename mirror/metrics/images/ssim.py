@@ -17,7 +17,7 @@ import numpy as np
 from mirror.arrays import AnyArray, Bool
 from mirror.errors import UsageError
 from mirror.metrics.images.aggregate import Summary, summarise
-from mirror.metrics.images.pairs import Pair, as_pair, as_pairs
+from mirror.metrics.images.pairs import ImagePair, as_pair, as_pairs
 from mirror.metrics.images.ssim_map import Precision, SsimSettings, map_tiles
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_image, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
@@ -212,7 +212,7 @@ def _settings(preset: str | SsimSettings) -> SsimSettings:
     return PRESETS[preset]
 
 
-def _ssim(pair: Pair, settings: SsimSettings, mask_mode: MaskMode, precision: Precision) -> Score:
+def _ssim(pair: ImagePair, settings: SsimSettings, mask_mode: MaskMode, precision: Precision) -> Score:
     if mask_mode not in MASK_MODES:
         raise UsageError(f"mask mode {mask_mode!r}", expected=f"one of {', '.join(MASK_MODES)}")
     if pair.empty:
@@ -233,7 +233,7 @@ def _ssim(pair: Pair, settings: SsimSettings, mask_mode: MaskMode, precision: Pr
     return Score(total / count)
 
 
-def _part(pair: Pair, settings: SsimSettings, erode: bool = False) -> _Part:
+def _part(pair: ImagePair, settings: SsimSettings, erode: bool = False) -> _Part:
     height, width = pair.render.shape[:2]
     edge = settings.radius if settings.border == "valid" else 0
     if height <= 2 * edge or width <= 2 * edge:
@@ -264,14 +264,14 @@ def _extent(used: Bool) -> slice:
 
 
 def _tiles(
-    pair: Pair, known: Bool | None, part: _Part, settings: SsimSettings, precision: Precision
+    pair: ImagePair, known: Bool | None, part: _Part, settings: SsimSettings, precision: Precision
 ) -> Iterator[AnyArray]:
     if precision not in ("float64", "float32"):
         raise UsageError(f"precision {precision!r}", expected="float64 or float32")
     return map_tiles(pair.render, pair.truth, known, part.rows, part.columns, settings, precision, pair.data_range)
 
 
-def _refuse(pair: Pair, known: Bool | None) -> NoReturn:
+def _refuse(pair: ImagePair, known: Bool | None) -> NoReturn:
     """Say why the map is not finite."""
     replace(pair, mask=known).refuse_non_finite()
     raise UsageError("squares of pixels are too large", expected=f"pixels near {pair.data_range}")

@@ -36,7 +36,7 @@ import numpy as np
 
 from mirror.arrays import AnyArray, Float64
 from mirror.errors import UsageError
-from mirror.metrics.images.pairs import ROUNDING_VARIANCE, Pair, as_pairs
+from mirror.metrics.images.pairs import ROUNDING_VARIANCE, ImagePair, as_pairs
 from mirror.metrics.images.structure_kernels import multiply_bands, sum_scores
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, of_layout
 from mirror.metrics.score import EMPTY_MASK, Score
@@ -110,7 +110,7 @@ def ms_structure(
     return of_layout([_score(pair) for pair in as_pairs(render, truth, mask, data_range, layout)], layout)
 
 
-def _score(pair: Pair) -> Score:
+def _score(pair: ImagePair) -> Score:
     if pair.render.shape[2] not in (1, 3):
         raise UsageError(f"images of {pair.render.shape[2]} channels", expected="1 or 3: luma is needed")
     if pair.empty:
@@ -125,7 +125,7 @@ def _score(pair: Pair) -> Score:
     return Score(float(np.mean(scores, axis=0).max())) if scores else Score(math.nan, NO_STRUCTURE)
 
 
-def _part(pair: Pair) -> tuple[slice, slice]:
+def _part(pair: ImagePair) -> tuple[slice, slice]:
     """The rows and columns that hold the mask, from and to places that every scale divides."""
     if pair.mask is None:
         return slice(None), slice(None)

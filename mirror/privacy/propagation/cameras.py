@@ -23,7 +23,7 @@ _LARGEST: Final = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class CameraView:
+class PosedCamera:
     """One camera at one instant.
 
     Attributes:
@@ -36,7 +36,7 @@ class CameraView:
 
 
 def project_to_cameras(
-    regions: Mapping[str, Sequence[Region]], views: Mapping[str, CameraView]
+    regions: Mapping[str, Sequence[Region]], views: Mapping[str, PosedCamera]
 ) -> dict[str, list[Region]]:
     """Find the regions of other cameras that show an object which one camera's detector found.
 
@@ -69,7 +69,7 @@ def project_to_cameras(
     return added
 
 
-def _points_m(region: Region, view: CameraView) -> Float64 | None:
+def _points_m(region: Region, view: PosedCamera) -> Float64 | None:
     """Corners (12, 3) in the world of a region at three distances; None: its rays are not defined."""
     left, top, right, bottom = region.box_px
     rays = view.camera.unproject([(left, top), (right, top), (right, bottom), (left, bottom)])
@@ -83,7 +83,7 @@ def _points_m(region: Region, view: CameraView) -> Float64 | None:
     return np.asarray(view.world_SE3_camera.transform(points)[0], np.float64)
 
 
-def _bounds(points_m: Float64, view: CameraView) -> Float64 | None:
+def _bounds(points_m: Float64, view: PosedCamera) -> Float64 | None:
     """Bounds (4,) of points in a camera's raster; None: it does not see them, or their place is too uncertain."""
     projected = view.camera.project(view.world_SE3_camera.inverse().transform(points_m)[0])
     if not projected.defined.all() or not projected.valid.any():

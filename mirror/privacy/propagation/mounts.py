@@ -13,7 +13,7 @@ _HEAVY: Final = frozenset(("truck", "bus", "trailer", "construction"))
 
 
 @dataclass(frozen=True)
-class Mount:
+class PlateMount:
     """Where the end of a vehicle may carry a plate, above the ground and to both sides of the middle.
 
     Attributes:
@@ -29,15 +29,15 @@ class Mount:
 
 _TALL_M: Final = 1.6
 """Height of a box from which a car is a sport utility vehicle, a pickup or a van: its plates are mounted higher."""
-_REAR, _FRONT = Mount(0.35, 1.05), Mount(0.30, 0.70)
+_REAR, _FRONT = PlateMount(0.35, 1.05), PlateMount(0.30, 0.70)
 """Cars: from the rear bumper to the handle of the tailgate; the front bumper."""
-_TALL_REAR, _TALL_FRONT = Mount(0.35, 1.20), Mount(0.30, 0.85)
-_HEAVY_REAR, _HEAVY_FRONT = Mount(0.30, 1.20), Mount(0.30, 1.05)
-_MOTORCYCLE: Final = Mount(0.30, 1.20, 0.20)
+_TALL_REAR, _TALL_FRONT = PlateMount(0.35, 1.20), PlateMount(0.30, 0.85)
+_HEAVY_REAR, _HEAVY_FRONT = PlateMount(0.30, 1.20), PlateMount(0.30, 1.05)
+_MOTORCYCLE: Final = PlateMount(0.30, 1.20, 0.20)
 """Regulation (EU) No 1003/2010, annex II: rear plates are mounted from 0.30 to 1.20 m. Front plates have no rule."""
 
 
-def find_mount(category: str, height_m: float, *, is_front: bool) -> Mount | None:
+def find_mount(category: str, height_m: float, *, is_front: bool) -> PlateMount | None:
     """Find where the front or the rear of a vehicle carries its plate.
 
     Args:

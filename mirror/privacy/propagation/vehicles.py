@@ -13,7 +13,7 @@ from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.privacy.propagation.bodies import find_hidden
-from mirror.privacy.propagation.mounts import Mount, find_mount
+from mirror.privacy.propagation.mounts import PlateMount, find_mount
 from mirror.privacy.regions import Region, region_at
 
 SOURCE: Final = "vehicle_boxes"
@@ -130,7 +130,7 @@ def _project_end(
     camera_SE3_box: Poses,
     size_m: Float64,
     direction: float,
-    mount: Mount,
+    mount: PlateMount,
     options: StripOptions,
     grow: float,
 ) -> _End | None:

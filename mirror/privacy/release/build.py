@@ -27,7 +27,7 @@ from mirror.dataset.unfinished_work import DEIDENTIFICATION
 from mirror.errors import DatasetError, UsageError
 from mirror.privacy.detection import decode_recorded, read_recorded
 from mirror.privacy.log import ImageRecord, encode_log
-from mirror.privacy.release.check import Finding, check_release, find_leaving
+from mirror.privacy.release.check import ReleaseFinding, check_release, find_leaving
 from mirror.privacy.release.document import DATASHEET, DOCUMENT, LICENCE, LOG, TIMES, Release
 from mirror.privacy.release.renaming import rename_drive
 from mirror.privacy.release.sample import DEFAULT_SAMPLE, REVIEWS, choose_sample, read_reviews, with_reviews
@@ -90,7 +90,7 @@ class BuildReport:
     images: int
     traversals: int
     left_out: Sequence[str]
-    findings: Sequence[Finding]
+    findings: Sequence[ReleaseFinding]
 
 
 def build_release(

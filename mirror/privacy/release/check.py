@@ -37,7 +37,7 @@ _LEAVING: Final = "REL017"
 
 
 @dataclass(frozen=True)
-class Finding:
+class ReleaseFinding:
     """One place that breaks a rule.
 
     Attributes:
@@ -67,7 +67,7 @@ class ReleaseCheck:
         not_run: rules that could not run, with the reason.
     """
 
-    findings: Sequence[Finding]
+    findings: Sequence[ReleaseFinding]
     rules: int
     images: int
     searched: int
@@ -110,15 +110,17 @@ def check_release(
     """
     view = ReleaseView(Path(root), models)
     bar = NullProgress() if progress is None else progress
-    findings: list[Finding] = []
+    findings: list[ReleaseFinding] = []
     not_run: list[str] = []
     bar.start("rules", len(RULES))
     for rule in RULES:
         try:
             for found in rule.check(view):
-                findings.append(Finding(rule.rule_id, rule.title, rule.remedy, found.file, found.message))
+                findings.append(ReleaseFinding(rule.rule_id, rule.title, rule.remedy, found.file, found.message))
         except (MirrorError, OSError) as error:
-            findings.append(Finding(rule.rule_id, rule.title, rule.remedy, str(view.root), f"cannot be read: {error}"))
+            findings.append(
+                ReleaseFinding(rule.rule_id, rule.title, rule.remedy, str(view.root), f"cannot be read: {error}")
+            )
         bar.advance(1)
     rules = len(RULES) + 1
     findings += _broken(view)
@@ -136,7 +138,7 @@ def check_release(
                 "A vault is kept longer than it says.",
                 "delete it, or state a reason and another date in it",
             )
-            findings.append(Finding(_RETENTION, title, remedy, str(vault), "its date of retention has passed"))
+            findings.append(ReleaseFinding(_RETENTION, title, remedy, str(vault), "its date of retention has passed"))
     if detectors:
         rules += 1
         bar.start("images searched again", len(view.images))
@@ -147,17 +149,17 @@ def check_release(
     return ReleaseCheck(findings, rules, len(view.images), searched, not_run)
 
 
-def _broken(view: ReleaseView) -> Iterator[Finding]:
+def _broken(view: ReleaseView) -> Iterator[ReleaseFinding]:
     report = check_dataset(view.root, cost=Cost.FILES)
     for rule, found in report.findings:
         if rule.severity == "error":
-            yield Finding(
+            yield ReleaseFinding(
                 _INTEGRITY, "An integrity rule of datasets fails.", rule.remedy, found.file,
                 f"{rule.rule_id} {rule.title} {found.message}",
             )  # fmt: skip
 
 
-def _originals(view: ReleaseView, originals: Path | None, vault: Path | None) -> Iterator[Finding]:
+def _originals(view: ReleaseView, originals: Path | None, vault: Path | None) -> Iterator[ReleaseFinding]:
     """Files with the bytes, and images with the pixels, of a recorded image that has regions."""
     files, pixels = set(), set()
     if vault is not None:
@@ -173,12 +175,12 @@ def _originals(view: ReleaseView, originals: Path | None, vault: Path | None) ->
     for name in view.files:
         data = (view.root / name).read_bytes()
         if hashlib.sha256(data).hexdigest() in files:
-            yield Finding(_ORIGINALS, title, remedy, name, "the bytes of a recorded image")
+            yield ReleaseFinding(_ORIGINALS, title, remedy, name, "the bytes of a recorded image")
             continue
         codec = {"jpg": "jpeg", "jpeg": "jpeg", "png": "png"}.get(name.rpartition(".")[2].lower())
         decoded = decode_rgb(data, codec) if codec is not None else None
         if decoded is not None and hashlib.sha256(decoded.tobytes()).hexdigest() in pixels:
-            yield Finding(_ORIGINALS, title, remedy, name, "the pixels of a recorded image")
+            yield ReleaseFinding(_ORIGINALS, title, remedy, name, "the pixels of a recorded image")
 
 
 def _hashes_of(root: Path) -> Iterator[tuple[str, str]]:
@@ -209,7 +211,7 @@ def _hashes_of(root: Path) -> Iterator[tuple[str, str]]:
                 yield hashlib.sha256(data).hexdigest(), hashlib.sha256(pixels.tobytes()).hexdigest()
 
 
-def find_leaving(source: Layout, folders: list[Path], progress: ProgressReporter) -> list[Finding]:
+def find_leaving(source: Layout, folders: list[Path], progress: ProgressReporter) -> list[ReleaseFinding]:
     """Find recorded images in a release and what is published with it, also inside archives, tables and pages.
 
     Args:
@@ -219,10 +221,12 @@ def find_leaving(source: Layout, folders: list[Path], progress: ProgressReporter
     """
     title = "A file holds a recorded image that its redaction replaced."
     leaks = leaving_originals(source, folders, progress)
-    return [Finding(_LEAVING, title, "remove it, or build the release again", one.file, one.problem) for one in leaks]
+    return [
+        ReleaseFinding(_LEAVING, title, "remove it, or build the release again", one.file, one.problem) for one in leaks
+    ]
 
 
-def _other_sources(view: ReleaseView, originals: Path) -> Iterator[Finding]:
+def _other_sources(view: ReleaseView, originals: Path) -> Iterator[ReleaseFinding]:
     """Images that were redacted from other bytes than those that the dataset has recorded now.
 
     No detector has searched the bytes that such an image should show.
@@ -242,7 +246,7 @@ def _other_sources(view: ReleaseView, originals: Path) -> Iterator[Finding]:
             problem = "the log of the dataset does not state from which bytes it was redacted"
         else:
             problem = f"the recorded bytes of {'/'.join(map(str, others[0][0]))} are not those that were redacted"
-        yield Finding(_SOURCES, title, remedy, "/".join(map(str, record.key)), problem)
+        yield ReleaseFinding(_SOURCES, title, remedy, "/".join(map(str, record.key)), problem)
 
 
 def _read_sources(
@@ -275,7 +279,7 @@ def _read_sources(
 
 def _redetected(
     view: ReleaseView, detectors: Sequence[DetectorChoice], workers: int, timeout_s: float, bar: ProgressReporter
-) -> tuple[list[Finding], list[str]]:
+) -> tuple[list[ReleaseFinding], list[str]]:
     """Return what detectors find in the images of the release and logged regions do not cover."""
     # Missing weights are an error of the command, not of every image.
     for choice in detectors:
@@ -303,7 +307,7 @@ def _redetected(
             if share < COVERED:
                 left, top, right, bottom = region.box_px
                 findings.append(
-                    Finding(
+                    ReleaseFinding(
                         _REDETECTED,
                         "A detector finds a face or plate that no logged region covers.",
                         "de-identify again under another version, and build again",

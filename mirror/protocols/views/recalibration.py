@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from mirror.dataset.dataset import Dataset
-from mirror.dataset.traversal import Calibration
+from mirror.dataset.traversal import CameraCalibration
 from mirror.geometry.cameras import Camera
 from mirror.protocols.views.view import RenderView
 
@@ -71,7 +71,7 @@ def lens_in_raster(final: Camera, planned: Camera, wanted: Camera) -> Camera:
     return Camera("pinhole", final.width_px, final.height_px, fx, fy, cx, cy)
 
 
-def _calibrations(dataset: Dataset, views: Sequence[RenderView], traversals: set[str]) -> dict[str, Calibration]:
+def _calibrations(dataset: Dataset, views: Sequence[RenderView], traversals: set[str]) -> dict[str, CameraCalibration]:
     """The calibration of each view of some traversals, by path."""
     found = {}
     for traversal in sorted({view.traversal_id for view in views} & traversals):
@@ -82,7 +82,7 @@ def _calibrations(dataset: Dataset, views: Sequence[RenderView], traversals: set
     return found
 
 
-def _move(view: RenderView, planned: Calibration, wanted: Calibration) -> RenderView:
+def _move(view: RenderView, planned: CameraCalibration, wanted: CameraCalibration) -> RenderView:
     lens = lens_in_raster(view.lens, planned.model, wanted.model)
     pose = view.pose @ planned.ego_SE3_camera.inverse() @ wanted.ego_SE3_camera
     return view.model_copy(

@@ -26,7 +26,7 @@ _STAMP: Final = "timestamp_ns"
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class VehicleTrajectory:
     """Poses of a vehicle over time.
 
     Attributes:
@@ -40,12 +40,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.timestamps_ns)
 
-    def shift(self, left_m: float = 0.0, forward_m: float = 0.0, up_m: float = 0.0) -> Trajectory:
+    def shift(self, left_m: float = 0.0, forward_m: float = 0.0, up_m: float = 0.0) -> VehicleTrajectory:
         """Shift every pose in the vehicle's own frame: to the left, forward and up, in metres."""
         shift = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[forward_m, left_m, up_m]]))
         return replace(self, world_SE3_ego=self.world_SE3_ego @ shift)
 
-    def resample(self, hz: float) -> Trajectory:
+    def resample(self, hz: float) -> VehicleTrajectory:
         """Interpolate the trajectory at `hz` poses per second, starting at the first pose.
 
         Raises:
@@ -57,10 +57,10 @@ class Trajectory:
         count = int((last - first + 0.5) // period_ns) + 1
         stamps = first + np.round(np.arange(count) * period_ns).astype(np.int64)
         stamps = stamps[stamps <= last]
-        return Trajectory(stamps, interpolate(self.timestamps_ns, self.world_SE3_ego, stamps))
+        return VehicleTrajectory(stamps, interpolate(self.timestamps_ns, self.world_SE3_ego, stamps))
 
 
-def recorded_trajectory(dataset: Dataset, traversal_id: str) -> Trajectory:
+def recorded_trajectory(dataset: Dataset, traversal_id: str) -> VehicleTrajectory:
     """Read the trajectory of a traversal from its first to its last frame, with all recorded poses between them.
 
     Raises:
@@ -73,10 +73,10 @@ def recorded_trajectory(dataset: Dataset, traversal_id: str) -> Trajectory:
     first, last = frames[0].timestamp_ns, frames[len(frames) - 1].timestamp_ns
     within = stamps[(stamps > first) & (stamps < last)]
     times = np.unique(np.concatenate(([first], within, [last])))
-    return Trajectory(times, interpolate(stamps, poses, times))
+    return VehicleTrajectory(times, interpolate(stamps, poses, times))
 
 
-def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
+def read_trajectory(path: Path, hz: float = 10.0) -> VehicleTrajectory:
     """Read a trajectory, in the world frame of the scene, from a file.
 
     Args:
@@ -134,7 +134,7 @@ def read_trajectory(path: Path, hz: float = 10.0) -> Trajectory:
             place=f"row {row}, column {_STAMP}",
             remedy="sort the rows by time, and keep one of each time",
         )
-    return Trajectory(stamps, poses)
+    return VehicleTrajectory(stamps, poses)
 
 
 def _period_ns(hz: float) -> float:
@@ -143,7 +143,7 @@ def _period_ns(hz: float) -> float:
     return _SECOND_NS / hz
 
 
-def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> Trajectory:
+def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float = 10.0) -> VehicleTrajectory:
     """Make the trajectory that a command-line option names.
 
     Args:
@@ -179,7 +179,11 @@ def parse_trajectory(dataset: Dataset, text: str, traversal_id: str, hz: float =
 
 
 def plan_views_along(
-    dataset: Dataset, traversal_id: str, trajectory: Trajectory, pixels: Pixels, cameras: Sequence[str] | None = None
+    dataset: Dataset,
+    traversal_id: str,
+    trajectory: VehicleTrajectory,
+    pixels: Pixels,
+    cameras: Sequence[str] | None = None,
 ) -> tuple[RenderView, ...]:
     """Plan the views of a traversal's cameras along a trajectory.
 

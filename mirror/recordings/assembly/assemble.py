@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from mirror.errors import MirrorError, RecordingError
-from mirror.recordings.assembly.cameras import CameraInput, PreparedCamera, prepare_camera
+from mirror.recordings.assembly.cameras import GivenCamera, PreparedCamera, prepare_camera
 from mirror.recordings.assembly.track_notes import describe_track
 from mirror.recordings.calibration import to_calibration
 from mirror.recordings.folder_document import DOCUMENT_NAME
@@ -72,7 +72,7 @@ class Assembly:
 
 
 def assemble_recording(
-    out: Path, poses: Recording, cameras: Sequence[CameraInput], names: DriveNames, tz: str | None = None
+    out: Path, poses: Recording, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None = None
 ) -> Assembly:
     """Write a recording. It is complete or absent: it gets its name when all is written.
 
@@ -124,7 +124,7 @@ def _write(out: Path, track: Track, cameras: Sequence[PreparedCamera], document:
 
 
 def _prepare(
-    poses: Recording, cameras: Sequence[CameraInput], names: DriveNames, tz: str | None
+    poses: Recording, cameras: Sequence[GivenCamera], names: DriveNames, tz: str | None
 ) -> tuple[Track, list[PreparedCamera]]:
     """Read everything; all faults are collected before one error names them."""
     faults: list[MirrorError] = []

@@ -26,7 +26,7 @@ VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi")
 
 
 @dataclass(frozen=True)
-class CameraInput:
+class GivenCamera:
     """Given images and times of a camera.
 
     Attributes:
@@ -81,7 +81,7 @@ class PreparedCamera:
     static_mask: Path | None
 
 
-def prepare_camera(camera: CameraInput, tz: str | None) -> PreparedCamera:
+def prepare_camera(camera: GivenCamera, tz: str | None) -> PreparedCamera:
     """Read times, lens, mounting and mask of a camera, and compare the sizes of image, lens and mask.
 
     Raises:
@@ -140,7 +140,7 @@ def _require_mask(camera: str, file: Path, size: tuple[int, int]) -> None:
         )  # fmt: skip
 
 
-def _folder_times(camera: CameraInput, tz: str | None) -> tuple[ImageTimes, tuple[int, int]]:
+def _folder_times(camera: GivenCamera, tz: str | None) -> tuple[ImageTimes, tuple[int, int]]:
     names = [name for name in list_file_names(camera.path, camera.path) if Path(name).suffix.lower() in IMAGES]
     if not names:
         raise RecordingError(
@@ -158,7 +158,7 @@ def _folder_times(camera: CameraInput, tz: str | None) -> tuple[ImageTimes, tupl
     return times, read_raster_size(read_file(file), file)
 
 
-def _video_times(camera: CameraInput, tz: str | None) -> tuple[ImageTimes, tuple[int, int]]:
+def _video_times(camera: GivenCamera, tz: str | None) -> tuple[ImageTimes, tuple[int, int]]:
     pts, time_base = read_video_stamps(camera.path)
     with open_video(camera.path) as (container, stream):
         size = (int(stream.width), int(stream.height))

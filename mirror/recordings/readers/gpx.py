@@ -13,7 +13,7 @@ import numpy as np
 from mirror.arrays import Bool
 from mirror.errors import RecordingError
 from mirror.recordings.opening import read_file
-from mirror.recordings.readers.track_files import Fixes, TrackRecording, require_track_file
+from mirror.recordings.readers.track_files import FileFixes, TrackRecording, require_track_file
 from mirror.recordings.row_faults import RowFaults
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -39,7 +39,7 @@ class GpxReader:
         return TrackRecording(path, "UTC (GPX)", dict(options), _read(path))
 
 
-def _read(file: Path) -> Fixes:
+def _read(file: Path) -> FileFixes:
     data = read_file(file)
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise RecordingError("the file declares entities", file=file, expected="plain GPX", remedy="remove the DOCTYPE")
@@ -77,7 +77,7 @@ def _read(file: Path) -> Fixes:
     has_geoid = np.isfinite(separation)
     notes = (_NO_GEOID,) if (np.isfinite(elevation) & ~has_geoid).any() else ()
     height = elevation + np.where(has_geoid, separation, 0.0)
-    return Fixes(stamps, longitude, latitude, height, faults, notes)
+    return FileFixes(stamps, longitude, latitude, height, faults, notes)
 
 
 def _point(point: ElementTree.Element) -> tuple[int | None, float, float, float, float]:

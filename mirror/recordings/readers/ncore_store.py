@@ -60,7 +60,7 @@ def _library_errors() -> tuple[type[Exception], ...]:
 
 
 @dataclass(frozen=True)
-class Observation:
+class CuboidObservation:
     """One observation of an object: a box in a named frame at a stamp.
 
     Attributes:
@@ -273,7 +273,7 @@ class NcoreStores:
         with store_errors(path):
             return reader.ego_mask(camera, path)
 
-    def observations(self) -> Sequence[Observation] | None:
+    def observations(self) -> Sequence[CuboidObservation] | None:
         """All boxes; None: the sequence has none."""
         from ncore.data.v4 import CuboidsComponent
 
@@ -283,7 +283,7 @@ class NcoreStores:
         path, reader = found
         with store_errors(path):
             return [
-                Observation(
+                CuboidObservation(
                     track_id=one.track_id,
                     class_id=one.class_id,
                     timestamp_us=one.timestamp_us,

@@ -13,7 +13,7 @@ import numpy as np
 
 from mirror.errors import RecordingError
 from mirror.recordings.opening import read_file
-from mirror.recordings.readers.track_files import Fixes, TrackRecording, require_track_file
+from mirror.recordings.readers.track_files import FileFixes, TrackRecording, require_track_file
 from mirror.recordings.row_faults import RowFaults
 from mirror.recordings.time import SECOND_NS
 
@@ -38,7 +38,7 @@ class NmeaReader:
         return TrackRecording(path, "UTC (NMEA)", dict(options), _read(path))
 
 
-def _read(file: Path) -> Fixes:
+def _read(file: Path) -> FileFixes:
     rows: list[tuple[int, float, float, str]] = []
     heights: dict[str, float] = {}
     torn: list[tuple[int, RecordingError]] = []
@@ -79,7 +79,7 @@ def _read(file: Path) -> Fixes:
         if without_separation
         else ()
     )
-    return Fixes(stamps, longitudes, latitudes, height, RowFaults(len(rows), torn, reason="cells"), notes)
+    return FileFixes(stamps, longitudes, latitudes, height, RowFaults(len(rows), torn, reason="cells"), notes)
 
 
 def _fields(text: str) -> list[str] | None:

@@ -22,7 +22,7 @@ _OPTIONS: Final = ("drive_id", "vehicle_id", "vehicle_type")
 
 
 @dataclass(frozen=True, eq=False)
-class Fixes:
+class FileFixes:
     """The fixes of a file.
 
     Attributes:
@@ -49,7 +49,7 @@ class TrackRecording:
     path: Path
     time_base: str
     options: Mapping[str, str]
-    fixes: Fixes
+    fixes: FileFixes
 
     @property
     def info(self) -> DriveInfo:

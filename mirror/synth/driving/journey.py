@@ -14,9 +14,9 @@ from mirror.portable import arrays, scalars
 from mirror.synth.driving.bodies import get_body
 from mirror.synth.driving.drive import Drive
 from mirror.synth.driving.parking import ParkedCar, place_parked_cars
-from mirror.synth.driving.routes import Route, make_route
-from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.vehicles import Ways, make_cyclists, make_leaving_cars, make_vehicles
+from mirror.synth.driving.routes import DriveRoute, make_route
+from mirror.synth.driving.site import TrafficDensity, TrafficSite
+from mirror.synth.driving.vehicles import WayCache, make_cyclists, make_leaving_cars, make_vehicles
 from mirror.synth.driving.walkers import make_walkers, place_standing_people
 from mirror.synth.road_users.body import Body, RoadUser
 from mirror.synth.seeds import name_seed, random_stream
@@ -54,7 +54,7 @@ class Journey:
 
 
 def simulate_journey(
-    site: Site,
+    site: TrafficSite,
     route: str,
     chassis: Chassis,
     seed: int,
@@ -104,9 +104,9 @@ def simulate_journey(
 
 
 def _attempt(
-    site: Site,
+    site: TrafficSite,
     name: str,
-    route: Route,
+    route: DriveRoute,
     chassis: Chassis,
     rng: np.random.Generator,
     scene_seed: int,
@@ -116,7 +116,7 @@ def _attempt(
 ) -> Journey | None:
     recorder = _recording_vehicle(route, chassis, rng, fastest_mps, aside_m)
     until = _WARM_UP_S + min(_longest_s(recorder), _LONGEST_S)
-    ways = Ways()
+    ways = WayCache()
     cars = list(place_parked_cars(site, scene_seed, rng))
     off = _drop_blocking_cars(cars, rng)
     others = [
@@ -152,7 +152,7 @@ def _attempt(
 
 
 def _recording_vehicle(
-    route: Route, chassis: Chassis, rng: np.random.Generator, fastest_mps: float, aside_m: float
+    route: DriveRoute, chassis: Chassis, rng: np.random.Generator, fastest_mps: float, aside_m: float
 ) -> Participant:
     """The recording vehicle."""
     manner = Manner(
@@ -197,7 +197,7 @@ def _is_blocking(car: ParkedCar, other: ParkedCar) -> bool:
     return 1.0 < cos * dx + sin * dy < _PULL_OUT_M and abs(cos * dy - sin * dx) < 1.5
 
 
-def _drop_near_route(route: Route, others: Sequence[Participant]) -> list[Participant]:
+def _drop_near_route(route: DriveRoute, others: Sequence[Participant]) -> list[Participant]:
     """Participants that never drive ahead of the recording vehicle on a route that has to keep its times."""
     follows: dict[int, bool] = {}
     for other in others:
@@ -210,7 +210,7 @@ def _drop_near_route(route: Route, others: Sequence[Participant]) -> list[Partic
 
 
 def _make_road_users(
-    site: Site,
+    site: TrafficSite,
     chassis: Chassis,
     drive: Drive,
     moving: Sequence[tuple[Participant, Schedule]],

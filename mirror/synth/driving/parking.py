@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.portable import arrays
 from mirror.synth.driving.bodies import POPULATION, get_body
-from mirror.synth.driving.site import Site
+from mirror.synth.driving.site import TrafficSite
 from mirror.synth.road_users.body import Body
 from mirror.synth.seeds import random_stream
 from mirror.traffic.following.participants import Kind
@@ -40,7 +40,7 @@ class ParkedCar:
     leaves: tuple[Lane, float, int] | None
 
 
-def place_parked_cars(site: Site, seed: int, rng: np.random.Generator) -> Iterator[ParkedCar]:
+def place_parked_cars(site: TrafficSite, seed: int, rng: np.random.Generator) -> Iterator[ParkedCar]:
     """Place the parked cars of a traversal.
 
     Args:
@@ -80,7 +80,7 @@ def _build_car(rng: np.random.Generator) -> tuple[float, float, float, int, Kind
     )  # fmt: skip
 
 
-def _place_car(site: Site, lane: Lane, at: float, aside: float, skew: float, body: Body) -> Placement:
+def _place_car(site: TrafficSite, lane: Lane, at: float, aside: float, skew: float, body: Body) -> Placement:
     half = 0.3 * body.size_m[0]
     along = np.array([at - half, at, at + half])
     x, y = (np.interp(along, lane.along_m, lane.line[:, axis]) for axis in (0, 1))

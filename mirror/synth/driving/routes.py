@@ -33,7 +33,7 @@ _QUIET_MPS: Final = 9.0
 
 
 @dataclass(frozen=True, eq=False)
-class Route:
+class DriveRoute:
     """A route of the recording vehicle.
 
     Attributes:
@@ -183,7 +183,7 @@ def _pick_path(paths: Sequence[Path], variant: int, route: str) -> Path:
     return paths[variant % len(paths)]
 
 
-def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = None) -> Route:
+def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = None) -> DriveRoute:
     """A route along a whole path, from before the ROI to after it."""
     pieces = [lane_piece(lane) for lane in path.lanes]
     if speed_mps is not None:
@@ -191,42 +191,42 @@ def _make_through_route(path: Path, streets: Streets, speed_mps: float | None = 
     return _through_way(build_way(pieces), streets)
 
 
-def _through_way(way: Way, streets: Streets) -> Route:
+def _through_way(way: Way, streets: Streets) -> DriveRoute:
     inside = STEP_M * np.flatnonzero(arrays.hypot(*way.points.T) < streets.radius_m)
-    return Route(way, max(float(inside[0]) - LEAD_M, 0.0), min(float(inside[-1]) + LEAD_M + 6.0, way.length_m))
+    return DriveRoute(way, max(float(inside[0]) - LEAD_M, 0.0), min(float(inside[-1]) + LEAD_M + 6.0, way.length_m))
 
 
-def _along_route(streets: Streets, variant: int) -> Route:
+def _along_route(streets: Streets, variant: int) -> DriveRoute:
     """The whole main street."""
     return _make_through_route(_pick_path(streets.along, variant, "along"), streets)
 
 
-def _back_route(streets: Streets, variant: int) -> Route:
+def _back_route(streets: Streets, variant: int) -> DriveRoute:
     """The whole main street, in the other direction."""
     return _make_through_route(_pick_path(streets.back, variant, "back"), streets)
 
 
-def _turn_route(streets: Streets, variant: int) -> Route:
+def _turn_route(streets: Streets, variant: int) -> DriveRoute:
     """Along the main street, then right at a crossing."""
     return _make_through_route(_pick_path(streets.turning(-1.0), variant, "turn"), streets)
 
 
-def _left_route(streets: Streets, variant: int) -> Route:
+def _left_route(streets: Streets, variant: int) -> DriveRoute:
     """Along the main street, then left at a crossing."""
     return _make_through_route(_pick_path(streets.turning(1.0), variant, "left"), streets)
 
 
-def _across_route(streets: Streets, variant: int) -> Route:
+def _across_route(streets: Streets, variant: int) -> DriveRoute:
     """Straight across the main street."""
     return _make_through_route(_pick_path(streets.across(), variant, "across"), streets)
 
 
-def _other_direction_route(streets: Streets, variant: int) -> Route:
+def _other_direction_route(streets: Streets, variant: int) -> DriveRoute:
     """The main street, not on the rightmost lane."""
     return _make_through_route(_pick_path(streets.along[1:], variant, "other"), streets)
 
 
-def _lane_change_route(streets: Streets, variant: int) -> Route:
+def _lane_change_route(streets: Streets, variant: int) -> DriveRoute:
     """The main street, with a change to the left lane and back."""
     path = _pick_path([path for path in streets.along if path.lanes[0].left], variant, "change")
     lanes = streets.network.lanes
@@ -249,17 +249,17 @@ def _lane_change_route(streets: Streets, variant: int) -> Route:
     return _through_way(build_way(pieces), streets)
 
 
-def _leave_route(streets: Streets, variant: int) -> Route:
+def _leave_route(streets: Streets, variant: int) -> DriveRoute:
     """Off the main carriageway by a slip road."""
     return _make_through_route(_pick_path(streets.slip(leaving=True), variant, "leave"), streets)
 
 
-def _join_route(streets: Streets, variant: int) -> Route:
+def _join_route(streets: Streets, variant: int) -> DriveRoute:
     """Onto the main carriageway by a slip road."""
     return _make_through_route(_pick_path(streets.slip(leaving=False), variant, "join"), streets)
 
 
-def _edge_route(streets: Streets, variant: int) -> Route:
+def _edge_route(streets: Streets, variant: int) -> DriveRoute:
     """The street at the edge of the ROI: inside for 8 s."""
     path = _pick_path(streets.edge(), variant, "edge")
     speed = path.inside_m(streets.radius_m) / _PASS_S
@@ -271,12 +271,12 @@ def _edge_route(streets: Streets, variant: int) -> Route:
     )  # fmt: skip
 
 
-def _corner_route(streets: Streets, variant: int) -> Route:
+def _corner_route(streets: Streets, variant: int) -> DriveRoute:
     """Touches the ROI: along the street at its edge, then away from it."""
     return replace(_make_through_route(_pick_path(streets.skimming(), variant, "corner"), streets), first=True)
 
 
-def _stationary_route(streets: Streets, variant: int) -> Route:
+def _stationary_route(streets: Streets, variant: int) -> DriveRoute:
     """Stands in the ROI, then drives 14 m."""
     path = _pick_path(streets.along, variant, "still")
     way = build_way([lane_piece(lane) for lane in path.lanes])
@@ -285,10 +285,10 @@ def _stationary_route(streets: Streets, variant: int) -> Route:
     # The place is away from stop lines, where the vehicle would have to wait again.
     places = [middle + sign * 5.0 * k for k in range(30) for sign in (-1.0, 1.0)]
     begin = next(place for place in places if all(not place - 6.0 < at < place + 40.0 for at in free))
-    return Route(way, begin, begin + 14.0, begin, fastest_mps=2.0, stands_s=35.0, first=True)
+    return DriveRoute(way, begin, begin + 14.0, begin, fastest_mps=2.0, stands_s=35.0, first=True)
 
 
-def _repeated_route(streets: Streets, variant: int) -> Route:
+def _repeated_route(streets: Streets, variant: int) -> DriveRoute:
     """Leaves the ROI, turns around and enters it again."""
     out, home = streets.out_and_home(streets.radius_m + 34.0)
     way, swing = build_turn_around(out, home, streets.radius_m + 34.0)
@@ -297,10 +297,10 @@ def _repeated_route(streets: Streets, variant: int) -> Route:
     leaves = STEP_M * float(np.flatnonzero(inside[:middle])[-1])
     comes = STEP_M * float(middle + np.argmax(inside[middle:]))
     begin, end = max(leaves - _VISIT_S * _QUIET_MPS, 0.0), min(comes + _VISIT_S * _QUIET_MPS, way.length_m)
-    return Route(way, begin, end, max(begin - 40.0, 0.0), fastest_mps=_QUIET_MPS, first=True)
+    return DriveRoute(way, begin, end, max(begin - 40.0, 0.0), fastest_mps=_QUIET_MPS, first=True)
 
 
-def _uturn_route(streets: Streets, variant: int) -> Route:
+def _uturn_route(streets: Streets, variant: int) -> DriveRoute:
     """Turns around at the edge of the ROI: less than 3 s outside between two short visits."""
     out, home = streets.out_and_home(streets.radius_m)
     low, high = streets.radius_m - 16.0, streets.radius_m + 8.0
@@ -313,10 +313,10 @@ def _uturn_route(streets: Streets, variant: int) -> Route:
         seconds = float((STEP_M / np.minimum(way.pace_mps, _SLOW_MPS))[outside & near].sum())
         low, high = (apex, high) if seconds < _OUTSIDE_S else (low, apex)
     begin, end = swing - _UTURN_M, swing + _UTURN_M
-    return Route(way, begin, end, begin - 13.0, fastest_mps=_SLOW_MPS, first=True)
+    return DriveRoute(way, begin, end, begin - 13.0, fastest_mps=_SLOW_MPS, first=True)
 
 
-ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
+ROUTES: Final[dict[str, Callable[[Streets, int], DriveRoute]]] = {
     "along": _along_route,
     "back": _back_route,
     "turn": _turn_route,
@@ -334,7 +334,7 @@ ROUTES: Final[dict[str, Callable[[Streets, int], Route]]] = {
 }
 
 
-def make_route(name: str, network: Network, radius_m: float, variant: int = 0, wheelbase_m: float = 2.8) -> Route:
+def make_route(name: str, network: Network, radius_m: float, variant: int = 0, wheelbase_m: float = 2.8) -> DriveRoute:
     """Make a route by its name.
 
     Args:

@@ -12,7 +12,7 @@ from mirror.traffic.placement.trace import HeightField
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class TrafficSite:
     """A scene of the traffic simulation.
 
     Attributes:

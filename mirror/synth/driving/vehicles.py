@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.portable import arrays
 from mirror.synth.driving.bodies import POPULATION, get_body
-from mirror.synth.driving.site import Site, TrafficDensity
+from mirror.synth.driving.site import TrafficDensity, TrafficSite
 from mirror.traffic.following.participants import Kind, Manner, Participant
 from mirror.traffic.lanes.network import Lane, Network
 from mirror.traffic.lanes.paths import Path, beside_m, draw_path, iterate_paths, select_lanes, source_lanes
@@ -52,7 +52,7 @@ def draw_manner(kind: Kind, rng: np.random.Generator) -> Manner:
     )
 
 
-class Ways:
+class WayCache:
     """A cache of ways: participants on the same path share one way."""
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ def _lane_change_pieces(path: Path, network: Network, side: str) -> list[Piece]:
 
 
 def make_vehicles(
-    site: Site, bustle: TrafficDensity, until_s: float, ways: Ways, rng: np.random.Generator
+    site: TrafficSite, bustle: TrafficDensity, until_s: float, ways: WayCache, rng: np.random.Generator
 ) -> Iterator[Participant]:
     """Make the vehicles of a traversal.
 
@@ -127,7 +127,7 @@ def _draw_kind(start: Lane, motorway: bool, rng: np.random.Generator) -> Kind:
     return kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
 
 
-def _make_vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, enter_s: float) -> Participant:
+def _make_vehicle(kind: Kind, way: Way, site: TrafficSite, rng: np.random.Generator, enter_s: float) -> Participant:
     number = int(rng.integers(POPULATION[kind]))
     length, width, _ = get_body(kind, number).size_m
     manner = draw_manner(kind, rng)
@@ -142,7 +142,7 @@ def _make_vehicle(kind: Kind, way: Way, site: Site, rng: np.random.Generator, en
 
 
 def make_cyclists(
-    site: Site, bustle: TrafficDensity, until_s: float, ways: Ways, rng: np.random.Generator
+    site: TrafficSite, bustle: TrafficDensity, until_s: float, ways: WayCache, rng: np.random.Generator
 ) -> Iterator[Participant]:
     """Make the cyclists of a traversal: on cycle lanes, and along the kerb of slow streets."""
     tracks, streets = select_lanes(site.network, "cycle", "turn"), select_lanes(site.network, "drive", "turn")
@@ -165,9 +165,9 @@ def make_cyclists(
 
 
 def make_leaving_cars(
-    site: Site,
+    site: TrafficSite,
     places: list[tuple[Lane, float, int]],
-    ways: Ways,
+    ways: WayCache,
     window_s: tuple[float, float],
     rng: np.random.Generator,
 ) -> Iterator[Participant]:

@@ -11,8 +11,8 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
 from mirror.synth.driving.bodies import POPULATION, get_body
-from mirror.synth.driving.site import Site, TrafficDensity
-from mirror.synth.driving.vehicles import Ways
+from mirror.synth.driving.site import TrafficDensity, TrafficSite
+from mirror.synth.driving.vehicles import WayCache
 from mirror.synth.road_users.body import Body
 from mirror.traffic.following.participants import Manner, Participant
 from mirror.traffic.lanes.network import Lane
@@ -36,7 +36,9 @@ _QUEUE_M: Final = 1.3
 _LEAST_WIDTH_M: Final = 1.7
 
 
-def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.Generator) -> Iterator[Participant]:
+def make_walkers(
+    site: TrafficSite, bustle: TrafficDensity, ways: WayCache, rng: np.random.Generator
+) -> Iterator[Participant]:
     """Make the walking pedestrians; they are in the scene from the beginning.
 
     Args:
@@ -70,7 +72,7 @@ def make_walkers(site: Site, bustle: TrafficDensity, ways: Ways, rng: np.random.
 
 
 def place_standing_people(
-    site: Site, bustle: TrafficDensity, rng: np.random.Generator
+    site: TrafficSite, bustle: TrafficDensity, rng: np.random.Generator
 ) -> Iterator[tuple[Body, StaticMotion]]:
     """Place the people who stand in groups near walls, and those who wait for buses.
 
@@ -117,7 +119,7 @@ def _place_at(lane: Lane, at: float) -> tuple[Float64, Float64]:
 
 
 def _place_person(
-    site: Site, bustle: TrafficDensity, spot: Float64, yaw: float, rng: np.random.Generator
+    site: TrafficSite, bustle: TrafficDensity, spot: Float64, yaw: float, rng: np.random.Generator
 ) -> Iterator[tuple[Body, StaticMotion]]:
     body = _make_person(int(rng.integers(POPULATION["pedestrian"])), bustle)
     if arrays.hypot(*spot) < site.radius_m + _MARGIN_M:

@@ -90,8 +90,7 @@ class SynthDrive:
     @cached_property
     def _journey(self) -> Journey:
         from mirror.synth.driving.journey import simulate_journey
-        from mirror.synth.driving.site import Site as Traffic
-        from mirror.synth.driving.site import TrafficDensity
+        from mirror.synth.driving.site import TrafficDensity, TrafficSite
         from mirror.traffic.placement.trace import Chassis
 
         world, size, condition = self.world, self.vehicle.kind.size, self.condition
@@ -104,7 +103,7 @@ class SynthDrive:
         )
         chassis = Chassis(size.length_m, size.width_m, size.wheelbase_m, size.rear_m, 0.0)
         return simulate_journey(
-            Traffic(world.network, world.roi.radius_m, world.height_m),
+            TrafficSite(world.network, world.roi.radius_m, world.height_m),
             self.recipe.route,
             chassis,
             self.seed,

@@ -42,7 +42,7 @@ class Preset:
         name: name of the preset.
         sites: the scenes.
         traversals: number of drives with images through each scene.
-        width_px: image width of a sensor with share 1; see `mirror.synth.rigs.mount.Raster`.
+        width_px: image width of a sensor with share 1; see `mirror.synth.rigs.mount.SensorRaster`.
         image_hz: images per second of each camera.
         pose_hz: poses per second.
         on_demand: True: recordings refer to images by URI, and images are rendered when they are loaded.

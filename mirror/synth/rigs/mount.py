@@ -16,7 +16,7 @@ _EGO_R_CAMERA: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 
 
 
 @dataclass(frozen=True)
-class Raster:
+class SensorRaster:
     """The raster of a sensor.
 
     Attributes:
@@ -47,7 +47,7 @@ class Optics:
     view_deg: float
     distortion: tuple[float, ...] = ()
 
-    def camera(self, raster: Raster, width_px: int) -> Camera:
+    def camera(self, raster: SensorRaster, width_px: int) -> Camera:
         """Return the camera of this lens and a sensor at a preset's image width; the optical axis is in the middle."""
         width, height = raster.size_px(width_px)
         half = math.radians(self.view_deg / 2.0)
@@ -75,7 +75,7 @@ class Mount:
 
     camera: str
     optics: Optics
-    raster: Raster
+    raster: SensorRaster
     place_m: tuple[float, float, float]
     yaw_deg: float
     pitch_deg: float

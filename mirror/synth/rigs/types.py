@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from mirror.synth.rigs.mount import Mount, Optics, Raster
+from mirror.synth.rigs.mount import Mount, Optics, SensorRaster
 from mirror.synth.road_users.ego import EgoKind
 
 Shutter = Literal["global", "top_to_bottom", "bottom_to_top", "left_to_right", "right_to_left"]
@@ -65,8 +65,8 @@ class _Head:
 
     wide: Optics
     narrow: Optics
-    raster: Raster
-    narrow_raster: Raster
+    raster: SensorRaster
+    narrow_raster: SensorRaster
     place_m: tuple[float, float, float]
     aside_m: float
     pitch_deg: float
@@ -77,7 +77,7 @@ class _Pair:
     """A left camera and its mirror image on the right; positive angles are to the left and upwards."""
 
     optics: Optics
-    raster: Raster
+    raster: SensorRaster
     place_m: tuple[float, float, float]
     yaw_deg: float
     pitch_deg: float
@@ -95,7 +95,7 @@ class _Tail:
     """The rear camera."""
 
     optics: Optics
-    raster: Raster
+    raster: SensorRaster
     place_m: tuple[float, float, float]
     pitch_deg: float
 
@@ -112,12 +112,12 @@ def _rig(head: _Head, front: _Pair, rear: _Pair, tail: _Tail) -> tuple[Mount, ..
     )
 
 
-_HD: Final = Raster(1.0, 16 / 9)
-_TALL: Final = Raster(1.0, 1.59)
-_SMALL: Final = Raster(0.8, 1.5)
-_LOW: Final = Raster(0.75, 1.6)
-_FINE: Final = Raster(1.2, 1.84)
-_SQUARE: Final = Raster(0.9, 4 / 3)
+_HD: Final = SensorRaster(1.0, 16 / 9)
+_TALL: Final = SensorRaster(1.0, 1.59)
+_SMALL: Final = SensorRaster(0.8, 1.5)
+_LOW: Final = SensorRaster(0.75, 1.6)
+_FINE: Final = SensorRaster(1.2, 1.84)
+_SQUARE: Final = SensorRaster(0.9, 4 / 3)
 
 SALOON: Final = VehicleType(
     name="saloon",

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
-from mirror.synth.errors import Clock, Errors, MountingError, Stage, perturb_intrinsics
+from mirror.synth.errors import CameraClock, Errors, MountingError, Stage, perturb_intrinsics
 from mirror.synth.rigs.types import VehicleType
 from mirror.synth.seeds import random_stream
 
@@ -53,7 +53,7 @@ class Vehicle:
         return {mount.camera: mount.ego_SE3_camera() @ _INSTALLED.draw(rng) for mount in self.kind.mounts}
 
     def calibration(
-        self, stage: Stage, errors: Errors, drive: int, clocks: Mapping[str, Clock]
+        self, stage: Stage, errors: Errors, drive: int, clocks: Mapping[str, CameraClock]
     ) -> list[dict[str, Any]]:
         """Return the calibration of every camera at a stage: the entries of ``calibrations/<stage>.json``.
 

@@ -21,7 +21,7 @@ from mirror.synth.road_users.coachwork.fittings import (
     draw_car_paint,
     draw_plate_number,
 )
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import DARK, DARK_PANE, PANE, End, Shape, add_shell, window_corners
 from mirror.synth.textures.catalogue import LIVERIES
 
@@ -34,7 +34,7 @@ _LIVERIES: Final[tuple[tuple[tuple[float, float, float], tuple[float, float, flo
     ((0.62, 0.60, 0.52), (0.03, 0.22, 0.14)),
 )
 """Colours of the upper and the lower body."""
-_DISPLAY: Final = Finish((0.42, 0.25, 0.03), Material.PLAIN)
+_DISPLAY: Final = SheetFinish((0.42, 0.25, 0.03), Material.PLAIN)
 
 
 def build_bus(rng: np.random.Generator) -> Body:
@@ -48,13 +48,15 @@ def build_city_bus(rng: np.random.Generator) -> Body:
     length = float(rng.choice((10.6, 12.0)))
     shape = design_bus(length, 3.0, waist=1.10, overhangs=(2.7, 3.1))
     sheets = Sheets(Label.BUS, int(rng.integers(1 << 30)))
-    _add_bus(rng, sheets, shape, Finish(upper, Material.PAINT), Finish(lower, Material.PAINT), pitch_m=1.42)
+    _add_bus(rng, sheets, shape, SheetFinish(upper, Material.PAINT), SheetFinish(lower, Material.PAINT), pitch_m=1.42)
     end, front = shape.front.reach_m, shape.axles_m[0]
     for middle, wide in ((end - 0.95, 1.2), (front - 2.5, 1.3), (shape.axles_m[1] + 1.45, 1.3)):
         _add_door(sheets, shape, middle, wide)
     z = shape.roof[1][1] - 0.19
     _add_displays(sheets, shape, z)
-    sheets.block((-0.30 * length, -0.8, 2.98), (0.10 * length, 0.8, 3.22), Finish(upper, Material.PLAIN), _ROOF_SIDES)
+    sheets.block(
+        (-0.30 * length, -0.8, 2.98), (0.10 * length, 0.8, 3.22), SheetFinish(upper, Material.PLAIN), _ROOF_SIDES
+    )
     if rng.random() < 0.6:
         left, right = shape.axles_m[1] + 0.9, shape.axles_m[0] - 0.9
         _add_advertisement(sheets, shape, 0.5 * (left + right), int(rng.choice(LIVERIES)))
@@ -103,7 +105,7 @@ def design_bus(
     )  # fmt: skip
 
 
-def add_bus_body(sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float) -> None:
+def add_bus_body(sheets: Sheets, shape: Shape, upper: SheetFinish, lower: SheetFinish, *, pitch_m: float) -> None:
     """Add the body with its rows of windows and a pillar every ``pitch_m``."""
     add_shell(sheets, shape, upper, sill=lower, deck=upper, screen=DARK_PANE)
     low, high = shape.waist_m + 0.05, shape.rail_m - 0.14
@@ -123,7 +125,7 @@ def add_bus_body(sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, 
 
 
 def _add_bus(
-    rng: np.random.Generator, sheets: Sheets, shape: Shape, upper: Finish, lower: Finish, *, pitch_m: float
+    rng: np.random.Generator, sheets: Sheets, shape: Shape, upper: SheetFinish, lower: SheetFinish, *, pitch_m: float
 ) -> None:
     """Add body, lamps, plates, wheels and mirrors."""
     add_bus_body(sheets, shape, upper, lower, pitch_m=pitch_m)
@@ -171,4 +173,4 @@ def _add_advertisement(sheets: Sheets, shape: Shape, middle: float, image: int) 
     low, high = shape.levels_m[1] - 0.10, shape.waist_m - 0.03
     half = high - low
     corners = [(middle - half, y, low), (middle + half, y, low), (middle + half, y, high), (middle - half, y, high)]
-    sheets.sheet(corners, Side.LEFT, Finish((0.7, 0.7, 0.7), Material.IMAGE, image=image))
+    sheets.sheet(corners, Side.LEFT, SheetFinish((0.7, 0.7, 0.7), Material.IMAGE, image=image))

@@ -10,11 +10,11 @@ import numpy as np
 
 from mirror.synth.model import Label, Material, ellipsoid
 from mirror.synth.road_users.body import Body, make_body
-from mirror.synth.road_users.coachwork.design import Design, build_vehicle, design_car
+from mirror.synth.road_users.coachwork.design import CoachworkDesign, build_vehicle, design_car
 from mirror.synth.road_users.coachwork.fittings import draw_car_paint
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish
 
-_CLADDING: Final = Finish((0.035, 0.035, 0.037), Material.PLAIN)
+_CLADDING: Final = SheetFinish((0.035, 0.035, 0.037), Material.PLAIN)
 _TAXI_PAINTS: Final = ((0.62, 0.56, 0.40), (0.55, 0.33, 0.015), (0.015, 0.015, 0.017), (0.60, 0.60, 0.59))
 
 
@@ -64,7 +64,7 @@ def build_taxi(rng: np.random.Generator) -> Body:
     """Build a taxi: a saloon or an estate with a sign on its roof."""
     design = _design_saloon(rng) if rng.random() < 0.5 else _design_estate(rng)
     colour = _TAXI_PAINTS[int(rng.integers(len(_TAXI_PAINTS)))]
-    sheets = build_vehicle(rng, design, Finish(colour, Material.PAINT), Label.CAR)
+    sheets = build_vehicle(rng, design, SheetFinish(colour, Material.PAINT), Label.CAR)
     roof = design.shape.roof
     place = 0.5 * (roof[1][0] + roof[-2][0]), 0.0, max(z for _, z in roof) + 0.06
     sheets.add(ellipsoid(place, (0.16, 0.48, 0.14), (0.75, 0.6, 0.12), Material.PLAIN, Label.CAR))
@@ -83,11 +83,11 @@ _SHARES: Final[Mapping[Callable[[np.random.Generator], Body], float]] = {
 }
 
 
-def _paint_car(rng: np.random.Generator, design: Design) -> Body:
+def _paint_car(rng: np.random.Generator, design: CoachworkDesign) -> Body:
     return make_body("car", build_vehicle(rng, design, draw_car_paint(rng), Label.CAR).model())
 
 
-def _design_hatchback(rng: np.random.Generator) -> Design:
+def _design_hatchback(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(4.0, 4.4), rng.uniform(1.43, 1.50)
     return design_car(
         length,
@@ -107,7 +107,7 @@ def _design_hatchback(rng: np.random.Generator) -> Design:
     )
 
 
-def _design_saloon(rng: np.random.Generator) -> Design:
+def _design_saloon(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(4.6, 4.95), rng.uniform(1.42, 1.48)
     return design_car(
         length,
@@ -128,7 +128,7 @@ def _design_saloon(rng: np.random.Generator) -> Design:
     )
 
 
-def _design_estate(rng: np.random.Generator) -> Design:
+def _design_estate(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(4.55, 4.9), rng.uniform(1.45, 1.52)
     return design_car(
         length,
@@ -148,7 +148,7 @@ def _design_estate(rng: np.random.Generator) -> Design:
     )
 
 
-def _design_suv(rng: np.random.Generator) -> Design:
+def _design_suv(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(4.25, 4.75), rng.uniform(1.60, 1.72)
     design = design_car(
         length,
@@ -170,7 +170,7 @@ def _design_suv(rng: np.random.Generator) -> Design:
     return replace(design, sill=_CLADDING if rng.random() < 0.75 else None)
 
 
-def _design_city_car(rng: np.random.Generator) -> Design:
+def _design_city_car(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(3.5, 3.75), rng.uniform(1.46, 1.54)
     return design_car(
         length,
@@ -192,7 +192,7 @@ def _design_city_car(rng: np.random.Generator) -> Design:
     )
 
 
-def _design_coupe(rng: np.random.Generator) -> Design:
+def _design_coupe(rng: np.random.Generator) -> CoachworkDesign:
     length, height = rng.uniform(4.3, 4.6), rng.uniform(1.28, 1.34)
     return design_car(
         length,
@@ -215,7 +215,7 @@ def _design_coupe(rng: np.random.Generator) -> Design:
     )
 
 
-def _design_pickup(rng: np.random.Generator) -> Design:
+def _design_pickup(rng: np.random.Generator) -> CoachworkDesign:
     height = rng.uniform(1.78, 1.86)
     design = design_car(
         rng.uniform(5.2, 5.4),
@@ -235,4 +235,4 @@ def _design_pickup(rng: np.random.Generator) -> Design:
         rear_window=0.10,
         lean=0.25,
     )
-    return replace(design, deck=Finish((0.02, 0.02, 0.02), Material.CLOTH), sill=_CLADDING)
+    return replace(design, deck=SheetFinish((0.02, 0.02, 0.02), Material.CLOTH), sill=_CLADDING)

@@ -8,8 +8,8 @@ from typing import Final, Literal, NamedTuple
 from mirror.synth.model import Label, Material, Model, Side
 from mirror.synth.road_users.buses import add_bus_body, design_bus
 from mirror.synth.road_users.coachwork.cab import FLOOR_M, Cab, add_cab_body
-from mirror.synth.road_users.coachwork.design import Design, add_body, design_car
-from mirror.synth.road_users.coachwork.sheets import Finish, Sheets
+from mirror.synth.road_users.coachwork.design import CoachworkDesign, add_body, design_car
+from mirror.synth.road_users.coachwork.sheets import SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import Shape
 from mirror.synth.road_users.vans import design_van
 
@@ -63,7 +63,7 @@ def make_ego_body(kind: EgoKind, measures: Measures) -> Model:
         measures: outer dimensions.
     """
     sheets = Sheets(Label.EGO)
-    paint = Finish(_PAINTS[kind], Material.PAINT)
+    paint = SheetFinish(_PAINTS[kind], Material.PAINT)
     if kind == "bus":
         shape = design_bus(
             measures.length, measures.height, waist=1.10, overhangs=measures.overhangs, width=measures.width
@@ -81,7 +81,7 @@ def make_ego_body(kind: EgoKind, measures: Measures) -> Model:
     return bare.place(0.5 * measures.length - measures.rear, 0.0)
 
 
-def _extend_bonnet(sheets: Sheets, shape: Shape, paint: Finish) -> None:
+def _extend_bonnet(sheets: Sheets, shape: Shape, paint: SheetFinish) -> None:
     """Extend the bonnet below the cameras, which would otherwise see a dashboard."""
     (x, z), rise = shape.roof[0], _COWL_RISE * _COWL_M
     half = shape.side_m(z) - 0.01
@@ -89,7 +89,7 @@ def _extend_bonnet(sheets: Sheets, shape: Shape, paint: Finish) -> None:
     sheets.sheet(corners, Side.TOP, paint)
 
 
-def _add_truck(sheets: Sheets, measures: Measures, paint: Finish) -> None:
+def _add_truck(sheets: Sheets, measures: Measures, paint: SheetFinish) -> None:
     end = 0.5 * measures.length
     cab = Cab(end - 1.9, end, 2.86, 0.48)
     add_cab_body(sheets, cab, paint, paint)
@@ -98,7 +98,7 @@ def _add_truck(sheets: Sheets, measures: Measures, paint: Finish) -> None:
     sheets.block((-end, -half, FLOOR_M - 0.06), (cab.back - 0.12, half, measures.height), paint, walls)
 
 
-def _design_saloon(measures: Measures) -> Design:
+def _design_saloon(measures: Measures) -> CoachworkDesign:
     return design_car(
         measures.length, measures.width, measures.height, overhangs=measures.overhangs,
         clearance=0.16, waist=0.672 * measures.height, wheel=0.335, cowl=-0.40, screen_deg=28.0, nose=0.72,
@@ -106,7 +106,7 @@ def _design_saloon(measures: Measures) -> Design:
     )  # fmt: skip
 
 
-def _design_hatchback(measures: Measures) -> Design:
+def _design_hatchback(measures: Measures) -> CoachworkDesign:
     return design_car(
         measures.length, measures.width, measures.height, overhangs=measures.overhangs,
         clearance=0.17, waist=0.658 * measures.height, wheel=0.325, cowl=-0.24, screen_deg=29.0, nose=0.74,
@@ -114,7 +114,7 @@ def _design_hatchback(measures: Measures) -> Design:
     )  # fmt: skip
 
 
-def _design_estate(measures: Measures) -> Design:
+def _design_estate(measures: Measures) -> CoachworkDesign:
     return design_car(
         measures.length, measures.width, measures.height, overhangs=measures.overhangs,
         clearance=0.16, waist=0.66 * measures.height, wheel=0.33, cowl=-0.38, screen_deg=28.5, nose=0.73,
@@ -122,7 +122,7 @@ def _design_estate(measures: Measures) -> Design:
     )  # fmt: skip
 
 
-def _design_suv(measures: Measures) -> Design:
+def _design_suv(measures: Measures) -> CoachworkDesign:
     return design_car(
         measures.length, measures.width, measures.height, overhangs=measures.overhangs,
         clearance=0.21, waist=0.66 * measures.height, wheel=0.36, cowl=-0.34, screen_deg=33.0, nose=0.90,
@@ -130,14 +130,14 @@ def _design_suv(measures: Measures) -> Design:
     )  # fmt: skip
 
 
-def _design_van(measures: Measures) -> Design:
+def _design_van(measures: Measures) -> CoachworkDesign:
     return design_van(
         measures.length, measures.width, measures.height, overhangs=measures.overhangs,
         waist=1.22, wheel=0.345, cowl=0.12, screen_deg=44.0, nose=1.02,
     )  # fmt: skip
 
 
-_DESIGNS: Final[Mapping[EgoKind, Callable[[Measures], Design]]] = {
+_DESIGNS: Final[Mapping[EgoKind, Callable[[Measures], CoachworkDesign]]] = {
     "saloon": _design_saloon,
     "hatchback": _design_hatchback,
     "estate": _design_estate,

@@ -18,7 +18,7 @@ from mirror.synth.road_users.coachwork.fittings import (
     draw_car_paint,
     draw_plate_number,
 )
-from mirror.synth.road_users.coachwork.sheets import Colour, Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Colour, Panel, SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import DARK
 from mirror.synth.textures.catalogue import LIVERIES
 
@@ -60,7 +60,7 @@ def build_tipper(rng: np.random.Generator) -> Body:
     _add_frame(sheets, 0.2, 6.4)
     for x in (1.15, 2.50):
         add_wheels(sheets, x, 1.23, 0.50, 0.52, rim=STEEL_RIM, open_deg=124.0)
-    skip = Finish(_BODY_COLOURS[int(rng.integers(3, len(_BODY_COLOURS)))], Material.METAL)
+    skip = SheetFinish(_BODY_COLOURS[int(rng.integers(3, len(_BODY_COLOURS)))], Material.METAL)
     low, high, ends = 1.12, rng.uniform(2.15, 2.45), (0.0, 5.1)
     half, top = 1.12, 1.24
     flank = [(ends[0] + 0.12, half, low), (ends[1], half, low), (ends[1], top, high), (ends[0], top, high)]
@@ -68,7 +68,7 @@ def build_tipper(rng: np.random.Generator) -> Body:
     sheets.sheet(flank, Side.LEFT, ribs, texture=lambda places: places[:, [0, 2]] / (0.85, 1.0), both=True)
     for x, other, side in ((ends[0] + 0.12, ends[0], Side.BACK), (ends[1], ends[1], Side.FRONT)):
         sheets.sheet([(x, half, low), (x, -half, low), (other, -top, high), (other, top, high)], side, skip)
-    load = Finish((0.16, 0.13, 0.10), Material.GRAVEL)
+    load = SheetFinish((0.16, 0.13, 0.10), Material.GRAVEL)
     sheets.sheet(
         [
             (ends[0], top, high - 0.1),
@@ -106,7 +106,7 @@ def _draw_colour(rng: np.random.Generator) -> Colour:
     return _BODY_COLOURS[int(rng.integers(len(_BODY_COLOURS)))]
 
 
-def _add_cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> Finish:
+def _add_cab(rng: np.random.Generator, sheets: Sheets, cab: Cab, number: int) -> SheetFinish:
     """Add a cab with its fittings; return its paint."""
     coat = draw_car_paint(rng)
     add_cab_body(sheets, cab, coat, coat if rng.random() < 0.6 else BLACK)
@@ -125,11 +125,11 @@ def _add_box_body(
     """Add a closed body with doors at the back; two of three get an image on both sides."""
     (back, front), (low, high) = ends, heights
     half = 1.275
-    wall = Finish(colour, Material.PAINT, Panel.ROW)
+    wall = SheetFinish(colour, Material.PAINT, Panel.ROW)
     flank = [(back, half, low), (front, half, low), (front, half, high), (back, half, high)]
     pitch = 1.13
     sheets.sheet(flank, Side.LEFT, wall, texture=lambda places: places[:, [0, 2]] / (pitch, 1.0), both=True)
-    plain = Finish(colour, Material.PAINT)
+    plain = SheetFinish(colour, Material.PAINT)
     doors = plain._replace(panel=Panel.WING)
     corners = np.array([(y, z) for y, z in ((half, low), (-half, low), (-half, high), (half, high))])
     sheets.sheet(np.c_[np.full(4, back), corners], Side.BACK, doors, texture=lambda places: places[:, 1:])
@@ -139,7 +139,7 @@ def _add_box_body(
     if rng.random() < 0.65:
         tall = 0.78 * (high - low)
         middle, foot, wide = 0.5 * (back + front), low + 0.11 * (high - low), 2.0 * tall
-        livery = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=int(rng.choice(LIVERIES)))
+        livery = SheetFinish((0.7, 0.7, 0.7), Material.IMAGE, image=int(rng.choice(LIVERIES)))
         place = np.array(
             [
                 (middle - 0.5 * wide, half, foot), (middle + 0.5 * wide, half, foot),

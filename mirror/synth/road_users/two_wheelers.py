@@ -21,12 +21,12 @@ from mirror.synth.road_users.coachwork.fittings import (
     draw_car_paint,
     draw_plate_number,
 )
-from mirror.synth.road_users.coachwork.sheets import Colour, Finish, Sheets
+from mirror.synth.road_users.coachwork.sheets import Colour, SheetFinish, Sheets
 from mirror.synth.road_users.people import build_rider
 
 _STEEL: Final = (0.30, 0.31, 0.32)
 _BLACK: Final = BLACK.colour
-_TYRE: Final = Finish((0.02, 0.02, 0.021), Material.RUBBER, two_sided=True)
+_TYRE: Final = SheetFinish((0.02, 0.02, 0.021), Material.RUBBER, two_sided=True)
 _FRAMES: Final[tuple[Colour, ...]] = (
     (0.02, 0.02, 0.022),
     (0.02, 0.02, 0.022),
@@ -71,7 +71,7 @@ def build_roadster(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     _add_ball(sheets, (-0.42, 0.0, 0.83), (0.72, 0.30, 0.16), BLACK)
     _add_ball(sheets, (-0.74, 0.0, 0.80), (0.46, 0.18, 0.16), coat)
     _add_ball(sheets, (front, 0.0, 2.0 * radius - 0.02), (0.46, 0.16, 0.12), coat)
-    sheets.block((-0.30, -0.20, 0.24), (0.30, 0.20, 0.66), Finish((0.07, 0.07, 0.072), Material.METAL), _SIDES)
+    sheets.block((-0.30, -0.20, 0.24), (0.30, 0.20, 0.66), SheetFinish((0.07, 0.07, 0.072), Material.METAL), _SIDES)
     _add_bar(sheets, (0.22, -0.17, 0.30), (-0.72, -0.22, 0.42), 0.055, _STEEL)
     _add_ball(sheets, (head[0] + 0.10, 0.0, 0.96), (0.16, 0.20, 0.20), BLACK)
     _add_lights(sheets, head[0] + 0.185, (0.09, 0.88, 1.04), -0.96, (0.09, 0.76, 0.84))
@@ -108,7 +108,7 @@ def build_scooter(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     _add_lights(sheets, head[0] + 0.025, (0.08, 0.95, 1.05), -0.872, (0.10, 0.62, 0.70))
     _add_small_plate(sheets, -0.885, 0.52, draw_plate_number(rng))
     if rng.random() < 0.35:
-        case = Finish(_FRAMES[int(rng.integers(2, len(_FRAMES)))], Material.PLAIN)
+        case = SheetFinish(_FRAMES[int(rng.integers(2, len(_FRAMES)))], Material.PLAIN)
         sheets.block((-1.02, -0.24, 0.84), (-0.56, 0.24, 1.28), case, (*_SIDES, Side.TOP))
     for y in (0.36, -0.36):
         _add_ball(sheets, (head[0] - 0.10, y, 1.20), (0.04, 0.12, 0.08), BLACK)
@@ -134,7 +134,7 @@ def build_city_bicycle(rng: np.random.Generator, *, ridden: bool = True) -> Body
     _add_bar(sheets, (0.28, 0.30, 1.06), (0.28, -0.30, 1.06), 0.015, _BLACK)
     _add_ball(sheets, (-0.29, 0.0, 0.98), (0.27, 0.17, 0.07), BLACK)
     if rng.random() < 0.45:
-        case = Finish(_FRAMES[int(rng.integers(len(_FRAMES)))], Material.CLOTH)
+        case = SheetFinish(_FRAMES[int(rng.integers(len(_FRAMES)))], Material.CLOTH)
         sheets.block((-0.72, 0.07, 0.40), (-0.40, 0.20, 0.72), case, (*_SIDES, Side.TOP))
         sheets.block((-0.72, -0.20, 0.40), (-0.40, -0.07, 0.72), case, (*_SIDES, Side.TOP))
     return _make_body(rng, sheets, _add_cranks(rng, sheets, crank), "cyclist", ridden)
@@ -158,7 +158,7 @@ def build_cargo_bike(rng: np.random.Generator, *, ridden: bool = True) -> Body:
     _add_bar(sheets, _xy(head, 0.0), (0.30 + shift, 0.0, 1.05), 0.016, _STEEL)
     _add_bar(sheets, (0.28 + shift, 0.30, 1.06), (0.28 + shift, -0.30, 1.06), 0.015, _BLACK)
     _add_ball(sheets, (-0.29 + shift, 0.0, 0.98), (0.27, 0.17, 0.07), BLACK)
-    wood = Finish((0.30, 0.20, 0.11) if rng.random() < 0.5 else (0.03, 0.03, 0.033), Material.WOOD)
+    wood = SheetFinish((0.30, 0.20, 0.11) if rng.random() < 0.5 else (0.03, 0.03, 0.033), Material.WOOD)
     low, high = [(0.05, 0.22), (0.74, 0.20)], [(-0.02, 0.31), (0.90, 0.29)]
     rim = [(x, y, 0.84) for x, y in high]
     foot = [(x, y, 0.40) for x, y in low]
@@ -180,7 +180,7 @@ def _add_bar(
 
 
 def _add_ball(
-    sheets: Sheets, centre: tuple[float, float, float], size: tuple[float, float, float], finish: Finish
+    sheets: Sheets, centre: tuple[float, float, float], size: tuple[float, float, float], finish: SheetFinish
 ) -> None:
     sheets.add(ellipsoid(centre, size, finish.colour, finish.material, sheets.label, seed=sheets.seed))
 
@@ -189,7 +189,7 @@ def _add_box(
     sheets: Sheets,
     foot: list[tuple[float, float, float]],
     rim: list[tuple[float, float, float]],
-    finish: Finish,
+    finish: SheetFinish,
 ) -> None:
     """Add four walls that lean outwards, and a dark lid."""
     mirror = np.array([1.0, -1.0, 1.0])

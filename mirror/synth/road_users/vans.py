@@ -11,14 +11,14 @@ import numpy as np
 from mirror.portable import scalars
 from mirror.synth.model import Label, Material, Side
 from mirror.synth.road_users.body import Body, make_body
-from mirror.synth.road_users.coachwork.design import Design, build_vehicle
+from mirror.synth.road_users.coachwork.design import CoachworkDesign, build_vehicle
 from mirror.synth.road_users.coachwork.fittings import draw_car_paint
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import PANE, End, Point, Shape
 from mirror.synth.textures.catalogue import LIVERIES
 
-_WHITE = Finish((0.60, 0.60, 0.59), Material.PAINT)
-_BUMPER = Finish((0.05, 0.05, 0.052), Material.PLAIN)
+_WHITE = SheetFinish((0.60, 0.60, 0.59), Material.PAINT)
+_BUMPER = SheetFinish((0.05, 0.05, 0.052), Material.PLAIN)
 
 
 def build_van(rng: np.random.Generator) -> Body:
@@ -72,7 +72,9 @@ def build_minibus(rng: np.random.Generator) -> Body:
     return make_body("van", sheets.model())
 
 
-def _paint_van(rng: np.random.Generator, design: Design, coat: Finish, livery_m: tuple[float, float]) -> Body:
+def _paint_van(
+    rng: np.random.Generator, design: CoachworkDesign, coat: SheetFinish, livery_m: tuple[float, float]
+) -> Body:
     """Paint a van; two of three get an image on their sides, sized by a width and a share of the sides' height."""
     sheets = build_vehicle(rng, design, coat, Label.VAN)
     if rng.random() < 0.65:
@@ -87,7 +89,7 @@ def _paint_van(rng: np.random.Generator, design: Design, coat: Finish, livery_m:
 
 def add_livery(sheets: Sheets, shape: Shape, ends_m: Point, heights_m: Point, image: int) -> None:
     """Add an image on both sides of the greenhouse, between two x positions and two heights."""
-    finish = Finish((0.7, 0.7, 0.7), Material.IMAGE, image=image)
+    finish = SheetFinish((0.7, 0.7, 0.7), Material.IMAGE, image=image)
     (back, front), (low, high) = ends_m, heights_m
     left = np.array([shape.side(*point) for point in ((back, low), (front, low), (front, high), (back, high))])
     sheets.sheet(left, Side.LEFT, finish, lift_m=0.004)
@@ -105,7 +107,7 @@ def design_van(
     cowl: float,
     screen_deg: float,
     nose: float,
-) -> Design:
+) -> CoachworkDesign:
     """Design a box with a short bonnet; the measures are those of `design.drawn`, in metres."""
     end = 0.5 * length
     axles = end - overhangs[0], overhangs[1] - end
@@ -140,7 +142,7 @@ def design_van(
         (shape.screen(low) - 0.20, low), (seam - 1.0, low), (seam - 1.0, min(high, waist + 0.72)),
         (shape.screen(min(high, waist + 0.72)) - 0.12, min(high, waist + 0.72)),
     )  # fmt: skip
-    design = Design(
+    design = CoachworkDesign(
         shape, windows, 0.12, 0.16, (nose - 0.22, nose - 0.05), (waist - 0.42, waist - 0.06), waist - 0.50, sill=_BUMPER
     )
     return replace(design, mirror_m=(0.28, 0.16), mirrors_painted=False)

@@ -26,7 +26,7 @@ _INSIDE_M: Final = 1.0
 
 
 @dataclass(frozen=True)
-class Street:
+class CrossedStreet:
     """A street with its middle line and its cross-section.
 
     Attributes:
@@ -52,7 +52,7 @@ class Arm:
         zebra: whether a zebra crossing leads over it.
     """
 
-    street: Street
+    street: CrossedStreet
     station_m: float
     way: int
     minor: bool = False

@@ -18,7 +18,7 @@ import shapely
 from mirror.arrays import AnyArray, Bool, Float64, Int64
 from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material, Model, merge_models, polygons
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 from mirror.synth.roads.relief import Relief
 from mirror.synth.roads.section import Section
 
@@ -83,7 +83,7 @@ class Ground:
 
 
 def merge_outlines(
-    streets: Sequence[Street], stations: Sequence[Float64], crossings: Sequence[Crossing], kerbs: bool
+    streets: Sequence[CrossedStreet], stations: Sequence[Float64], crossings: Sequence[Crossing], kerbs: bool
 ) -> Outlines:
     """Merge the outlines of all roads, with rounded corners at the crossings.
 
@@ -124,7 +124,9 @@ def _boundary_offsets(section: Section, kerbs: bool) -> Float64:
     return np.unique(np.concatenate([-half, [0.0], half]))
 
 
-def _street_band(street: Street, stations: Float64, low_m: float, high_m: float, kerbs: bool) -> shapely.Geometry:
+def _street_band(
+    street: CrossedStreet, stations: Float64, low_m: float, high_m: float, kerbs: bool
+) -> shapely.Geometry:
     """A band along a street; its two ends have a vertex at every boundary of the cross-section."""
     steps = _boundary_offsets(street.section, kerbs)
     across = steps[(steps > low_m) & (steps < high_m)]
@@ -142,7 +144,7 @@ def _street_band(street: Street, stations: Float64, low_m: float, high_m: float,
 
 
 def build_ground(
-    streets: Sequence[Street],
+    streets: Sequence[CrossedStreet],
     stations: Sequence[Float64],
     roads: Outlines,
     relief: Relief,
@@ -220,7 +222,9 @@ def _contains(region: shapely.Geometry, points: Float64) -> Bool:
     return np.asarray(shapely.contains_xy(region, points[:, 0], points[:, 1]))
 
 
-def _cross_lines(streets: Sequence[Street], stations: Sequence[Float64], relief: Relief) -> list[shapely.Geometry]:
+def _cross_lines(
+    streets: Sequence[CrossedStreet], stations: Sequence[Float64], relief: Relief
+) -> list[shapely.Geometry]:
     """Lines across the streets where pieces end, and along the crowns; none in crossings or on earlier streets."""
     lines_by_street: list[shapely.Geometry] = []
     covered: shapely.Geometry = shapely.Polygon()
@@ -258,7 +262,7 @@ def _grid_lines(yaw_rad: float, fine_m: float, extent_m: float) -> AnyArray:
 
 
 def _assign_streets(
-    streets: Sequence[Street], places: Sequence[tuple[Float64, Float64]], number: Int64
+    streets: Sequence[CrossedStreet], places: Sequence[tuple[Float64, Float64]], number: Int64
 ) -> tuple[Int64, Float64]:
     """Assign each triangle to a street, and compute its corners' stations and offsets there.
 
@@ -283,7 +287,7 @@ def _assign_streets(
 
 
 def _carriageway_models(
-    triangles: Float64, texture: Float64, owner: Int64, streets: Sequence[Street], stretches: Sequence[Stretch]
+    triangles: Float64, texture: Float64, owner: Int64, streets: Sequence[CrossedStreet], stretches: Sequence[Stretch]
 ) -> Iterator[Model]:
     station = texture[:, :, 0].mean(axis=1)
     layout = np.zeros(len(triangles), np.int64)

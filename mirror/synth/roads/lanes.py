@@ -11,9 +11,9 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.portable import arrays
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 from mirror.synth.roads.layouts import Approach, find_approaches
-from mirror.synth.roads.section import Track
+from mirror.synth.roads.section import LaneStrip
 from mirror.traffic.lanes.network import Lane
 
 _STEP_M: Final = 1.0
@@ -57,7 +57,9 @@ class _Limit:
     approach: Approach | None = None
 
 
-def build_lanes(street: Street, crossings: Sequence[Crossing], feet: bool) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
+def build_lanes(
+    street: CrossedStreet, crossings: Sequence[Crossing], feet: bool
+) -> Iterator[tuple[Lane, tuple[Port, ...]]]:
     """Build the lanes of a street, with their ends at crossings.
 
     Args:
@@ -75,12 +77,12 @@ def build_lanes(street: Street, crossings: Sequence[Crossing], feet: bool) -> It
             width = 0.6 * street.section.pavement_m
             for side in (1, -1):
                 for way in (1, -1):
-                    track = Track(f"walk{'+' if way > 0 else '-'}{'l' if side > 0 else 'r'}", "walk", side * offset,
+                    track = LaneStrip(f"walk{'+' if way > 0 else '-'}{'l' if side > 0 else 'r'}", "walk", side * offset,
                                   width, way, WALK_MPS)  # fmt: skip
                     yield _build_lane(street, name, track, (), low, high)
 
 
-def _split_street(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
+def _split_street(street: CrossedStreet, crossings: Sequence[Crossing]) -> list[tuple[_Limit, _Limit]]:
     """Split a street into the stretches between its ends and crossings."""
     ends: list[_Limit] = []
     starts: list[_Limit] = []
@@ -100,7 +102,7 @@ def _split_street(street: Street, crossings: Sequence[Crossing]) -> list[tuple[_
 
 
 def _build_lane(
-    street: Street, name: str, track: Track, beside: Sequence[Track], low: _Limit, high: _Limit
+    street: CrossedStreet, name: str, track: LaneStrip, beside: Sequence[LaneStrip], low: _Limit, high: _Limit
 ) -> tuple[Lane, tuple[Port, ...]]:
     """Build one lane of a stretch, and its ports."""
     begin, end = (_lane_end_m(limit, track, sign) for limit, sign in ((low, 1), (high, -1)))
@@ -128,7 +130,7 @@ def _build_lane(
     return lane, tuple(ports)
 
 
-def _sample_line(street: Street, begin: float, end: float, offset_m: float) -> Float64:
+def _sample_line(street: CrossedStreet, begin: float, end: float, offset_m: float) -> Float64:
     """A line (N, 2) at an offset from the street's middle, in steps of at most ``_STEP_M`` along it."""
     longest = _STEP_M
     count = 0
@@ -139,7 +141,7 @@ def _sample_line(street: Street, begin: float, end: float, offset_m: float) -> F
     return line
 
 
-def _lane_end_m(limit: _Limit, track: Track, inwards: int) -> float:
+def _lane_end_m(limit: _Limit, track: LaneStrip, inwards: int) -> float:
     """The station at which a lane ends: parking keeps clear of crossings, walking continues up to the zebra."""
     approach = limit.approach
     if approach is None:
@@ -156,7 +158,7 @@ def pavement_begin_m(approach: Approach) -> float:
     return approach.begin_m + 0.5 if approach.zebra_m is None else 0.5 * sum(approach.zebra_m)
 
 
-def _neighbour_id(name: str, track: Track, beside: Sequence[Track], side: int) -> str | None:
+def _neighbour_id(name: str, track: LaneStrip, beside: Sequence[LaneStrip], side: int) -> str | None:
     """Id of the lane to change to, on the left (side 1) or right (side -1) of the driver; None if there is none."""
     if track.use != "drive":
         return None

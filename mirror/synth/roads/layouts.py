@@ -12,7 +12,7 @@ import numpy as np
 from mirror.arrays import Float64, Records
 from mirror.portable import scalars
 from mirror.synth.model import Material
-from mirror.synth.roads.crossing import Arm, Crossing, Street
+from mirror.synth.roads.crossing import Arm, CrossedStreet, Crossing
 from mirror.synth.roads.ground import Stretch
 from mirror.synth.roads.markings import Mark, dashed_line, pack_layouts, stop_line, yield_line, zebra_marks
 from mirror.synth.roads.relief import Dip
@@ -77,7 +77,7 @@ class Layouts:
     stations: tuple[Float64, ...]
 
 
-def build_layouts(streets: Sequence[Street], crossings: Sequence[Crossing]) -> Layouts:
+def build_layouts(streets: Sequence[CrossedStreet], crossings: Sequence[Crossing]) -> Layouts:
     """Assign markings to the streets, and divide the streets into pieces."""
     rows: list[Sequence[Mark]] = [()]
     stretches: list[Stretch] = []
@@ -124,7 +124,7 @@ def build_layouts(streets: Sequence[Street], crossings: Sequence[Crossing]) -> L
     return Layouts(pack_layouts(rows), tuple(stretches), tuple(dips), tuple(stations))
 
 
-def _merging_stations(street: Street, crossing: Crossing) -> tuple[float, float] | None:
+def _merging_stations(street: CrossedStreet, crossing: Crossing) -> tuple[float, float] | None:
     """Stations between which traffic may cross a motorway's right edge line to or from a slip road, or None."""
     slip = next((arm for arm in crossing.arms if arm.street.section is SLIP_ROAD), None)
     main = next((arm for arm in crossing.arms if arm.street is street), None)
@@ -141,7 +141,7 @@ def _make_stretch(street: int, one_m: float, other_m: float, layout: int) -> Str
     return Stretch(street, min(one_m, other_m), max(one_m, other_m), layout)
 
 
-def _priority_marks(crossing: Crossing, street: Street) -> tuple[Mark, ...]:
+def _priority_marks(crossing: Crossing, street: CrossedStreet) -> tuple[Mark, ...]:
     """Marks of the priority street inside a crossing: wear, middle line, edge lines where no street joins."""
     heading = next(arm.heading_rad for arm in crossing.arms if arm.street is street and arm.way > 0)
     comes_in = {scalars.sin(arm.heading_rad - heading) > 0.0 for arm in crossing.arms if arm.street is not street}
@@ -180,7 +180,7 @@ def _cut_mark(mark: Mark, u_m: tuple[float, float]) -> Mark:
     return Mark(u_m, mark.v_m, mark.u_stripes, mark.v_stripes, mark.slant, mark.colour, mark.strength, mark.worn)
 
 
-def _piece_stations(street: Street, cuts: Float64) -> Float64:
+def _piece_stations(street: CrossedStreet, cuts: Float64) -> Float64:
     """Stations at which a street's pieces end: at all cuts, and in between at steps that shrink with the curvature."""
     line = street.line
     cuts = np.unique(np.clip(cuts, line.first_m, line.last_m))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.portable import arrays
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 from mirror.synth.roads.lanes import Port, build_lanes
 from mirror.synth.roads.turnings import assign_right_of_way, build_footways, build_turnings, link_lanes
 from mirror.traffic.lanes.network import Lane, Network
@@ -22,7 +22,7 @@ _ON_FOOT: Final = 2
 
 
 def build_network(
-    streets: Sequence[Street],
+    streets: Sequence[CrossedStreet],
     crossings: Sequence[Crossing],
     feet: bool,
     height_m: Callable[[Float64, Float64], Float64],
@@ -99,7 +99,7 @@ def _link_joint(crossing: Crossing, ports: Sequence[Port], lanes: dict[str, Lane
             lanes[port.lane_id] = replace(lanes[port.lane_id], successors=after[port.lane_id], yields_to=merging)
 
 
-def _through_street(crossing: Crossing) -> Street:
+def _through_street(crossing: Crossing) -> CrossedStreet:
     """The street that continues through the crossing."""
     names = [arm.street.name for arm in crossing.arms]
     return next(arm.street for arm in crossing.arms if names.count(arm.street.name) == 2)

@@ -11,7 +11,7 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.synth.model import Label, Material, Model, block, merge_models, polygon
-from mirror.synth.roads.crossing import Street
+from mirror.synth.roads.crossing import CrossedStreet
 from mirror.synth.roads.section import COUNTRY_ROAD
 
 _RISE_M: Final = 6.5
@@ -42,7 +42,7 @@ class Overbridge:
     outline: shapely.Geometry
 
 
-def build_overbridge(street: Street, station_m: float, height_m: float) -> Overbridge:
+def build_overbridge(street: CrossedStreet, station_m: float, height_m: float) -> Overbridge:
     """Build a bridge at right angles over a street.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 
 _FADE_M: Final = 12.0
 _BESIDE_M: Final = 14.0
@@ -83,7 +83,7 @@ class Relief:
     """
 
     land: Land
-    streets: tuple[Street, ...]
+    streets: tuple[CrossedStreet, ...]
     level_at: tuple[Float64, ...]
     kerb_m: float
     dips: tuple[Dip, ...]
@@ -128,7 +128,7 @@ def _smoothstep(x: Float64) -> Float64:
     return x * x * (3.0 - 2.0 * x)
 
 
-def find_level_stretches(street: Street, crossings: Sequence[Crossing]) -> Float64:
+def find_level_stretches(street: CrossedStreet, crossings: Sequence[Crossing]) -> Float64:
     """Stretches (K, 2) of a street's stations that lie inside crossings."""
     stretches = []
     for crossing in crossings:

@@ -13,7 +13,7 @@ import shapely
 from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
 from mirror.synth.model import Label, Material
-from mirror.synth.roads.crossing import Arm, Crossing, Street, build_crossing
+from mirror.synth.roads.crossing import Arm, CrossedStreet, Crossing, build_crossing
 from mirror.synth.roads.ground import Cover
 from mirror.synth.roads.line import Bend, Line, build_line
 from mirror.synth.roads.section import (
@@ -64,7 +64,7 @@ class Scheme:
         bridge_m: station of the main street at which a bridge leads over it; None if there is no bridge.
     """
 
-    streets: tuple[Street, ...]
+    streets: tuple[CrossedStreet, ...]
     crossings: tuple[Crossing, ...]
     kerb_m: float
     slope: float
@@ -81,37 +81,39 @@ def _bend_angle(length_m: float, least_radius_m: float, most_rad: float) -> floa
     return min(most_rad, length_m / (2.0 * least_radius_m))
 
 
-def _straight_arms(street: Street, station: float, *, zebra: bool = False, minor: bool = False) -> tuple[Arm, Arm]:
+def _straight_arms(
+    street: CrossedStreet, station: float, *, zebra: bool = False, minor: bool = False
+) -> tuple[Arm, Arm]:
     return Arm(street, station, 1, minor, zebra), Arm(street, station, -1, minor, zebra)
 
 
-def _edge_street(main: Line, radius: float, section: Section, extent: float) -> tuple[Street, float]:
+def _edge_street(main: Line, radius: float, section: Section, extent: float) -> tuple[CrossedStreet, float]:
     """A straight street across the main street, at a distance of ``EDGE`` times the radius from the ROI's centre."""
     stations = np.arange(main.first_m, -0.5 * radius, 0.25)
     headings, points = main.heading(stations), main.at(stations)
     distance = -(points[:, 0] * arrays.cos(headings) + points[:, 1] * arrays.sin(headings))
     station = float(stations[int(np.argmin(np.abs(distance - EDGE * radius)))])
     line = build_line(main.at(station), float(main.heading(station)) + 0.5 * math.pi, -2.0 * extent, 2.0 * extent)
-    return Street("edge", line.until(extent), section), station
+    return CrossedStreet("edge", line.until(extent), section), station
 
 
 def _cross_street(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
-) -> Street:
+) -> CrossedStreet:
     """A street that crosses the main street at an angle of ``turn``."""
     line = build_line(main.at(station), float(main.heading(station)) + turn, -2.0 * extent, 2.0 * extent, bends)
-    return Street(name, line.until(extent), section)
+    return CrossedStreet(name, line.until(extent), section)
 
 
 def _branch_street(
     name: str, main: Line, station: float, turn: float, section: Section, extent: float, bends: tuple[Bend, ...] = ()
-) -> Street:
+) -> CrossedStreet:
     """A street that begins at the main street's middle."""
     line = build_line(main.at(station), float(main.heading(station)) + turn, 0.0, 2.0 * extent, bends)
     far = arrays.hypot(*line.points.T) > extent
     stop = int(np.argmax(far)) if far.any() else len(far)
     part = Line(0.0, float(line.stations[stop - 1]), line.stations[:stop], line.points[:stop], line.headings[:stop])
-    return Street(name, part, section)
+    return CrossedStreet(name, part, section)
 
 
 def _land_cover(material: Material, label: Label, colour: tuple[float, float, float]) -> Cover:
@@ -131,7 +133,7 @@ def _urban_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme
         Bend(0.66 * radius, second, -side * _bend_angle(second, 60.0, rng.uniform(0.30, 0.42))),
     )
     place = _offset_from_centre(yaw, rng.uniform(-2.0, 2.0))
-    main = Street("main", build_line(place, yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MAIN_STREET)
+    main = CrossedStreet("main", build_line(place, yaw, -2.0 * extent, 2.0 * extent, bends).until(extent), MAIN_STREET)
     at = 0.28 * radius
     cross = _cross_street("cross", main.line, at, 0.5 * math.pi + rng.uniform(-0.07, 0.07), CYCLE_STREET, extent)
     edge, edge_at = _edge_street(main.line, radius, OUTER_STREET, extent)
@@ -174,7 +176,7 @@ def _campus_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Schem
         Bend(-0.30 * radius, first, side * _bend_angle(first, 45.0, rng.uniform(0.30, 0.40))),
         Bend(0.64 * radius, second, -side * _bend_angle(second, 45.0, rng.uniform(0.35, 0.50))),
     )
-    main = Street(
+    main = CrossedStreet(
         "main",
         build_line(_offset_from_centre(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
         CAMPUS_STREET,
@@ -215,7 +217,7 @@ def _rural_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Scheme
             (0.74, 0.40, -1.0, 0.50),
         )
     )
-    main = Street(
+    main = CrossedStreet(
         "main",
         build_line(_offset_from_centre(yaw, 0.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
         COUNTRY_ROAD,
@@ -251,7 +253,7 @@ def _highway_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Sche
     length = 1.6 * radius
     # The motorway curves to the left, away from its slip roads.
     bends = (Bend(0.1 * radius, length, _bend_angle(length, 350.0, rng.uniform(0.15, 0.35))),)
-    main = Street(
+    main = CrossedStreet(
         "main",
         build_line(_offset_from_centre(yaw, -9.0), yaw, -2.0 * extent, 2.0 * extent, bends).until(extent),
         MOTORWAY,
@@ -267,7 +269,9 @@ def _highway_scheme(radius: float, yaw: float, rng: np.random.Generator) -> Sche
     return Scheme((main, *streets), crossings, 0.0, 0.006, 0.014, verge, 0.0, (), parcels, -0.08 * radius)
 
 
-def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Street, ...], tuple[Crossing, ...]]:
+def _slip_roads(
+    main: CrossedStreet, radius: float, extent: float
+) -> tuple[tuple[CrossedStreet, ...], tuple[Crossing, ...]]:
     """The entry and the exit after it, on the right of the carriageway along the line."""
     lane = next(track.offset_m for track in MOTORWAY.tracks if track.name == "drive1+")
     join, leave = -0.32 * radius, 0.10 * radius
@@ -278,8 +282,8 @@ def _slip_roads(main: Street, radius: float, extent: float) -> tuple[tuple[Stree
         main.line.at(join, lane), float(main.line.heading(join)), -2.0 * extent, 0.0, (Bend(-70.0, 110.0, -_SLIP_RAD),)
     )
     exits, entries = (
-        Street("exit", _clip_line(out, extent), SLIP_ROAD),
-        Street("entry", _clip_line(back, extent), SLIP_ROAD),
+        CrossedStreet("exit", _clip_line(out, extent), SLIP_ROAD),
+        CrossedStreet("entry", _clip_line(back, extent), SLIP_ROAD),
     )
     return (exits, entries), (
         build_crossing("leave", (*_straight_arms(main, leave), Arm(exits, 0.0, 1)), "joint"),

@@ -19,7 +19,7 @@ from mirror.traffic.lanes.network import Use
 
 
 @dataclass(frozen=True)
-class Track:
+class LaneStrip:
     """One lane of a cross-section.
 
     Attributes:
@@ -57,7 +57,7 @@ class Section:
     """
 
     half_m: float
-    tracks: tuple[Track, ...]
+    tracks: tuple[LaneStrip, ...]
     marks: tuple[Mark, ...] = ()
     middle: tuple[Mark, ...] = ()
     strict: tuple[Mark, ...] = ()
@@ -68,11 +68,11 @@ class Section:
     colour: tuple[float, float, float] = (0.100, 0.100, 0.104)
 
 
-def _track_pair(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[Track, Track]:
+def _track_pair(use: Use, offset: float, width: float, speed: float, number: int = 1) -> tuple[LaneStrip, LaneStrip]:
     """One lane on each side; traffic keeps right."""
     return (
-        Track(f"{use}{number}+", use, -offset, width, 1, speed),
-        Track(f"{use}{number}-", use, offset, width, -1, speed),
+        LaneStrip(f"{use}{number}+", use, -offset, width, 1, speed),
+        LaneStrip(f"{use}{number}-", use, offset, width, -1, speed),
     )
 
 
@@ -164,7 +164,7 @@ MOTORWAY: Final = Section(
 )  # fmt: skip
 SLIP_ROAD: Final = Section(
     3.6,
-    (Track("drive1+", "drive", 0.0, 4.0, 1, 16.7),),
+    (LaneStrip("drive1+", "drive", 0.0, 4.0, 1, 16.7),),
     marks=(*wheel_tracks(0.0), *(solid_line(side * SLIP_EDGE_M, 0.1) for side in (1, -1))),
     crossfall=0.0,
     pavement_m=1.5,

@@ -13,7 +13,7 @@ import shapely
 
 from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
-from mirror.synth.roads.crossing import Street
+from mirror.synth.roads.crossing import CrossedStreet
 from mirror.synth.street.lots import Lot, LotKind
 
 _GRID_M: Final = 0.5
@@ -65,7 +65,7 @@ BUILDINGS: Final[dict[str, tuple[Building, ...]]] = {
 
 
 def place_lots(
-    streets: Sequence[Street],
+    streets: Sequence[CrossedStreet],
     taken: shapely.Geometry,
     kind: str,
     height_m: Callable[[npt.ArrayLike, npt.ArrayLike], Float64],
@@ -130,7 +130,7 @@ class _Side:
         return Lot(0.5 * (front[0] + front[-1]) + bulge * away, yaw, length - 2.0 * _CLEAR_M, depth, kind)
 
 
-def _sample_side(street: Street, side: int) -> _Side:
+def _sample_side(street: CrossedStreet, side: int) -> _Side:
     stations = np.arange(street.line.first_m, street.line.last_m, _GRID_M)
     middle, beside = street.line.at(stations), street.line.at(stations, float(side))
     return _Side(middle, beside - middle, street.section.half_m + street.section.pavement_m, side)

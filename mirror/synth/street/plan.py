@@ -14,7 +14,7 @@ from mirror.arrays import Bool, Float64, Records
 from mirror.errors import UsageError
 from mirror.schema.documents import Roi
 from mirror.synth.model import Model, merge_models
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 from mirror.synth.roads.ground import build_ground, merge_outlines
 from mirror.synth.roads.ground_index import GroundIndex, build_ground_index
 from mirror.synth.roads.layouts import build_layouts
@@ -35,7 +35,7 @@ _MOST_RADIUS_M: Final = 400.0
 
 
 @dataclass(frozen=True)
-class Plan:
+class StreetPlan:
     """The plan of a scene, in its world frame: east, north, up, metres, the origin at the ROI's centre.
 
     Attributes:
@@ -59,7 +59,7 @@ class Plan:
     roi: Roi
     kind: str
     yaw_rad: float
-    streets: tuple[Street, ...]
+    streets: tuple[CrossedStreet, ...]
     crossings: tuple[Crossing, ...]
     ground: Model
     layouts: Records
@@ -88,7 +88,7 @@ class Plan:
         )
 
 
-def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
+def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> StreetPlan:
     """Plan a scene.
 
     Args:
@@ -139,7 +139,7 @@ def plan_scene(roi: Roi, yaw_deg: float, seed: int) -> Plan:
     lot_area = shapely.union_all([lot.outline() for lot in lots])
     for geometry in (road_area, lot_area):
         shapely.prepare(geometry)
-    return Plan(
+    return StreetPlan(
         roi,
         kind,
         yaw,

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from mirror.arrays import Float64
-from mirror.synth.roads.crossing import Crossing, Street
+from mirror.synth.roads.crossing import CrossedStreet, Crossing
 from mirror.synth.roads.ground_index import GroundIndex
 from mirror.synth.roads.layouts import find_approaches
 from mirror.synth.roads.relief import find_level_stretches
@@ -63,7 +63,7 @@ FURNISHINGS: Final = {
 class _Place:
     """A spot in the coordinates of a street."""
 
-    street: Street
+    street: CrossedStreet
     station_m: float
     offset_m: float
     kind: SpotKind
@@ -85,7 +85,7 @@ class _Place:
 
 
 def place_spots(
-    streets: Sequence[Street],
+    streets: Sequence[CrossedStreet],
     crossings: Sequence[Crossing],
     kind: str,
     taken: shapely.Geometry,
@@ -119,7 +119,7 @@ def place_spots(
 
 
 def _drop_on_streets(
-    places: Sequence[_Place], street: Street, level: Float64, others: Sequence[Street]
+    places: Sequence[_Place], street: CrossedStreet, level: Float64, others: Sequence[CrossedStreet]
 ) -> list[_Place]:
     """The places beside a street that are outside its crossings and outside other streets, pavements and medians."""
     at = np.array([place.station_m for place in places])
@@ -150,7 +150,7 @@ def _crossing_places(crossing: Crossing) -> Iterator[_Place]:
             yield _Place(arm.street, station, offset, "crosswalk")
 
 
-def _gantry_places(street: Street) -> list[_Place]:
+def _gantry_places(street: CrossedStreet) -> list[_Place]:
     """Places for gantries over both carriageways."""
     aside = street.section.half_m + 1.4
     length = street.line.last_m - street.line.first_m
@@ -160,7 +160,7 @@ def _gantry_places(street: Street) -> list[_Place]:
     ]
 
 
-def _street_places(street: Street, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
+def _street_places(street: CrossedStreet, furnishing: Furnishing, rng: np.random.Generator) -> list[_Place]:
     """Lamps alternating between both sides, trees between them, and signs and small objects in the gaps."""
     places: list[_Place] = []
     for side in (1, -1):
@@ -180,7 +180,7 @@ def _street_places(street: Street, furnishing: Furnishing, rng: np.random.Genera
 
 
 def _even_places(
-    street: Street,
+    street: CrossedStreet,
     kind: SpotKind,
     step_m: float,
     side: int,
@@ -200,7 +200,7 @@ def _is_apart(place: _Place, others: Sequence[_Place], least_m: float) -> bool:
 
 
 def place_rails(
-    streets: Sequence[Street], stations: Sequence[Float64], kind: str, ground_index: GroundIndex
+    streets: Sequence[CrossedStreet], stations: Sequence[Float64], kind: str, ground_index: GroundIndex
 ) -> tuple[Rail, ...]:
     """Place rails along the main street, interrupted where other streets join.
 

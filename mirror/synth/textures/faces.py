@@ -35,7 +35,7 @@ _DARK: Final = (0.015, 0.012, 0.011)
 
 
 @dataclass(frozen=True)
-class Features:
+class FaceFeatures:
     """The features of one face.
 
     Attributes:
@@ -68,7 +68,7 @@ class Features:
 
 
 @cache
-def draw_features(number: int) -> Features:
+def draw_features(number: int) -> FaceFeatures:
     """Return the features of a face.
 
     Args:
@@ -94,7 +94,7 @@ def draw_features(number: int) -> Features:
     hairy = 0.0 if feminine else float(rng.choice([0.0, 0.25, 0.4, 1.0], p=[0.45, 0.2, 0.15, 0.2]))
     r, g, b = np.array(skin) * red
     near, nose, mouth = rng.uniform(0.95, 1.05), rng.uniform(0.9, 1.1), rng.uniform(0.92, 1.1)
-    return Features(
+    return FaceFeatures(
         skin, hair, styles[int(rng.integers(4))], eyes, (float(r), float(g), float(b)), hairy,
         not feminine and (hairy == 1.0 or bool(rng.random() < 0.1)), bool(rng.random() < 0.22), old,
         float(rng.uniform(0.7, 1.0) if feminine else rng.uniform(0.95, 1.35)), (near, nose, mouth), feminine,
@@ -207,7 +207,7 @@ def _scale_colour(colour: Colour, factor: float) -> Colour:
     return colour[0] * factor, colour[1] * factor, colour[2] * factor
 
 
-def _draw_head(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
+def _draw_head(canvas: _Canvas, person: FaceFeatures, rng: np.random.Generator) -> None:
     """Shade the forehead, eye sockets, cheeks and jaw."""
     canvas.rgb *= 1.0 + 0.04 * _mottle(rng, len(canvas.rgb), 9)[..., None]
     canvas.shade((1.07, 1.06, 1.05), 0.0, 0.38, 0.34, 0.20)
@@ -242,7 +242,7 @@ def _draw_head(canvas: _Canvas, person: Features, rng: np.random.Generator) -> N
             )
 
 
-def _draw_eye(canvas: _Canvas, person: Features, side: float) -> None:
+def _draw_eye(canvas: _Canvas, person: FaceFeatures, side: float) -> None:
     """Draw an eye: eyeball, iris, pupil, highlight, lids, lashes and brow."""
     x, y = side * 0.275 * person.wide[0], 0.03
     half, open_ = 0.125, 0.050 if person.feminine else 0.044
@@ -268,7 +268,7 @@ def _draw_eye(canvas: _Canvas, person: Features, side: float) -> None:
     canvas.stroke(colour, brow, 0.034 * person.brow, soft=0.5, share=0.85, taper=0.45)
 
 
-def _draw_nose(canvas: _Canvas, person: Features) -> None:
+def _draw_nose(canvas: _Canvas, person: FaceFeatures) -> None:
     wide = person.wide[1] * (0.92 if person.feminine else 1.0)
     canvas.shade((1.12, 1.11, 1.10), 0.0, -0.10, 0.045, 0.22, 0.8)
     canvas.shade((1.12, 1.10, 1.09), 0.0, -0.29, 0.07, 0.06, 0.8)
@@ -284,7 +284,7 @@ def _draw_nose(canvas: _Canvas, person: Features) -> None:
     canvas.shade((0.68, 0.62, 0.60), 0.0, -0.40, 0.12, 0.035)
 
 
-def _draw_mouth(canvas: _Canvas, person: Features) -> None:
+def _draw_mouth(canvas: _Canvas, person: FaceFeatures) -> None:
     half, y = 0.205 * person.wide[2], -0.555
     full = 0.050 if person.feminine else 0.034
     canvas.shade((0.86, 0.82, 0.80), 0.0, -0.47, 0.025, 0.05)
@@ -299,7 +299,7 @@ def _draw_mouth(canvas: _Canvas, person: Features) -> None:
         canvas.shade((0.66, 0.62, 0.60), side * (half + 0.02), y, 0.035, 0.03)
 
 
-def _draw_beard(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
+def _draw_beard(canvas: _Canvas, person: FaceFeatures, rng: np.random.Generator) -> None:
     """Draw stubble or a full beard on jaw and chin, and a moustache."""
     x, y = np.abs(canvas.x), canvas.y
     grain = 1.0 + 0.35 * _mottle(rng, len(canvas.rgb), 40)
@@ -314,7 +314,7 @@ def _draw_beard(canvas: _Canvas, person: Features, rng: np.random.Generator) -> 
         canvas.lay(everywhere, colour * grain[..., None], 0.85 * rise)
 
 
-def _draw_hair(canvas: _Canvas, person: Features, rng: np.random.Generator) -> None:
+def _draw_hair(canvas: _Canvas, person: FaceFeatures, rng: np.random.Generator) -> None:
     """Draw the hair on the front half of the head: hairline, temples, fringe."""
     x, y = canvas.x, canvas.y
     side = np.abs(x)
@@ -339,7 +339,7 @@ def _draw_hair(canvas: _Canvas, person: Features, rng: np.random.Generator) -> N
     canvas.lay(everywhere, np.array(person.hair) * (streak * gloss)[..., None], share)
 
 
-def _draw_glasses(canvas: _Canvas, person: Features) -> None:
+def _draw_glasses(canvas: _Canvas, person: FaceFeatures) -> None:
     frame = (0.02, 0.02, 0.022)
     for side in (-1.0, 1.0):
         x, y = side * 0.275 * person.wide[0], 0.02

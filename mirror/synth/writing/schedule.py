@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from mirror.arrays import Bool, Int64
-from mirror.synth.errors import Clock, Errors
+from mirror.synth.errors import CameraClock, Errors
 from mirror.synth.fleet.drive import SynthDrive
 from mirror.synth.seeds import random_stream
 
@@ -30,7 +30,7 @@ class ImageSchedule:
     true_ns: Mapping[str, Int64]
     recorded_ns: Mapping[str, Int64]
     kept: Mapping[str, Bool]
-    clocks: Mapping[str, Clock]
+    clocks: Mapping[str, CameraClock]
 
     def __len__(self) -> int:
         return len(next(iter(self.true_ns.values())))

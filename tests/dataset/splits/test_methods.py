@@ -14,7 +14,7 @@ from mirror.dataset.splits.candidates import Candidate
 from mirror.dataset.splits.leaks import Tie, find_leaks
 from mirror.dataset.splits.units import connected_components, members_by_component, seeded_rank
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import ByCondition, ByScene, Condition, NovelTraversal
+from mirror.schema.documents import ByCondition, ByScene, LightAndWeather, NovelTraversal
 
 
 def made(*pairs: tuple[str, str], light: str = "day", weather: str = "clear") -> list[Candidate]:
@@ -184,7 +184,7 @@ def test_by_condition_tests_what_fits_and_separates_drives() -> None:
     mixed = [*made(("b", "m")), *made(("c", "m"), light="night")]
     traversals = [*day, *night, *rain, *mixed]
     parameters = ByCondition(
-        train=(Condition(light="day"),), test=(Condition(light="night"), Condition(weather="rain"))
+        train=(LightAndWeather(light="day"),), test=(LightAndWeather(light="night"), LightAndWeather(weather="rain"))
     )
     found = by_condition.assign(traversals, drive_ties(traversals), parameters)
     assert found.roles == {
@@ -199,14 +199,14 @@ def test_by_condition_tests_what_fits_and_separates_drives() -> None:
 )
 def test_by_condition_without_a_role(pairs: list[tuple[str, str]], message: str) -> None:
     traversals = [item for light, weather in pairs for item in made(("a", "d"), light=light, weather=weather)]
-    parameters = ByCondition(train=(Condition(light="day"),), test=(Condition(light="night"),))
+    parameters = ByCondition(train=(LightAndWeather(light="day"),), test=(LightAndWeather(light="night"),))
     with pytest.raises(DatasetError, match=message):
         by_condition.assign(traversals, [], parameters)
 
 
 def test_by_condition_that_only_one_drive_could_fill() -> None:
     traversals = [*made(("a", "m")), *made(("b", "m"), light="night")]
-    parameters = ByCondition(train=(Condition(light="day"),), test=(Condition(light="night"),))
+    parameters = ByCondition(train=(LightAndWeather(light="day"),), test=(LightAndWeather(light="night"),))
     with pytest.raises(DatasetError, match=r"no traversal is left to train on: a\.m\.0 and b\.m\.0"):
         by_condition.assign(traversals, drive_ties(traversals), parameters)
 

@@ -13,7 +13,7 @@ from mirror.dataset.splits import extend_split, make_split
 from mirror.dataset.splits.candidates import read_candidates
 from mirror.dataset.splits.leaks import find_leaks, find_ties, overlapping_scenes
 from mirror.errors import DatasetError, UsageError
-from mirror.schema.documents import ByCondition, ByScene, Condition, NovelTraversal, Roi
+from mirror.schema.documents import ByCondition, ByScene, LightAndWeather, NovelTraversal, Roi
 from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
 
 FIVE = ("d0", "d1", "d2", "d3", "d4")
@@ -99,7 +99,7 @@ def test_extend_leaves_out_what_would_leak(builder: Builder) -> None:
 
 def test_extend_by_condition_trains_only_on_what_fits(builder: Builder) -> None:
     fill(builder, "a", ("n0",), start_s=20_000, light="night")
-    parameters = ByCondition(train=(Condition(light="day"),), test=(Condition(light="night"),))
+    parameters = ByCondition(train=(LightAndWeather(light="day"),), test=(LightAndWeather(light="night"),))
     make_split(builder.root, "s", parameters)
     fill(builder, "a", ("day2",), start_s=30_000)
     fill(builder, "a", ("night2",), start_s=40_000, light="night")

@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 
-from mirror.calibration.boards import Board
+from mirror.calibration.boards import CalibrationBoard
 from mirror.geometry.cameras import Camera
 from tests.calibration.boards import TURNS, view
 
@@ -26,7 +26,7 @@ def write_boards(folder: Path) -> Path:
     for number in range(12):
         turn = np.array(TURNS[number % 6]) * (1.0 if number < 6 else -1.0)
         place = (-4.0 + (number % 3 - 1) * 2.0, -2.5 + (number // 3 - 1.5) * 1.2, 12.0 + 0.3 * number)
-        cv2.imwrite(str(folder / f"{number:02}.png"), view(LENS, Board(9, 6), tuple(turn), place))
+        cv2.imwrite(str(folder / f"{number:02}.png"), view(LENS, CalibrationBoard(9, 6), tuple(turn), place))
     return folder
 
 

@@ -10,15 +10,15 @@ from shapely.geometry import Polygon, box
 from mirror.geometry import matrix_from_quaternion
 from mirror.geometry.geodesy import TangentFrame
 from mirror.ingest.clean import clean
-from mirror.ingest.trigger import Trigger
+from mirror.ingest.trigger import RoiTrigger
 from mirror.recordings.protocol import Track
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
 from mirror.synth.driving.journey import Journey, simulate_journey
-from mirror.synth.driving.site import Site, TrafficDensity
+from mirror.synth.driving.site import TrafficDensity, TrafficSite
 from mirror.traffic.placement.trace import Chassis, TraceMotion
 from tests.traffic import street
 
-SITE = Site(street.network(), street.RADIUS, street.heights, np.array([[60.0, 8.0]]))
+SITE = TrafficSite(street.network(), street.RADIUS, street.heights, np.array([[60.0, 8.0]]))
 EGO = Chassis(4.7, 1.9, 2.8, 0.95, 0.0)
 ROI = Roi(scene_id="a", longitude_deg=8.0, latitude_deg=49.0, radius_m=street.RADIUS)
 
@@ -118,7 +118,7 @@ def test_routes_reach_every_branch_of_the_trigger(route) -> None:
         longitude, latitude, height = TangentFrame(8.0, 49.0).to_geodetic(drive.poses(time_s).translation)
         stamps = 1_700_000_000_000_000_000 + np.round(time_s * 1e9).astype(np.int64)
         track, _ = clean(Track(stamps, longitude, latitude, height_m=height), CleaningOptions())
-        passes = Trigger([ROI], TriggerOptions(), CleaningOptions()).passes(track)
+        passes = RoiTrigger([ROI], TriggerOptions(), CleaningOptions()).passes(track)
         assert [(one.rule, one.split) for one in passes] == EXPECTED[route]
 
 

@@ -6,15 +6,15 @@ import pytest
 from mirror.geometry import angle_between_deg, matrix_from_quaternion
 from mirror.recordings.calibration import Calibration
 from mirror.schema.documents import CANONICAL_CAMERAS
-from mirror.synth.errors import Clock, Errors
+from mirror.synth.errors import CameraClock, Errors
 from mirror.synth.model import Label
 from mirror.synth.rigs import VEHICLE_TYPES, Vehicle
 from mirror.synth.rigs.ego_model import make_ego_model
-from mirror.synth.rigs.mount import Optics, Raster
+from mirror.synth.rigs.mount import Optics, SensorRaster
 from mirror.synth.truth.casting import cast_rays, ego_mask
 
 RING = ("front_wide", "front_left", "rear_left", "rear", "rear_right", "front_right")
-CLOCKS = {name: Clock(100 * place, 0) for place, name in enumerate(CANONICAL_CAMERAS)}
+CLOCKS = {name: CameraClock(100 * place, 0) for place, name in enumerate(CANONICAL_CAMERAS)}
 types = pytest.mark.parametrize("name", VEHICLE_TYPES)
 
 
@@ -75,7 +75,7 @@ def test_every_pixel_has_a_ray_and_the_field_of_view_is_as_stated(name: str) -> 
     ],
 )
 def test_focal_lengths_match_the_closed_form(optics: Optics, edge: float) -> None:
-    camera = optics.camera(Raster(0.5, 2.0), 1000)
+    camera = optics.camera(SensorRaster(0.5, 2.0), 1000)
     assert (camera.width_px, camera.height_px) == (500, 250)
     focal = camera.distortion[1] if optics.model == "f_theta" else camera.fx_px
     assert focal == pytest.approx(250.0 / edge, rel=1e-12)

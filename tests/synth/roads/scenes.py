@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from mirror.schema.documents import Roi
-from mirror.synth.street.plan import Plan, plan_scene
+from mirror.synth.street.plan import StreetPlan, plan_scene
 
 KINDS = ("urban", "campus", "rural", "highway")
 
@@ -15,5 +15,5 @@ def roi(kind: str, radius_m: float) -> Roi:
 
 
 @cache
-def plan(kind: str, radius_m: float = 120.0, yaw_deg: float = 24.0, seed: int = 3) -> Plan:
+def plan(kind: str, radius_m: float = 120.0, yaw_deg: float = 24.0, seed: int = 3) -> StreetPlan:
     return plan_scene(roi(kind, radius_m), yaw_deg, seed)

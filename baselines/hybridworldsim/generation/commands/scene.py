@@ -28,7 +28,7 @@ _EXAMPLES = (
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneArguments:
     """Generate the road users of a scene over its static street: frames and a video, or a submission.
 
     Without --split, the first five frames at --hz seed the rollout and are not output. With --split, every view that a
@@ -105,7 +105,7 @@ class Scene:
 
 def run_scene(argv: Sequence[str]) -> int:
     """Generate the road users of a scene, or of all views of a submission."""
-    arguments = parse_arguments(Scene, argv, "mirror generate scene", examples=_EXAMPLES)
+    arguments = parse_arguments(SceneArguments, argv, "mirror generate scene", examples=_EXAMPLES)
     for option in ("scene", "traversal", "trajectory", "cameras", "hz", "frames"):
         if arguments.split is not None and getattr(arguments, option) is not None:
             raise UsageError("the protocol decides it", place=f"--{option}", expected="no such option beside --split")
@@ -164,7 +164,7 @@ def run_scene(argv: Sequence[str]) -> int:
 
 
 def _write_submission(
-    arguments: Scene, dataset: Dataset, files: GeneratorFiles, rollout: ClipRolloutOptions, split: str
+    arguments: SceneArguments, dataset: Dataset, files: GeneratorFiles, rollout: ClipRolloutOptions, split: str
 ) -> int:
     from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
     from hybridworldsim.generation.scenes.released import NO_BACKGROUND
@@ -195,7 +195,7 @@ def _write_submission(
     return ExitCode.DONE
 
 
-def _base(arguments: Scene) -> ReleasedModel | None:
+def _base(arguments: SceneArguments) -> ReleasedModel | None:
     from hybridworldsim.generation.scenes.released import released_model
 
     if arguments.base is None:
@@ -212,7 +212,7 @@ def _base(arguments: Scene) -> ReleasedModel | None:
     return base
 
 
-def _sampler(arguments: Scene, base: ReleasedModel | None) -> SamplerSettings:
+def _sampler(arguments: SceneArguments, base: ReleasedModel | None) -> SamplerSettings:
     from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
 
     plain = SamplerSettings() if base is None else SamplerSettings(base.steps, base.shift, base.guidance)

@@ -14,7 +14,7 @@ from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.devices import require_seed
 from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
-from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.inference.windows import seed_frames
 from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_frame_layout
@@ -112,7 +112,7 @@ def roll_out_clip(
     if latents is None:
         latents = torch.stack([_encode(codec, clip.images[frame], device) for frame in seeds])[None]
     latents = latents.to(device)
-    rollout = Rollout(
+    rollout = SequenceRollout(
         network,
         latents,
         conditions,

@@ -30,7 +30,7 @@ class _Frame:
     features: list[list[Tensor]] | None = None
 
 
-class Rollout:
+class SequenceRollout:
     """One rollout of B sequences. Seeds are not output.
 
     Args:

@@ -15,7 +15,7 @@ from hybridworldsim.generation.model_files import (
     trained_rates,
 )
 from hybridworldsim.generation.scenes.released import ReleasedModel, autoencoder_hash, open_released
-from hybridworldsim.generation.scenes.rollout import Generator, require_codec
+from hybridworldsim.generation.scenes.rollout import SceneGenerator, require_codec
 from hybridworldsim.generation.text import CachedCaptions
 from mirror.weights.resolve import file_sha256
 
@@ -36,7 +36,7 @@ class GeneratorFiles:
     base: ReleasedModel | None = None
     captions: Path | None = None
 
-    def open(self, size_px: tuple[int, int], device: str = "cpu", guidance: float = 1.0) -> Generator:
+    def open(self, size_px: tuple[int, int], device: str = "cpu", guidance: float = 1.0) -> SceneGenerator:
         """Read the generator and its autoencoder, and move them to a device.
 
         Args:
@@ -101,7 +101,7 @@ class GeneratorFiles:
         return hashes
 
 
-def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guidance: float = 1.0) -> Generator:
+def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guidance: float = 1.0) -> SceneGenerator:
     """Read a generator that was trained here and its autoencoder, and move them to a device.
 
     Raises:
@@ -116,4 +116,4 @@ def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guid
         network.config, codec, autoencoder, "--autoencoder", "the autoencoder that the generator was trained with",
         "name it with --autoencoder",
     )  # fmt: skip
-    return Generator(network.to(device), codec.to(device), references)
+    return SceneGenerator(network.to(device), codec.to(device), references)

@@ -14,7 +14,7 @@ from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rates import rate_of
 from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
-from hybridworldsim.generation.scenes.rollout import Generator, roll_out_sequence
+from hybridworldsim.generation.scenes.rollout import SceneGenerator, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of
 from hybridworldsim.generation.scenes.scene_map import SceneMap
 from hybridworldsim.generation.text import Captions
@@ -45,7 +45,7 @@ class PlannedScenes:
     """
 
     dataset: Dataset
-    generator: Generator
+    generator: SceneGenerator
     background: Background
     size_px: tuple[int, int]
     rollout: ClipRolloutOptions

@@ -13,7 +13,7 @@ from hybridworldsim.generation.devices import require_device
 from hybridworldsim.generation.layout.boxes import OPENDWM_STYLE, BoxStyle
 from hybridworldsim.generation.network.checkpoints import load_transformer
 from hybridworldsim.generation.network.configuration import BASES, TransformerConfig
-from hybridworldsim.generation.scenes.rollout import Generator, require_codec, require_size
+from hybridworldsim.generation.scenes.rollout import SceneGenerator, require_codec, require_size
 from mirror.errors import UsageError
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import file_sha256
@@ -78,7 +78,7 @@ def released_model(name: str) -> ReleasedModel:
 
 def open_released(
     model: ReleasedModel, checkpoint: Path, vae: Path, size_px: tuple[int, int], device: str = "cpu"
-) -> Generator:
+) -> SceneGenerator:
     """Load a released model; unfitting settings are refused before the network's weights are read.
 
     Args:
@@ -103,7 +103,7 @@ def open_released(
         "name the folder `vae` of that pipeline",
     )  # fmt: skip
     network = load_transformer(checkpoint, model.config, dtype=torch.float32).eval().requires_grad_(False)
-    return Generator(network.to(device), codec.to(device), model.references, model.style, ring=True)
+    return SceneGenerator(network.to(device), codec.to(device), model.references, model.style, ring=True)
 
 
 def autoencoder_hash(vae: Path) -> str:

@@ -24,7 +24,7 @@ SEGMENT: Final = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Generator:
+class SceneGenerator:
     """A network with its autoencoder.
 
     Attributes:
@@ -96,7 +96,7 @@ class SequenceState:
 
 
 def roll_out_sequence(
-    generator: Generator,
+    generator: SceneGenerator,
     frames: Sequence[PlannedFrame],
     scene: SceneConditions,
     options: ClipRolloutOptions,

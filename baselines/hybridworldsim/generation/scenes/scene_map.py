@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hybridworldsim.generation.clips.map_lines import MapLine
 from hybridworldsim.generation.clips.road_map import lines_of_map
 from hybridworldsim.generation.layout.images import takes_map
-from hybridworldsim.generation.scenes.rollout import Generator
+from hybridworldsim.generation.scenes.rollout import SceneGenerator
 from mirror.dataset.dataset import Dataset
 from mirror.progress import ProgressReporter
 from mirror.schema.files import sha256_bytes
@@ -27,7 +27,7 @@ class SceneMap:
     inputs: dict[str, str | None]
 
 
-def open_scene_map(dataset: Dataset, scene: str, generator: Generator, progress: ProgressReporter) -> SceneMap:
+def open_scene_map(dataset: Dataset, scene: str, generator: SceneGenerator, progress: ProgressReporter) -> SceneMap:
     """Open the recorded map of a scene, if the generator takes one.
 
     Where there is none, that is said and nothing is drawn.

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.generation.inference.frame_sampler import SamplerSettings
-from hybridworldsim.generation.inference.rollout import Rollout
+from hybridworldsim.generation.inference.rollout import SequenceRollout
 from hybridworldsim.generation.network.transformer import Transformer
-from hybridworldsim.generation.training.windows import FrameSequence
+from hybridworldsim.generation.training.windows import ClipWindow
 
 # Tells these random numbers from the others of a step, which are drawn from up to three numbers.
 _STREAM: Final = 1
@@ -39,7 +39,7 @@ def draw_self_rollout(seed: int, step: int, place: int, probability: float) -> i
 
 @torch.no_grad()
 def roll_out_references(
-    network: Transformer, history: FrameSequence, references: int, settings: SamplerSettings, seed: int
+    network: Transformer, history: ClipWindow, references: int, settings: SamplerSettings, seed: int
 ) -> Tensor:
     """Generate the last frames before a target from the frames before them.
 
@@ -56,7 +56,9 @@ def roll_out_references(
         (1, T, V, C, H, W) latents of the T frames before the target.
     """
     latents, conditions = history.latents, history.conditions
-    rollout = Rollout(network, latents[:, :references], conditions[:references], settings, seed=seed, first=references)
+    rollout = SequenceRollout(
+        network, latents[:, :references], conditions[:references], settings, seed=seed, first=references
+    )
     frames = [latents[:, :references]]
     for frame in range(references, latents.shape[1]):
         present = history.present[frame].nonzero().flatten().tolist()

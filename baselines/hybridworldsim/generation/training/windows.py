@@ -42,7 +42,7 @@ class WindowBatch:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameSequence:
+class ClipWindow:
     """F consecutive frames of a clip.
 
     Attributes:
@@ -55,9 +55,9 @@ class FrameSequence:
     conditions: list[Conditions]
     present: Tensor
 
-    def to(self, device: torch.device | str) -> FrameSequence:
+    def to(self, device: torch.device | str) -> ClipWindow:
         """The same on a device."""
-        return FrameSequence(self.latents.to(device), [one.to(device) for one in self.conditions], self.present)
+        return ClipWindow(self.latents.to(device), [one.to(device) for one in self.conditions], self.present)
 
 
 @torch.no_grad()
@@ -122,12 +122,12 @@ class ClipWindows:
         singles = [self._frame_conditions(row, one) for one in range(frame - self._references, frame + 1)]
         return join_conditions(self._config, singles)
 
-    def history(self, number: int) -> FrameSequence:
+    def history(self, number: int) -> ClipWindow:
         """The frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
         row, frame = self._places[number]
         frames = range(max(frame - 2 * self._references, 0), frame)
         span = slice(frames.start, frames.stop)
-        return FrameSequence(
+        return ClipWindow(
             self._latents[row][span][None],
             [self._frame_conditions(row, one) for one in frames],
             torch.from_numpy(self._clips[row].present[span]),

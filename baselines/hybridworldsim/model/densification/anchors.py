@@ -11,8 +11,8 @@ from hybridworldsim.model.densification.cells import grow_anchors
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
-from hybridworldsim.model.settings import Refinement
-from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.settings import AnchorRefinement
+from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
 _MIN_VISITS = 10
@@ -29,12 +29,12 @@ class AnchorRefiner:
         refinement: how many anchors there may be, and in which cells.
     """
 
-    def __init__(self, node: Anchors, tables: LazyAdam, refinement: Refinement) -> None:
+    def __init__(self, node: Anchors, tables: LazyAdam, refinement: AnchorRefinement) -> None:
         self._node, self._tables, self._refinement, self._initial_count = node, tables, refinement, len(node)
         self._nearest_m = torch.full((len(node),), torch.inf)
         self._clear()
 
-    def accumulate(self, part: Splats, rows: Tensor, gradients: Tensor, viewpoint: Viewpoint) -> None:
+    def accumulate(self, part: DecodedSplats, rows: Tensor, gradients: Tensor, viewpoint: Viewpoint) -> None:
         """Add the statistics of one image.
 
         Args:

@@ -11,8 +11,8 @@ from torch.nn import functional
 from hybridworldsim.model.densification.schedule import target_count
 from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
-from hybridworldsim.model.settings import Refinement
-from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.settings import AnchorRefinement
+from hybridworldsim.model.splats import DecodedSplats
 
 _MIN_RENDERS = 2.0
 _HALF_OFFSET = 0.6
@@ -30,12 +30,12 @@ class CodeRefiner:
         max_count: largest number of Gaussians.
     """
 
-    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: Refinement, max_count: int) -> None:
+    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: AnchorRefinement, max_count: int) -> None:
         self._node, self._tables, self._refinement = node, tables, refinement
         self._initial_count, self._max_count = len(node), max_count
         self._clear()
 
-    def accumulate(self, part: Splats, rows: Tensor, gradients: Tensor) -> None:
+    def accumulate(self, part: DecodedSplats, rows: Tensor, gradients: Tensor) -> None:
         """Add the statistics of one image; see `AnchorRefiner.accumulate`."""
         ids = part.rows[rows]
         self._gradient_sum.index_add_(0, ids, gradients)

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from hybridworldsim.model.street import RenderOutput
+from hybridworldsim.model.street import StreetOutput
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
-def image_gradients(output: RenderOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
+def image_gradients(output: StreetOutput, viewpoint: Viewpoint) -> Iterator[tuple[Tensor, Tensor]]:
     """Yield for each node the Gaussians that the image shows and the lengths of their image-plane gradients.
 
     Args:

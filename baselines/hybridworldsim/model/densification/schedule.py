@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from hybridworldsim.model.settings import Refinement
+from hybridworldsim.model.settings import AnchorRefinement
 
 
-def due_refinements(refinement: Refinement, progress: float) -> int:
+def due_refinements(refinement: AnchorRefinement, progress: float) -> int:
     """Return the number of refinements that are due at a progress from 0 to 1."""
     share = (progress - refinement.begin) / (refinement.end - refinement.begin)
     return min(max(int(share * refinement.times), 0), refinement.times)
 
 
-def target_count(refinement: Refinement, refinement_number: int, initial_count: int, max_count: int) -> int:
+def target_count(refinement: AnchorRefinement, refinement_number: int, initial_count: int, max_count: int) -> int:
     """Return the number of Gaussians after a refinement.
 
     It rises in equal steps from the initial to the largest number.

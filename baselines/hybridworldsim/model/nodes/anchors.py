@@ -13,7 +13,7 @@ from hybridworldsim.model.decoders import ModulatedMLP
 from hybridworldsim.model.nodes.gaussian_assembly import GEOMETRY, anchors_to_gaussians, rows_of_slots
 from hybridworldsim.model.nodes.network_inputs import select_rows
 from hybridworldsim.model.nodes.networks import run_networks
-from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
@@ -96,7 +96,9 @@ class Anchors(nn.Module):
         """Gather the rows of anchors (M,); tables in `learnt` are already gathered and are not read again."""
         return AnchorRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
-    def decode(self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None) -> Splats:
+    def decode(
+        self, viewpoint: Viewpoint, latent: Tensor, content: Tensor, rows: AnchorRows | None = None
+    ) -> DecodedSplats:
         """Decode the Gaussians of anchors.
 
         Args:
@@ -109,7 +111,7 @@ class Anchors(nn.Module):
         rows = rows or self.rows(self.visible_ids(viewpoint))
         geometry, colours = self.read(rows, viewpoint, latent, content)
         gaussians = anchors_to_gaussians(geometry, colours, rows.means, rows.offsets, rows.log_scales)
-        return Splats(
+        return DecodedSplats(
             gaussians.means,
             gaussians.quats,
             gaussians.scales,

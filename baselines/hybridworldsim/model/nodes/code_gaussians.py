@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from hybridworldsim.model.decoders import ModulatedMLP
 from hybridworldsim.model.nodes.network_inputs import select_rows
 from hybridworldsim.model.nodes.networks import run_networks
-from hybridworldsim.model.splats import Splats
+from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
@@ -95,7 +95,7 @@ class CodeGaussians(nn.Module):
         """Gather the rows of Gaussians (M,); tables in `learnt` are already gathered and are not read again."""
         return CodeRows(ids, **select_rows(self, self.TABLES, ids, learnt or {}))
 
-    def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> Splats:
+    def decode(self, viewpoint: Viewpoint, latent: Tensor, rows: CodeRows | None = None) -> DecodedSplats:
         """Decode the colours of Gaussians.
 
         Args:
@@ -104,7 +104,7 @@ class CodeGaussians(nn.Module):
             rows: the Gaussians; None: all that the viewpoint may see.
         """
         rows = rows or self.rows(self.visible_ids(viewpoint))
-        return Splats(
+        return DecodedSplats(
             rows.means,
             rows.quats,
             rows.log_scales.exp(),

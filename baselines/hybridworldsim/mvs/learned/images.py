@@ -14,7 +14,7 @@ from torch.nn import functional
 from hybridworldsim.mvs.estimator import DepthMap, StereoImage
 from hybridworldsim.mvs.learned.source_features import SourceFeatures
 from hybridworldsim.mvs.learned.warping import (
-    Motion,
+    SampleMotion,
     compute_baseline_m,
     compute_motion,
     project_to_source,
@@ -36,7 +36,7 @@ class SourceImage:
     """
 
     rgb: Tensor
-    motions: Mapping[int, Motion]
+    motions: Mapping[int, SampleMotion]
     hidden: Mapping[int, Tensor]
 
     def with_features(self, stride: int, feature: Tensor) -> SourceFeatures:

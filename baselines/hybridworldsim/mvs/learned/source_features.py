@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from hybridworldsim.mvs.learned.warping import Motion, project_to_source, sample
+from hybridworldsim.mvs.learned.warping import SampleMotion, project_to_source, sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class SourceFeatures:
     """
 
     feature: Tensor
-    motion: Motion
+    motion: SampleMotion
     hidden: Tensor | None = None
 
     def __post_init__(self) -> None:

@@ -22,7 +22,7 @@ _MIN_DEPTH_RATIO = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SampleMotion:
     """``source = rotation @ (u, v, 1) depth + translation``, in homogeneous samples of the source.
 
     Attributes:
@@ -34,12 +34,14 @@ class Motion:
     translation: Float64
 
 
-def compute_motion(reference: StereoImage, source: StereoImage, stride: int) -> Motion:
+def compute_motion(reference: StereoImage, source: StereoImage, stride: int) -> SampleMotion:
     """Compute the motion from samples of the reference at a stride to samples of a source at the same stride."""
     source_SE3_reference = source.world_SE3_camera.inverse().compose(reference.world_SE3_camera).matrix()[0]
     to_source = _sample_intrinsics(source.K, stride)
     from_reference = np.linalg.inv(_sample_intrinsics(reference.K, stride))
-    return Motion(to_source @ source_SE3_reference[:3, :3] @ from_reference, to_source @ source_SE3_reference[:3, 3])
+    return SampleMotion(
+        to_source @ source_SE3_reference[:3, :3] @ from_reference, to_source @ source_SE3_reference[:3, 3]
+    )
 
 
 def compute_baseline_m(reference: StereoImage, source: StereoImage) -> float:
@@ -47,7 +49,7 @@ def compute_baseline_m(reference: StereoImage, source: StereoImage) -> float:
     return float(np.linalg.norm(source.world_SE3_camera.translation - reference.world_SE3_camera.translation))
 
 
-def project_to_source(motion: Motion, depth_m: Tensor, width: int, height: int) -> Tensor:
+def project_to_source(motion: SampleMotion, depth_m: Tensor, width: int, height: int) -> Tensor:
     """Project samples of the reference into a source.
 
     Args:

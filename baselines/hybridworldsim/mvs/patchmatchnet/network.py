@@ -11,7 +11,7 @@ from torch.nn import functional
 from hybridworldsim.mvs.learned.expectation import compute_window_probability
 from hybridworldsim.mvs.learned.images import SourceImage
 from hybridworldsim.mvs.patchmatchnet.features import FeaturePyramid
-from hybridworldsim.mvs.patchmatchnet.refinement import Refinement
+from hybridworldsim.mvs.patchmatchnet.refinement import PatchmatchRefinement
 from hybridworldsim.mvs.patchmatchnet.stage import LEVELS, InverseDepthRange, PatchmatchStage, StageEstimate
 
 STRIDE = 8
@@ -25,7 +25,7 @@ class PatchmatchNet(nn.Module):
         self.feature = FeaturePyramid()
         for number, level in zip((3, 2, 1), LEVELS):
             self.add_module(f"patchmatch_{number}", PatchmatchStage(level, last=level is LEVELS[-1]))
-        self.upsample_net = Refinement()
+        self.upsample_net = PatchmatchRefinement()
 
     def forward(
         self, rgb: Tensor, sources: Sequence[SourceImage], near_m: float, far_m: float, generator: torch.Generator

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from hybridworldsim.mvs.learned.layers import ConvNormReLU, make_doubling_convolution
 
 
-class Refinement(nn.Module):
+class PatchmatchRefinement(nn.Module):
     """Computes the residual between the depth map doubled in size and the refined one, as a share of the range."""
 
     def __init__(self) -> None:

@@ -28,7 +28,7 @@ class GroupScore(nn.Module):
         return self.get_submodule(self._last)(self.conv1(self.conv0(similarity[None])))[0, 0]
 
 
-class Evaluation(nn.Module):
+class MatchEvaluation(nn.Module):
     """The two networks of matching: one scores hypotheses, one weights the sources at each sample."""
 
     def __init__(self, groups: int) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from hybridworldsim.mvs.learned.expectation import soft_argmin
 from hybridworldsim.mvs.learned.source_features import SourceFeatures
 from hybridworldsim.mvs.patchmatchnet.neighbours import compute_positions, gather, make_ring, make_square
-from hybridworldsim.mvs.patchmatchnet.scores import Evaluation, GroupScore, compute_group_similarity
+from hybridworldsim.mvs.patchmatchnet.scores import GroupScore, MatchEvaluation, compute_group_similarity
 
 FIRST_HYPOTHESES = 48
 _MIN_WEIGHT = 1e-5
@@ -89,7 +89,7 @@ class PatchmatchStage(nn.Module):
     def __init__(self, level: PyramidLevel, *, last: bool) -> None:
         super().__init__()
         self.level, self.last = level, last
-        self.evaluation = Evaluation(level.groups)
+        self.evaluation = MatchEvaluation(level.groups)
         self.propa_conv = _make_offset_convolution(level, max(2 * level.propagated, 1))
         self.eval_conv = _make_offset_convolution(level, 2 * _NEIGHBOURS)
         self.feature_weight_net = GroupScore(level.groups, "similarity")

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from hybridworldsim.mvs.estimator import DepthEstimator
 from hybridworldsim.mvs.fusion import ConfirmedDepth, PointCloud, PosedDepth, VoxelThinner, confirm, make_point_cloud
-from hybridworldsim.mvs.ground import Ground, compute_wheel_contacts, fit_ground, read_driven_poses
+from hybridworldsim.mvs.ground import FittedGround, compute_wheel_contacts, fit_ground, read_driven_poses
 from hybridworldsim.mvs.images.pairs import choose_sources
 from hybridworldsim.mvs.images.posed_images import PosedImage, StereoImageCache, list_posed_images
 from hybridworldsim.mvs.methods import MIN_CONFIDENCE
@@ -168,7 +168,7 @@ class SceneInitialisation:
             traversal_id: points.cloud.select(owner == traversal_id) for traversal_id, _ in self._group_by_traversal()
         }
 
-    def write_points(self, clouds: Mapping[str, PointCloud]) -> Ground:
+    def write_points(self, clouds: Mapping[str, PointCloud]) -> FittedGround:
         """Fit the ground, classify the points and write their layers; return the ground."""
         scene_cloud = PointCloud.concatenate(list(clouds.values()))
         ground = fit_ground(self._driven, scene_cloud.position_m)
@@ -252,7 +252,7 @@ class SceneInitialisation:
                 self._image_hashes[number] = None
         return self._image_hashes[number]
 
-    def _classify(self, position: Float64, ground: Ground) -> AnyArray:
+    def _classify(self, position: Float64, ground: FittedGround) -> AnyArray:
         """Classify points (N, 3) as ground, far or background."""
         from scipy.spatial import cKDTree
 

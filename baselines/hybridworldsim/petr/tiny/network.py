@@ -24,7 +24,7 @@ _CODE = 10
 
 
 @dataclass(frozen=True, eq=False)
-class RigInput:
+class TinyRigInput:
     """Images and rays of B frames of N cameras.
 
     Attributes:
@@ -111,7 +111,7 @@ class TinyPetr(nn.Module):
             nn.init.normal_(layer.weight, std=1e-3)
             nn.init.zeros_(layer.bias)
 
-    def forward(self, rig: RigInput) -> tuple[HeadOutput, DenseOutput]:
+    def forward(self, rig: TinyRigInput) -> tuple[HeadOutput, DenseOutput]:
         """Boxes of all decoder layers, and the outputs of the dense head."""
         batch, cameras = rig.images.shape[:2]
         features = self.backbone(rig.images.flatten(0, 1))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import torch
 
-from hybridworldsim.petr.tiny.network import STRIDE, RigInput
+from hybridworldsim.petr.tiny.network import STRIDE, TinyRigInput
 from hybridworldsim.petr.tiny.settings import CLASS_OF, CLASSES, NetworkSettings
 from mirror.annotation.detections import AnnotationError
 from mirror.arrays import Float32, Float64, Int64, UInt8
@@ -151,9 +151,9 @@ def read_samples(frames: Iterable[Frame], settings: NetworkSettings, range_m: fl
     return [read_sample(frame, settings, range_m) for frame in frames]
 
 
-def rig_input(cameras: Sequence[CameraInput], device: torch.device | str = "cpu") -> RigInput:
+def rig_input(cameras: Sequence[CameraInput], device: torch.device | str = "cpu") -> TinyRigInput:
     """The input of the network for frames with equally many cameras."""
     images = torch.from_numpy(np.stack([one.images for one in cameras])).to(device)
     directions = torch.from_numpy(np.stack([one.directions for one in cameras])).to(device)
     origins = torch.from_numpy(np.stack([one.origins for one in cameras])).to(device)
-    return RigInput(images.permute(0, 1, 4, 2, 3).float() / 127.5 - 1.0, directions, origins)
+    return TinyRigInput(images.permute(0, 1, 4, 2, 3).float() / 127.5 - 1.0, directions, origins)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.petr.tiny.loss import BatchBoxes, tiny_loss
-from hybridworldsim.petr.tiny.network import RigInput, TinyPetr
+from hybridworldsim.petr.tiny.network import TinyPetr, TinyRigInput
 from hybridworldsim.petr.tiny.samples import Sample, rig_input
 from hybridworldsim.petr.tiny.settings import NetworkSettings, TrainingSettings
 
@@ -94,7 +94,7 @@ class TinyTrainer:
                 group.clear()
         return batches + [group for group in waiting.values() if group]
 
-    def _batch(self, samples: Sequence[Sample], rng: np.random.Generator) -> tuple[RigInput, BatchBoxes]:
+    def _batch(self, samples: Sequence[Sample], rng: np.random.Generator) -> tuple[TinyRigInput, BatchBoxes]:
         rig = rig_input([one.cameras for one in samples])
         turn = np.radians(rng.uniform(-self._settings.turn_deg, self._settings.turn_deg, len(samples)))
         shape = (len(samples), rig.images.shape[1], 3, 1, 1)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.blended_image import BlendedImage
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.tiles import compute_alphas, pair_tiles, single_thread
 
@@ -22,7 +22,7 @@ def blend(
     width: int,
     height: int,
     *,
-    preset: Preset,
+    preset: GsplatPreset,
     tile_size: int,
     absgrad: bool,
 ) -> BlendedImage:

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.lenses import Lens
+from hybridworldsim.rasterizer.lenses import LensDistortion
 from hybridworldsim.rasterizer.presets import (
     ALPHA_MIN,
     QUATERNION_MAX,
     QUATERNION_MIN,
     SQUARE_DISCRIMINANT_MIN,
     SQUARE_SIGMAS,
-    Preset,
+    GsplatPreset,
 )
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.unscented import project_unscented
@@ -52,9 +52,9 @@ def project(
     near_plane: float,
     far_plane: float,
     radius_clip: float,
-    preset: Preset,
+    preset: GsplatPreset,
     antialiased: bool,
-    lens: Lens | None,
+    lens: LensDistortion | None,
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera.
 
@@ -142,8 +142,8 @@ def _compute_splats(
     width: int,
     height: int,
     eps2d: float,
-    preset: Preset,
-    lens: Lens | None,
+    preset: GsplatPreset,
+    lens: LensDistortion | None,
 ) -> _Splats:
     rotation = viewmat[:3, :3]
     means_c = means @ rotation.T + viewmat[:3, 3]  # (N, 3)
@@ -212,7 +212,9 @@ def _is_ellipse(splats: _Splats) -> Tensor:
     return finite & (splats.determinants > 0.0) & (splats.covariances[:, ::2] > 0.0).all(-1)
 
 
-def _compute_radii(splats: _Splats, opacities: Tensor, preset: Preset, antialiased: bool) -> tuple[Tensor, Tensor]:
+def _compute_radii(
+    splats: _Splats, opacities: Tensor, preset: GsplatPreset, antialiased: bool
+) -> tuple[Tensor, Tensor]:
     """Compute half extents (N, 2), whole pixels, and whether (N,) a Gaussian is opaque enough to be visible."""
     diagonal = splats.covariances[:, ::2]  # (N, 2)
     if preset.extent == "square":

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, Preset
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, TRANSMITTANCE_STOP, GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from hybridworldsim.rasterizer.reference.tiles import compute_alphas, pair_tiles, single_thread
 
@@ -34,7 +34,7 @@ class RoundingMarks(NamedTuple):
 @torch.no_grad()
 @single_thread()
 def find_rounding_marks(
-    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
+    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: GsplatPreset, tile_size: int
 ) -> RoundingMarks:
     """Blend in float64 and mark the pixels at which a value lies near a threshold.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.presets import ALPHA_MIN, Preset
+from hybridworldsim.rasterizer.presets import ALPHA_MIN, GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 
 CHUNK = 256
@@ -53,7 +53,7 @@ def sort_front_to_back(projected: ProjectedGaussians) -> Tensor:
 
 
 def pair_tiles(
-    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: Preset, tile_size: int
+    projected: ProjectedGaussians, opacities: Tensor, width: int, height: int, *, preset: GsplatPreset, tile_size: int
 ) -> tuple[Tensor, list[Tile]]:
     """Pair each tile with the Gaussians that reach it.
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, UT_ALPHA, UT_BETA, UT_SPREAD, Lens
+from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, UT_ALPHA, UT_BETA, UT_SPREAD, LensDistortion
 
 
 def project_unscented(
-    means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int, lens: Lens
+    means_c: Tensor, axes_c: Tensor, K: Tensor, width: int, height: int, lens: LensDistortion
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Project by the unscented transform (Wan and van der Merwe 2000), with gsplat's parameters.
 
@@ -44,7 +44,7 @@ def project_unscented(
     return pixels[:, 0] + shift, roots.mT, (inside & valid).any(1)
 
 
-def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
+def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: LensDistortion) -> tuple[Tensor, Tensor]:
     """Project camera points (..., 3) to pixels (..., 2) by OpenCV's rational and thin prism model; mark valid ones."""
     k1, k2, k3, k4, k5, k6 = lens.radial_coeffs
     p1, p2 = lens.tangential_coeffs
@@ -68,7 +68,7 @@ def _brown_conrady(points: Tensor, K: Tensor, width: int, height: int, lens: Len
     return torch.where(impossible[..., None], 0.0, pixels), ~impossible & (radial > RADIAL_MIN)
 
 
-def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: Lens) -> tuple[Tensor, Tensor]:
+def _fisheye(points: Tensor, K: Tensor, width: int, height: int, lens: LensDistortion) -> tuple[Tensor, Tensor]:
     """Project camera points (..., 3) to pixels (..., 2) by OpenCV's fisheye model; mark valid points."""
     k1, k2, k3, k4 = lens.radial_coeffs
     fx, fy, cx, cy = (float(K.detach()[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))

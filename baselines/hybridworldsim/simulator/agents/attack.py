@@ -78,7 +78,7 @@ class Attacker:
 
 
 @dataclass(frozen=True)
-class Attack:
+class AttackManoeuvre:
     """The manoeuvre that was found.
 
     Attributes:
@@ -100,7 +100,7 @@ def search_attack(
     *,
     ego_line: Callable[[Float64], Float64],
     is_drivable: Callable[[Float64], bool] = lambda points: True,
-) -> Attack:
+) -> AttackManoeuvre:
     """Search the manoeuvre with the least time to collision.
 
     Up to half of the evaluations, at most 20, explore at random; the others refine the best manoeuvre with shrinking
@@ -138,7 +138,7 @@ def search_attack(
         cost = _cost(_script(candidate), case)
         if cost < least:
             best, least = candidate, cost
-    return Attack(_script(best), least if least < _NEVER else math.inf, plan.evaluations)
+    return AttackManoeuvre(_script(best), least if least < _NEVER else math.inf, plan.evaluations)
 
 
 @dataclass(frozen=True, eq=False)

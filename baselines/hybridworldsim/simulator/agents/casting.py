@@ -14,7 +14,7 @@ import numpy as np
 from hybridworldsim.simulator.agents.attack import AttackPlan
 from hybridworldsim.simulator.agents.bodies import draw_body
 from hybridworldsim.simulator.agents.groups import AgentGroup
-from hybridworldsim.simulator.agents.on_ways import AgentsOnWays, Halt, WayAgent
+from hybridworldsim.simulator.agents.on_ways import AgentsOnWays, WayAgent, WayHalt
 from hybridworldsim.simulator.agents.replay import ReplayedAgents
 from hybridworldsim.simulator.agents.scripts import Script
 from hybridworldsim.simulator.agents.states import Agent
@@ -76,7 +76,7 @@ class Stage:
     recording: str
     start_s: float
     seed: int
-    ways: dict[tuple[str, ...], tuple[Way, tuple[Halt, ...]]] = field(default_factory=dict)
+    ways: dict[tuple[str, ...], tuple[Way, tuple[WayHalt, ...]]] = field(default_factory=dict)
     places: dict[float, list[tuple[str, float]]] = field(default_factory=dict)
 
     @property
@@ -216,7 +216,7 @@ def _places(stage: Stage, radius_m: float) -> list[tuple[str, float]]:
     return stage.places[radius_m]
 
 
-def _way_from(stage: Stage, names: tuple[str, ...]) -> tuple[Way, tuple[Halt, ...]]:
+def _way_from(stage: Stage, names: tuple[str, ...]) -> tuple[Way, tuple[WayHalt, ...]]:
     """The way along lanes and its stop lines."""
     if names not in stage.ways:
         members = [stage.street.road_map.lanes[name] for name in names]

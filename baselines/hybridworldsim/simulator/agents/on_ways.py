@@ -28,7 +28,7 @@ _MANNERS: Final = {
 
 
 @dataclass(frozen=True)
-class Halt:
+class WayHalt:
     """A stop line on a way.
 
     Attributes:
@@ -62,7 +62,7 @@ class WayAgent:
     front_m: float
     speed_mps: float
     aside_m: float = 0.0
-    halts: tuple[Halt, ...] = ()
+    halts: tuple[WayHalt, ...] = ()
     script: Script | None = None
     parked: bool = False
     attack: AttackPlan | None = None
@@ -115,7 +115,7 @@ class AgentsOnWays:
             for member in agents
         ]
         ways: list[Way] = []
-        halts: list[tuple[Halt, ...]] = []
+        halts: list[tuple[WayHalt, ...]] = []
         numbers = []
         for member in agents:
             known = [n for n, way in enumerate(ways) if way is member.way and halts[n] == member.halts]

@@ -13,7 +13,7 @@ import numpy as np
 from hybridworldsim.simulator.agents.bodies import body_of_size
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.policies.protocol import CameraSpec
-from hybridworldsim.simulator.street.ground import Ground
+from hybridworldsim.simulator.street.ground import StreetGround
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import UInt8
@@ -156,7 +156,7 @@ class LiveUsers:
         ground: the ground on which they stand.
     """
 
-    def __init__(self, agents: Sequence[Agent], ground: Ground) -> None:
+    def __init__(self, agents: Sequence[Agent], ground: StreetGround) -> None:
         self._ground = ground
         self.motions = [LiveMotion() for _ in agents]
         bodies = [body_of(agent) for agent in agents]

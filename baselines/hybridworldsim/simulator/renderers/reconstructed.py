@@ -21,7 +21,7 @@ from hybridworldsim.simulator.renderers.compositing import (
     hiding_depth,
 )
 from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
-from hybridworldsim.simulator.street.street import Recording, Street
+from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
@@ -230,7 +230,7 @@ def choose_appearance(model: OpenModel, street: Street, scenario: Scenario) -> s
 
 def _condition(street: Street, traversal: str, scenario: Scenario) -> Condition:
     """Light and weather of the agents: those of the trained traversal."""
-    recording: Recording | None = street.recordings.get(traversal)
+    recording: StreetRecording | None = street.recordings.get(traversal)
     light, weather = (scenario.light, scenario.weather)
     if recording is not None:
         light = recording.light if recording.light in ("day", "dusk", "night") else light  # type: ignore[assignment]

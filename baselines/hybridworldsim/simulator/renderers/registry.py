@@ -9,7 +9,7 @@ from typing import Final
 from hybridworldsim.simulator.policies.protocol import CameraSpec
 from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.simulation import Simulation
-from hybridworldsim.simulator.street.street import Recording, Street
+from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
@@ -58,7 +58,7 @@ class RendererFactory:
 
             require_model_of(self._model_path, street)
 
-    def recordings_of(self, street: Street) -> dict[str, Recording]:
+    def recordings_of(self, street: Street) -> dict[str, StreetRecording]:
         """Return the recordings of a street whose appearance can be rendered, by id.
 
         Raises:

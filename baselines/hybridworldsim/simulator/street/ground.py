@@ -19,7 +19,7 @@ _SOFTENING_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class StreetGround:
     """The ground of a street.
 
     Attributes:
@@ -70,7 +70,7 @@ class Ground:
         return Poses(rotation, np.array([[x_m, y_m, height]]))
 
 
-def ground_of_points(points_m: Float64) -> Ground:
+def ground_of_points(points_m: Float64) -> StreetGround:
     """Return the ground through points (N, 3), weighted by the inverse square of their distances."""
     from scipy.spatial import cKDTree
 
@@ -84,4 +84,4 @@ def ground_of_points(points_m: Float64) -> Ground:
         mean: Float64 = (weight * heights[nearest]).sum(axis=1) / weight.sum(axis=1)
         return mean
 
-    return Ground(height_m)
+    return StreetGround(height_m)

@@ -11,7 +11,7 @@ from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
 from hybridworldsim.simulator.street.ground import ground_of_points
-from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
+from hybridworldsim.simulator.street.street import EgoCamera, Street, StreetRecording
 from mirror.annotation.box_layer import with_box_layer
 from mirror.arrays import Float64
 from mirror.dataset.dataset import Dataset
@@ -77,7 +77,7 @@ def street_of_dataset(
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     first = next(iter(by_traversal.values()))[0]
     rig = {
-        name: RigCamera(image.camera_model, image.calibration.ego_SE3_camera) for name, image in first.images.items()
+        name: EgoCamera(image.camera_model, image.calibration.ego_SE3_camera) for name, image in first.images.items()
     }
     return Street(
         scene_id=scene or scenes[0],
@@ -116,12 +116,12 @@ def _centers(frames: list[Frame]) -> Float64:
     return np.array([frame.world_SE3_ego.translation[0, :2] for frame in frames])
 
 
-def _recording(traversal_id: str, frames: list[Frame], light: str, weather: str) -> Recording:
+def _recording(traversal_id: str, frames: list[Frame], light: str, weather: str) -> StreetRecording:
     stamps, poses = frames[0].track
     start = frames[0].timestamp_ns
     inside = (stamps >= start) & (stamps <= frames[-1].timestamp_ns)
     states = np.column_stack([poses.translation[inside, :2], _yaws(poses)[inside]])
-    return Recording(
+    return StreetRecording(
         traversal_id,
         start,
         1e-9 * (stamps[inside] - start).astype(np.float64),

@@ -7,8 +7,8 @@ import numpy as np
 from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
-from hybridworldsim.simulator.street.ground import Ground
-from hybridworldsim.simulator.street.street import Recording, RigCamera, Street
+from hybridworldsim.simulator.street.ground import StreetGround
+from hybridworldsim.simulator.street.street import EgoCamera, Street, StreetRecording
 from mirror.errors import UsageError
 from mirror.synth import SynthDrive
 
@@ -48,7 +48,7 @@ def street_of_drive(drive: SynthDrive) -> Street:
     along, _ = truth.schedule.at(times)
     places, _ = truth.trace.at(along)
     stamps = drive.condition.start_ns + np.round(times * 1e9).astype(np.int64)
-    recording = Recording(
+    recording = StreetRecording(
         drive.drive_id,
         drive.condition.start_ns,
         times,
@@ -58,13 +58,13 @@ def street_of_drive(drive: SynthDrive) -> Street:
         drive.condition.weather,
     )
     rig = {
-        name: RigCamera(camera, drive.vehicle.ego_SE3_camera[name]) for name, camera in drive.vehicle.cameras.items()
+        name: EgoCamera(camera, drive.vehicle.ego_SE3_camera[name]) for name, camera in drive.vehicle.cameras.items()
     }
     return Street(
         scene_id=drive.roi.scene_id,
         road_map=street_map(drive.world.plan),
         map_source="synthetic",
-        ground=Ground(drive.world.height_m),
+        ground=StreetGround(drive.world.height_m),
         vehicle=vehicle,
         rig=rig,
         recordings={drive.drive_id: recording},

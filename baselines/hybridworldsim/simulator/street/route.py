@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.simulator.agents.on_ways import Halt
+from hybridworldsim.simulator.agents.on_ways import WayHalt
 from hybridworldsim.simulator.ego.vehicle import EgoState
 from hybridworldsim.simulator.street.street import Street
 from mirror.arrays import Float64
@@ -39,7 +39,7 @@ class RoutePlan:
 
     way: Way
     lanes: tuple[str, ...]
-    halts: tuple[Halt, ...]
+    halts: tuple[WayHalt, ...]
     begin_m: float
 
 
@@ -113,12 +113,12 @@ def way_along(lanes: list[MapLane]) -> Way:
     return build_way([Piece(lane.center_m[:, :2], lane.speed_limit_mps or DEFAULT_LIMIT_MPS) for lane in lanes])
 
 
-def halts_along(lanes: list[MapLane]) -> tuple[Halt, ...]:
+def halts_along(lanes: list[MapLane]) -> tuple[WayHalt, ...]:
     """Return the stop lines with signals along lanes."""
     halts, before = [], 0.0
     for lane in lanes:
         if lane.signal is not None and lane.stop_m is not None:
-            halts.append(Halt(before + lane.stop_m, lane.signal))
+            halts.append(WayHalt(before + lane.stop_m, lane.signal))
         before += lane.length_m
     return tuple(halts)
 

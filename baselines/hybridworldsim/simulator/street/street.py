@@ -11,7 +11,7 @@ import shapely
 
 from hybridworldsim.simulator.agents.replay import RecordedTrack
 from hybridworldsim.simulator.ego.vehicle import VehicleParameters
-from hybridworldsim.simulator.street.ground import Ground
+from hybridworldsim.simulator.street.ground import StreetGround
 from mirror.arrays import Bool, Float64
 from mirror.geometry import Poses
 from mirror.geometry.cameras import Camera
@@ -28,7 +28,7 @@ _BESIDE_M: Final = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class RigCamera:
+class EgoCamera:
     """One camera of the ego vehicle.
 
     Attributes:
@@ -41,7 +41,7 @@ class RigCamera:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class StreetRecording:
     """One recorded traversal of the street.
 
     Attributes:
@@ -84,10 +84,10 @@ class Street:
 
     scene_id: str
     road_map: RoadMap
-    ground: Ground
+    ground: StreetGround
     vehicle: VehicleParameters
-    rig: Mapping[str, RigCamera]
-    recordings: Mapping[str, Recording]
+    rig: Mapping[str, EgoCamera]
+    recordings: Mapping[str, StreetRecording]
     middle_m: tuple[float, float]
     radius_m: float
     clock_s: float = 0.0

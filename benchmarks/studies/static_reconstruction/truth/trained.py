@@ -16,7 +16,7 @@ from benchmarks.studies.static_reconstruction.jobs import Job, model_folder, mod
 from benchmarks.studies.static_reconstruction.methods import Entry, entries
 from benchmarks.studies.static_reconstruction.truth.request import TruthRequest, request_truth
 from benchmarks.studies.static_reconstruction.truth.street import StreetTruth
-from hybridworldsim.methods.renderers import Renderer
+from hybridworldsim.methods.renderers import BlockRenderer
 from hybridworldsim.methods.static import block_folders
 from hybridworldsim.training.documents import TrainedCamera, read_run
 from hybridworldsim.training.run.folder import MODEL
@@ -119,7 +119,7 @@ class TrainedModel:
         chosen = {traversal: set(evenly_chosen(sorted(set(there)), FRAMES)) for traversal, there in frames.items()}
         return [view for view in own if view.frame_index in chosen[view.traversal_id]]
 
-    def open(self, policy: str | None = None, *, everywhere: bool = False) -> Renderer:
+    def open(self, policy: str | None = None, *, everywhere: bool = False) -> BlockRenderer:
         """Return the renderer of the model, with the declared appearance or that of a policy."""
         appearance = AppearancePolicy(policy or self.declaration.policy, self.plan.views, everywhere)
         return self.entry.method.open(self.model, appearance)

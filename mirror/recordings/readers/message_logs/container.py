@@ -30,7 +30,7 @@ class Topic:
 
 
 @dataclass(frozen=True)
-class Place:
+class MessagePlace:
     """Where a message is stored: its block (a chunk or the file itself), and its bytes there."""
 
     block: int
@@ -52,7 +52,7 @@ class Message:
     topic: Topic
     log_time_ns: int
     data: bytes = field(repr=False)
-    place: Place
+    place: MessagePlace
 
 
 class MessageLog(Protocol):
@@ -71,7 +71,7 @@ class MessageLog(Protocol):
         """Yield the messages of some topics in storage order; blocks without these topics are skipped if possible."""
         ...
 
-    def read(self, places: Sequence[Place]) -> Iterator[bytes]:
+    def read(self, places: Sequence[MessagePlace]) -> Iterator[bytes]:
         """Yield the bytes of single messages, for places in storage order; each block is read once."""
         ...
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mirror.errors import RecordingError
-from mirror.recordings.readers.message_logs.container import Message, MessageLog, Place, Topic
+from mirror.recordings.readers.message_logs.container import Message, MessageLog, MessagePlace, Topic
 from mirror.recordings.readers.message_logs.decoding import (
     CameraMessage,
     Decoded,
-    Decoder,
     FixMessage,
     ImageMessage,
+    MessageDecoder,
     PoseMessage,
     TransformsMessage,
     kind_of,
@@ -37,7 +37,7 @@ class CameraContents:
     frame: str = ""
     stamps: list[int] = field(default_factory=list)
     log: list[int] = field(default_factory=list)
-    places: list[Place] = field(default_factory=list)
+    places: list[MessagePlace] = field(default_factory=list)
     is_key: list[bool] = field(default_factory=list)
     intrinsics: list[tuple[int, CameraMessage]] = field(default_factory=list)
     declared_uncalibrated: bool = False
@@ -91,7 +91,7 @@ def _read_log(number: int, log: MessageLog, document: TopicsFile, contents: Cont
             roles.setdefault(entry.images, []).append(("image", camera))
         if entry.info in topics:
             roles.setdefault(entry.info, []).append(("info", camera))
-    decoder = Decoder(log.path)
+    decoder = MessageDecoder(log.path)
     for message in log.messages(roles):
         try:
             decoded = decoder.decode(message)

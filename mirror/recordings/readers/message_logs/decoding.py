@@ -126,7 +126,7 @@ def kind_of(topic: Topic) -> Kind | None:
     return KINDS.get(topic.type.replace("/msg/", "/"))
 
 
-class Decoder:
+class MessageDecoder:
     """Decodes the messages of one log.
 
     Args:

@@ -13,8 +13,8 @@ import numpy as np
 from mirror.arrays import Bool, Int64
 from mirror.errors import RecordingError
 from mirror.installation import install_command
-from mirror.recordings.readers.message_logs.container import Message, MessageLog, Place, Topic
-from mirror.recordings.readers.message_logs.decoding import Decoder, ImageMessage
+from mirror.recordings.readers.message_logs.container import Message, MessageLog, MessagePlace, Topic
+from mirror.recordings.readers.message_logs.decoding import ImageMessage, MessageDecoder
 from mirror.recordings.video import CopiedVideo
 from mirror.recordings.video_file import av_error_type
 from mirror.recordings.video_frames import FrameConverter
@@ -55,14 +55,14 @@ class StoredMessages:
     logs: tuple[MessageLog, ...]
     topic: Topic
     log: Int64
-    places: tuple[Place, ...] = field(repr=False)
+    places: tuple[MessagePlace, ...] = field(repr=False)
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, image or packet)`` in storage order, so that each block is read once."""
         for number, log in enumerate(self.logs):
             here = [index for index in indices if self.log[index] == number]
             here.sort(key=lambda index: (self.places[index].block, self.places[index].offset))
-            decoder = Decoder(log.path)
+            decoder = MessageDecoder(log.path)
             for index, data in zip(here, log.read([self.places[index] for index in here])):
                 decoded = decoder.decode(Message(self.topic, 0, data, self.places[index]))
                 if not isinstance(decoded, ImageMessage):
@@ -218,7 +218,7 @@ class MessageVideo:
 
 
 def stored_messages(
-    logs: tuple[MessageLog, ...], topic: Topic, log: Int64, places: Sequence[Place], order: Int64
+    logs: tuple[MessageLog, ...], topic: Topic, log: Int64, places: Sequence[MessagePlace], order: Int64
 ) -> StoredMessages:
     """Return where the messages of a camera are, in the order of their stamps.
 

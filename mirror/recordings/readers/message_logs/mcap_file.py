@@ -20,7 +20,7 @@ from mirror.errors import RecordingError
 from mirror.installation import install_command
 from mirror.recordings.opening import unreadable_error
 from mirror.recordings.paths import not_a_file_error
-from mirror.recordings.readers.message_logs.container import Message, Place, Topic
+from mirror.recordings.readers.message_logs.container import Message, MessagePlace, Topic
 from mirror.recordings.readers.message_logs.zstd import stored_file
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
@@ -112,7 +112,7 @@ class McapFile:
         """
         yield from self._pass(frozenset(names), {})
 
-    def read(self, places: Sequence[Place]) -> Iterator[bytes]:
+    def read(self, places: Sequence[MessagePlace]) -> Iterator[bytes]:
         """Yield the bytes of messages by their place; consecutive places in one chunk read it once.
 
         Raises:
@@ -195,7 +195,7 @@ class McapFile:
                     channel, _, log_time, _ = _HEAD.unpack(head)
                     topic = channels.get(channel)
                     if topic is not None and topic.name in names:
-                        place = Place(_FILE_BLOCK, start + _FRAME.size + _HEAD.size, length - _HEAD.size)
+                        place = MessagePlace(_FILE_BLOCK, start + _FRAME.size + _HEAD.size, length - _HEAD.size)
                         yield Message(topic, log_time, file.read(place.length), place)
                 elif opcode in (_SCHEMA, _CHANNEL):
                     self._declare(opcode, file.read(length), channels, schemas, f"byte {start}")
@@ -221,7 +221,7 @@ class McapFile:
                 channel, _, log_time, _ = _HEAD.unpack_from(data, offset)
                 topic = channels.get(channel)
                 if topic is not None and topic.name in names:
-                    place = Place(start, offset + _HEAD.size, length - _HEAD.size)
+                    place = MessagePlace(start, offset + _HEAD.size, length - _HEAD.size)
                     yield Message(topic, log_time, bytes(data[place.offset : offset + length]), place)
             elif opcode in (_SCHEMA, _CHANNEL):
                 self._declare(

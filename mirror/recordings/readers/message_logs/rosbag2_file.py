@@ -10,7 +10,7 @@ from typing import Final
 
 from mirror.errors import RecordingError
 from mirror.recordings.opening import read_file_start
-from mirror.recordings.readers.message_logs.container import Message, Place, Topic
+from mirror.recordings.readers.message_logs.container import Message, MessagePlace, Topic
 from mirror.recordings.readers.message_logs.ros_definitions import definition_of
 from mirror.recordings.readers.message_logs.zstd import stored_file
 
@@ -55,9 +55,9 @@ class Rosbag2File:
         query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({chosen}) ORDER BY id"
         with self._database() as database:
             for row, topic, log_time, data in database.execute(query):
-                yield Message(topics[topic], log_time, bytes(data), Place(0, row, len(data)))
+                yield Message(topics[topic], log_time, bytes(data), MessagePlace(0, row, len(data)))
 
-    def read(self, places: Sequence[Place]) -> Iterator[bytes]:
+    def read(self, places: Sequence[MessagePlace]) -> Iterator[bytes]:
         """Yield the bytes of messages by their place.
 
         Raises:

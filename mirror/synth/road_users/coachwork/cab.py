@@ -9,7 +9,7 @@ import numpy as np
 
 from mirror.synth.model import Side
 from mirror.synth.road_users.coachwork.fittings import BLACK, HEADLIGHT, STEEL_RIM, add_number_plate, add_wheels
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import DARK, DARK_PANE, PANE
 
 WIDTH_M: Final = 2.44
@@ -32,7 +32,7 @@ class Cab(NamedTuple):
         return self.front - 1.36
 
 
-def add_cab_body(sheets: Sheets, cab: Cab, coat: Finish, bumper: Finish) -> None:
+def add_cab_body(sheets: Sheets, cab: Cab, coat: SheetFinish, bumper: SheetFinish) -> None:
     """Add front, corners, flanks, windows and steps."""
     half, inner = 0.5 * WIDTH_M, 0.5 * WIDTH_M - _CORNER_M
     waist, brow = 1.72, cab.high - 0.32
@@ -90,7 +90,7 @@ def add_cab_fittings(sheets: Sheets, cab: Cab, number: int) -> None:
     sheets.block((x, y, 2.02), (x + 0.12, y + 0.20, 2.62), BLACK, _ALL, both=True)
 
 
-def add_spoiler(sheets: Sheets, cab: Cab, coat: Finish) -> None:
+def add_spoiler(sheets: Sheets, cab: Cab, coat: SheetFinish) -> None:
     """Add a roof spoiler that rises to the trailer's height."""
     half, low, high = 0.5 * WIDTH_M - 0.06, cab.high, 3.82
     foot, top = cab.front - 0.50, cab.back + 0.45

@@ -21,12 +21,12 @@ from mirror.synth.road_users.coachwork.fittings import (
     draw_plate_number,
     draw_rim,
 )
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import DARK, PANE, End, Point, Shape, add_shell, window_corners
 
 
 @dataclass(frozen=True)
-class Design:
+class CoachworkDesign:
     """A shape and the positions of its fittings.
 
     Attributes:
@@ -51,13 +51,13 @@ class Design:
     headlights_m: Point
     tail_lights_m: Point
     rear_plate_m: float
-    sill: Finish | None = None
-    deck: Finish | None = None
+    sill: SheetFinish | None = None
+    deck: SheetFinish | None = None
     mirror_m: Point = (0.42, 0.075)
     mirrors_painted: bool = True
 
 
-def build_vehicle(rng: np.random.Generator, design: Design, coat: Finish, label: Label) -> Sheets:
+def build_vehicle(rng: np.random.Generator, design: CoachworkDesign, coat: SheetFinish, label: Label) -> Sheets:
     """Build a complete vehicle in its paint."""
     shape = design.shape
     sheets = Sheets(label, int(rng.integers(1 << 30)))
@@ -80,7 +80,7 @@ def build_vehicle(rng: np.random.Generator, design: Design, coat: Finish, label:
     return sheets
 
 
-def add_body(sheets: Sheets, design: Design, coat: Finish) -> None:
+def add_body(sheets: Sheets, design: CoachworkDesign, coat: SheetFinish) -> None:
     """Add the body with its windows."""
     shape = design.shape
     add_shell(sheets, shape, coat, sill=design.sill or coat, deck=design.deck or coat)
@@ -94,7 +94,7 @@ def add_body(sheets: Sheets, design: Design, coat: Finish) -> None:
     sheets.sheet(behind, Side.BACK, PANE, lift_m=0.004)
 
 
-def _add_face(sheets: Sheets, design: Design) -> None:
+def _add_face(sheets: Sheets, design: CoachworkDesign) -> None:
     """Add lamps, grille and air intakes."""
     shape = design.shape
     front, back = shape.front, shape.back
@@ -127,7 +127,7 @@ def design_car(
     doors: Panel = Panel.FOUR_DOORS,
     rear_window: float = 0.12,
     lean: float = 0.30,
-) -> Design:
+) -> CoachworkDesign:
     """Design a car from a few measures, in metres.
 
     Args:
@@ -191,7 +191,7 @@ def design_car(
         (shape.screen(high) - 0.10, high),
     )
     middle = shape.levels_m[1]
-    return Design(
+    return CoachworkDesign(
         shape,
         windows,
         rear_window,

@@ -12,17 +12,17 @@ import numpy as np
 from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
 from mirror.synth.model import Material, Side, ellipsoid
-from mirror.synth.road_users.coachwork.sheets import Finish, Sheets
+from mirror.synth.road_users.coachwork.sheets import SheetFinish, Sheets
 from mirror.synth.road_users.coachwork.shell import End, Shape
 from mirror.synth.textures.catalogue import PLATES
 
 PLATE_M: Final = (0.52, 0.11)
-HEADLIGHT: Final = Finish((0.62, 0.63, 0.65), Material.HEADLIGHT)
-TAIL_LIGHT: Final = Finish((0.30, 0.012, 0.014), Material.TAIL_LIGHT)
-RUBBER: Final = Finish((0.022, 0.022, 0.023), Material.RUBBER)
-BLACK: Final = Finish((0.016, 0.016, 0.017), Material.PLAIN)
+HEADLIGHT: Final = SheetFinish((0.62, 0.63, 0.65), Material.HEADLIGHT)
+TAIL_LIGHT: Final = SheetFinish((0.30, 0.012, 0.014), Material.TAIL_LIGHT)
+RUBBER: Final = SheetFinish((0.022, 0.022, 0.023), Material.RUBBER)
+BLACK: Final = SheetFinish((0.016, 0.016, 0.017), Material.PLAIN)
 # Two-sided: from behind, below the vehicle, the outer side of a wheel is visible through the wheel.
-RIM: Final = Finish((0.36, 0.37, 0.38), Material.RIM, two_sided=True)
+RIM: Final = SheetFinish((0.36, 0.37, 0.38), Material.RIM, two_sided=True)
 STEEL_RIM: Final = RIM._replace(colour=(0.30, 0.31, 0.32))
 _DARK_RIM: Final = RIM._replace(colour=(0.06, 0.06, 0.065))
 _TYRE_CORNERS: Final = 16
@@ -43,11 +43,11 @@ _PAINTS: Final[tuple[tuple[float, tuple[float, float, float]], ...]] = (
 )
 
 
-def draw_car_paint(rng: np.random.Generator) -> Finish:
+def draw_car_paint(rng: np.random.Generator) -> SheetFinish:
     """Draw a car's paint with the shares of newly registered cars."""
     shares = np.array([share for share, _ in _PAINTS])
     colour = np.array(_PAINTS[int(rng.choice(len(_PAINTS), p=shares / shares.sum()))][1])
-    return Finish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
+    return SheetFinish(tuple(np.clip(colour * rng.uniform(0.85, 1.15), 0.0, 0.68)), Material.PAINT)
 
 
 def add_wheels(
@@ -57,7 +57,7 @@ def add_wheels(
     radius_m: float,
     width_m: float,
     *,
-    rim: Finish = RIM,
+    rim: SheetFinish = RIM,
     open_deg: float = 79.0,
     treads: int = 2,
 ) -> None:
@@ -94,7 +94,7 @@ def _tread_sides(outer_m: float, width_m: float, order: tuple[int, int]) -> list
     return [outer_m - width_m * share for share in order]
 
 
-def draw_rim(rng: np.random.Generator) -> Finish:
+def draw_rim(rng: np.random.Generator) -> SheetFinish:
     """Draw a rim: light alloy, or less often black."""
     return _DARK_RIM if rng.random() < 0.22 else RIM._replace(colour=tuple(np.full(3, rng.uniform(0.26, 0.46))))
 
@@ -103,7 +103,7 @@ def add_lamps(
     sheets: Sheets,
     shape: Shape,
     end: End,
-    finish: Finish,
+    finish: SheetFinish,
     heights_m: tuple[float, float],
     *,
     inner: float,
@@ -142,7 +142,7 @@ def add_insert(
     sheets: Sheets,
     shape: Shape,
     end: End,
-    finish: Finish,
+    finish: SheetFinish,
     heights_m: tuple[float, float],
     widths: tuple[float, float],
     *,
@@ -160,7 +160,7 @@ def add_number_plate(sheets: Sheets, middle: Sequence[float], side: Side, number
     x, y, z = middle
     half, tall = 0.5 * share * PLATE_M[0], 0.5 * share * PLATE_M[1]
     corners: Float64 = np.array([(x, y + a * half, z + b * tall) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    sheets.sheet(corners, side, Finish((0.8, 0.8, 0.8), Material.IMAGE, image=number))
+    sheets.sheet(corners, side, SheetFinish((0.8, 0.8, 0.8), Material.IMAGE, image=number))
 
 
 def draw_plate_number(rng: np.random.Generator) -> int:
@@ -169,7 +169,7 @@ def draw_plate_number(rng: np.random.Generator) -> int:
 
 
 def add_mirrors(
-    sheets: Sheets, place: Sequence[float], finish: Finish, size: Sequence[float] = (0.12, 0.20, 0.14)
+    sheets: Sheets, place: Sequence[float], finish: SheetFinish, size: Sequence[float] = (0.12, 0.20, 0.14)
 ) -> None:
     """Add outside mirrors, with the centres of their housings at a position on the left and at its mirror image."""
     x, y, z = place

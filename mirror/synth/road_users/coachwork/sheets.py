@@ -43,7 +43,7 @@ class Panel(IntEnum):
     """Cargo doors: a seam in the middle and hinges at the edges."""
 
 
-class Finish(NamedTuple):
+class SheetFinish(NamedTuple):
     """Surface of a sheet: colour, material, panel, image, and whether it is visible from both sides."""
 
     colour: Colour
@@ -56,7 +56,7 @@ class Finish(NamedTuple):
 class _Sheet(NamedTuple):
     corners: Float64
     side: Side
-    finish: Finish
+    finish: SheetFinish
     texture: Float64
 
 
@@ -88,7 +88,7 @@ class Sheets:
         self,
         corners: npt.ArrayLike,
         side: Side,
-        finish: Finish,
+        finish: SheetFinish,
         *,
         texture: Texture | None = None,
         lift_m: float = 0.0,
@@ -119,7 +119,13 @@ class Sheets:
             )
 
     def block(
-        self, low: Sequence[float], high: Sequence[float], finish: Finish, sides: Sequence[Side], *, both: bool = False
+        self,
+        low: Sequence[float],
+        high: Sequence[float],
+        finish: SheetFinish,
+        sides: Sequence[Side],
+        *,
+        both: bool = False,
     ) -> None:
         """Add the given sides of an axis-aligned box between two corners."""
         (a, b, c), (d, e, f) = low, high

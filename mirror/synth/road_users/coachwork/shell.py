@@ -18,13 +18,13 @@ import numpy as np
 
 from mirror.arrays import Float64
 from mirror.synth.model import Material, Side
-from mirror.synth.road_users.coachwork.sheets import Finish, Panel, Sheets
+from mirror.synth.road_users.coachwork.sheets import Panel, SheetFinish, Sheets
 
 Point = tuple[float, float]
 """A point of the side view: x forward and z up, metres."""
 
-DARK: Final = Finish((0.018, 0.018, 0.019), Material.PLAIN)
-PANE: Final = Finish((0.012, 0.013, 0.014), Material.GLASS)
+DARK: Final = SheetFinish((0.018, 0.018, 0.019), Material.PLAIN)
+PANE: Final = SheetFinish((0.012, 0.013, 0.014), Material.GLASS)
 DARK_PANE: Final = PANE._replace(panel=Panel.LOWER)
 _LAP_M: Final = 0.035
 _LEDGE_M: Final = 0.015
@@ -182,7 +182,13 @@ def _x_at(foot: Point, top: Point, z: float) -> float:
 
 
 def add_shell(
-    sheets: Sheets, shape: Shape, paint: Finish, *, sill: Finish, deck: Finish, screen: Finish = PANE
+    sheets: Sheets,
+    shape: Shape,
+    paint: SheetFinish,
+    *,
+    sill: SheetFinish,
+    deck: SheetFinish,
+    screen: SheetFinish = PANE,
 ) -> None:
     """Add flanks, ends, bonnet, deck, greenhouse and the dark parts behind the wheels.
 
@@ -209,7 +215,7 @@ def add_shell(
     )
 
 
-def _add_flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> None:
+def _add_flanks(sheets: Sheets, shape: Shape, paint: SheetFinish, sill: SheetFinish) -> None:
     front, back = shape.axles_m
     levels = shape.levels_m
     plain, doors = paint._replace(panel=Panel.LOWER), paint._replace(panel=shape.doors)
@@ -243,7 +249,7 @@ def _add_flanks(sheets: Sheets, shape: Shape, paint: Finish, sill: Finish) -> No
 
 
 def _add_flank(
-    sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float] | Float64], finish: Finish
+    sheets: Sheets, shape: Shape, corners: list[tuple[float, float, float] | Float64], finish: SheetFinish
 ) -> None:
     sheets.sheet(np.array(corners), Side.LEFT, finish, texture=shape.flank_texture, both=True)
 
@@ -269,7 +275,7 @@ def _height_at(line: list[Point], x: float) -> float:
     return float(np.interp(x, [point[0] for point in line], [point[1] for point in line]))
 
 
-def _add_end(sheets: Sheets, shape: Shape, end: End, paint: Finish, sill: Finish, lid: Finish) -> None:
+def _add_end(sheets: Sheets, shape: Shape, end: End, paint: SheetFinish, sill: SheetFinish, lid: SheetFinish) -> None:
     """Add the front or the back, and the bonnet or the deck between it and the greenhouse."""
     side = Side.FRONT if end is shape.front else Side.BACK
     sign = 1.0 if end is shape.front else -1.0
@@ -307,7 +313,7 @@ def _trapezoid(low: tuple[float, float, float] | Float64, high: tuple[float, flo
     return np.array([low_edge, low_edge * mirror, high_edge * mirror, high_edge])
 
 
-def _add_greenhouse(sheets: Sheets, shape: Shape, paint: Finish, screen: Finish) -> None:
+def _add_greenhouse(sheets: Sheets, shape: Shape, paint: SheetFinish, screen: SheetFinish) -> None:
     waist, rail = shape.waist_m, shape.rail_m
     front, back = shape.roof[0][0], shape.roof[-1][0]
     crown = shape.crown

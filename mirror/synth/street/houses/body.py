@@ -18,7 +18,7 @@ STONE: Final[Colour] = (0.30, 0.29, 0.27)
 
 
 @dataclass(frozen=True)
-class Body:
+class HouseBody:
     """The walls of a house, in its own frame: the street is towards -y, the ground at z = 0.
 
     Attributes:
@@ -67,7 +67,7 @@ class Body:
         return self.ground_m + storey * (self.eaves_m - self.ground_m) / self.columns()[1]
 
 
-def raise_walls(pieces: Pieces, body: Body, rng: np.random.Generator, *, sides_seen: bool) -> None:
+def raise_walls(pieces: Pieces, body: HouseBody, rng: np.random.Generator, *, sides_seen: bool) -> None:
     """Add the upper storeys of the front, the other walls from the ground up, and the walls below the ground.
 
     Args:
@@ -117,7 +117,7 @@ def _add_painting(
         pieces.wall(*ends, low, low + height, sheet)
 
 
-def add_cornice(pieces: Pieces, body: Body, proud_m: float = 0.35, high_m: float = 0.35) -> None:
+def add_cornice(pieces: Pieces, body: HouseBody, proud_m: float = 0.35, high_m: float = 0.35) -> None:
     """Add a ledge along the top of the front."""
     low = (body.left, body.front - proud_m, body.eaves_m - high_m)
     pieces.block(low, (body.right, body.front, body.eaves_m), body.plain(1.15), without=("+y",))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Pieces
-from mirror.synth.street.houses.body import Body
+from mirror.synth.street.houses.body import HouseBody
 from mirror.synth.street.houses.styles import Colour
 from mirror.synth.street.houses.windows import Windows
 
@@ -27,7 +27,7 @@ _PLASTERED: Final = {
 }
 
 
-def add_balconies(pieces: Pieces, body: Body, rng: np.random.Generator, taken: set[int], most: int = 7) -> None:
+def add_balconies(pieces: Pieces, body: HouseBody, rng: np.random.Generator, taken: set[int], most: int = 7) -> None:
     """Add balconies one above the other at some columns of windows.
 
     Args:
@@ -83,7 +83,7 @@ def add_balcony(
     )
 
 
-def add_bay(pieces: Pieces, body: Body, x: float, half_m: float, *, chamfered: bool) -> None:
+def add_bay(pieces: Pieces, body: HouseBody, x: float, half_m: float, *, chamfered: bool) -> None:
     """Add a bay window over all upper storeys except the top one, with a foot and its own roof.
 
     Args:

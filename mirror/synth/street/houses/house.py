@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mirror.synth.model import Material, Model, Pieces
-from mirror.synth.street.houses.body import FOOT_M, Body, add_cornice, raise_walls
+from mirror.synth.street.houses.body import FOOT_M, HouseBody, add_cornice, raise_walls
 from mirror.synth.street.houses.fronts import add_balconies, add_bay
 from mirror.synth.street.houses.roofs import add_roof
 from mirror.synth.street.houses.sheds import build_farm, build_petrol_station, build_warehouse
@@ -61,7 +61,7 @@ def build_house(
     return pieces.model()
 
 
-def _draw_body(rng: np.random.Generator, style: Style, length_m: float, depth_m: float) -> Body:
+def _draw_body(rng: np.random.Generator, style: Style, length_m: float, depth_m: float) -> HouseBody:
     front = min(rng.uniform(*style.set_back_m), max(depth_m - style.depth_m[0], 0.0))
     back = min(front + rng.uniform(*style.depth_m), depth_m)
     half = 0.5 * length_m - (rng.uniform(0.8, 2.5) if style.free else 0.0)
@@ -76,7 +76,7 @@ def _draw_body(rng: np.random.Generator, style: Style, length_m: float, depth_m:
         sides = Windows.SIDE_BRICK
     if brick and sides == Windows.COTTAGE:
         sides = Windows.COTTAGE_BRICK
-    return Body(
+    return HouseBody(
         -half,
         half,
         front,
@@ -91,7 +91,7 @@ def _draw_body(rng: np.random.Generator, style: Style, length_m: float, depth_m:
     )
 
 
-def _add_front(pieces: Pieces, body: Body, style: Style, rng: np.random.Generator) -> None:
+def _add_front(pieces: Pieces, body: HouseBody, style: Style, rng: np.random.Generator) -> None:
     """Add bay windows and balconies."""
     columns, storeys = body.columns()
     taken: set[int] = set()

@@ -10,7 +10,7 @@ import numpy as np
 
 from mirror.portable import scalars
 from mirror.synth.model import Finish, Label, Material, Pieces
-from mirror.synth.street.houses.body import Body
+from mirror.synth.street.houses.body import HouseBody
 from mirror.synth.street.houses.styles import TILES, Colour, RoofKind
 from mirror.synth.street.houses.windows import Windows
 
@@ -19,7 +19,7 @@ _GUTTER: Final[Colour] = (0.22, 0.22, 0.21)
 _METAL: Final[Colour] = (0.40, 0.41, 0.41)
 
 
-def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generator) -> None:
+def add_roof(pieces: Pieces, body: HouseBody, kind: RoofKind, rng: np.random.Generator) -> None:
     """Add a roof on the walls of a body."""
     tiles = Finish(TILES[int(rng.integers(len(TILES)))], Material.ROOF, Label.BUILDING, body.seed)
     depth = body.back - body.front
@@ -44,7 +44,7 @@ def add_roof(pieces: Pieces, body: Body, kind: RoofKind, rng: np.random.Generato
         _add_chimneys(pieces, body, top, rng)
 
 
-def _add_profile(pieces: Pieces, body: Body, tiles: Finish, profile: list[tuple[float, float]]) -> None:
+def _add_profile(pieces: Pieces, body: HouseBody, tiles: Finish, profile: list[tuple[float, float]]) -> None:
     """Extrude a convex profile (distance from the front, height above the eaves) along the street, with fascias."""
     over = 0.35
     base = body.eaves_m + _FASCIA_M
@@ -69,7 +69,7 @@ def _add_soffit(pieces: Pieces, low: tuple[float, float], high: tuple[float, flo
     pieces.face(((a, d, z), (c, d, z), (c, b, z), (a, b, z)), finish)
 
 
-def _add_hip_roof(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> None:
+def _add_hip_roof(pieces: Pieces, body: HouseBody, tiles: Finish, slope: float) -> None:
     over = 0.45
     left, right, front, back = body.left - over, body.right + over, body.front - over, body.back + over
     low = body.eaves_m + _FASCIA_M
@@ -96,7 +96,7 @@ def _add_hip_roof(pieces: Pieces, body: Body, tiles: Finish, slope: float) -> No
 
 
 def _add_dormers(
-    pieces: Pieces, body: Body, tiles: Finish, slope: float, above_m: float, rng: np.random.Generator
+    pieces: Pieces, body: HouseBody, tiles: Finish, slope: float, above_m: float, rng: np.random.Generator
 ) -> None:
     """Add dormers to the front slope, above columns of windows."""
     columns, _ = body.columns()
@@ -117,7 +117,7 @@ def _add_dormers(
         pieces.block(*roof, cheek, without=("+y",))
 
 
-def _add_chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Generator) -> None:
+def _add_chimneys(pieces: Pieces, body: HouseBody, ridge_m: float, rng: np.random.Generator) -> None:
     brick = Finish((0.28, 0.14, 0.10), Material.BRICK, Label.BUILDING, body.seed)
     middle = 0.5 * (body.front + body.back)
     top = body.eaves_m + _FASCIA_M + ridge_m
@@ -126,7 +126,7 @@ def _add_chimneys(pieces: Pieces, body: Body, ridge_m: float, rng: np.random.Gen
         pieces.block((x - 0.4, y - 0.3, top - 1.4), (x + 0.4, y + 0.3, top + rng.uniform(0.5, 1.0)), brick)
 
 
-def _add_flat_roof(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
+def _add_flat_roof(pieces: Pieces, body: HouseBody, rng: np.random.Generator) -> None:
     """Add a parapet, and on some roofs a set-back storey, a shaft, air conditioners or an antenna."""
     left, right, front, back = body.left, body.right, body.front, body.back
     top = body.eaves_m + 0.55

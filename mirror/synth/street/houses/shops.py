@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from mirror.synth.model import Finish, Label, Material, Pieces
-from mirror.synth.street.houses.body import FOOT_M, STONE, Body
+from mirror.synth.street.houses.body import FOOT_M, STONE, HouseBody
 from mirror.synth.street.houses.styles import Colour
 from mirror.synth.street.houses.windows import PATTERNS, Windows
 from mirror.synth.textures.catalogue import DOORS, POSTERS, SHOP_SIGNS, SHOP_WINDOWS
@@ -32,7 +32,7 @@ _FASCIAS: Final[tuple[Colour, ...]] = (
 _AWNINGS: Final[tuple[Colour, ...]] = ((0.32, 0.05, 0.04), (0.06, 0.17, 0.10), (0.48, 0.42, 0.30), (0.07, 0.12, 0.24))
 
 
-def add_shops(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
+def add_shops(pieces: Pieces, body: HouseBody, rng: np.random.Generator) -> None:
     """Add shops side by side, with the house's entrance between them where there is room."""
     at, right = body.left, body.right
     entrance = right - at > 9.0
@@ -49,7 +49,7 @@ def add_shops(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
             _add_shop(pieces, body, rng, start + number * width, start + (number + 1) * width)
 
 
-def _add_shop(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
+def _add_shop(pieces: Pieces, body: HouseBody, rng: np.random.Generator, left: float, right: float) -> None:
     front, back, high = body.front, body.front + _RECESS_M, body.ground_m
     seed = int(rng.integers(1 << 20))
     frame = _FRAMES[int(rng.integers(len(_FRAMES)))]
@@ -95,7 +95,7 @@ def _add_blade_sign(pieces: Pieces, x: float, wall: float, low: float, rng: np.r
     pieces.wall((x - 0.05, near), (x - 0.05, far), low, high, poster)
 
 
-def _add_entrance(pieces: Pieces, body: Body, rng: np.random.Generator, left: float, right: float) -> None:
+def _add_entrance(pieces: Pieces, body: HouseBody, rng: np.random.Generator, left: float, right: float) -> None:
     """Add a part of the wall with the house's door."""
     front = body.front
     pieces.wall((left, front), (right, front), 0.0, body.ground_m, body.plain())
@@ -103,7 +103,7 @@ def _add_entrance(pieces: Pieces, body: Body, rng: np.random.Generator, left: fl
     add_door(pieces, body, 0.5 * (left + right), rng)
 
 
-def add_door(pieces: Pieces, body: Body, x: float, rng: np.random.Generator) -> None:
+def add_door(pieces: Pieces, body: HouseBody, x: float, rng: np.random.Generator) -> None:
     """Add a house door in a projecting portal, and a step."""
     front, proud = body.front, 0.14
     stone = body.plain(1.12)
@@ -119,7 +119,7 @@ def add_door(pieces: Pieces, body: Body, x: float, rng: np.random.Generator) -> 
     pieces.block((x - 0.8, front - 0.4, -0.6), (x + 0.8, front, 0.16), step, without=("+y", "-z"))
 
 
-def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
+def add_flats(pieces: Pieces, body: HouseBody, rng: np.random.Generator) -> None:
     """Add ground-floor windows above a plinth, and a door in its own part of the wall."""
     left, right, front = body.left, body.right, body.front
     plinth = Finish(STONE, Material.CONCRETE, Label.BUILDING, body.seed)
@@ -135,7 +135,7 @@ def add_flats(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
         pieces.block((start, front - 0.05, FOOT_M), (end, front, 0.55), plinth, without=("+y", "-z"))
 
 
-def add_lobby(pieces: Pieces, body: Body, rng: np.random.Generator) -> None:
+def add_lobby(pieces: Pieces, body: HouseBody, rng: np.random.Generator) -> None:
     """Add a ground floor of glass between pillars, with a porch over the entrance."""
     left, right, front, high = body.left, body.right, body.front, body.ground_m
     glass = Finish((0.10, 0.11, 0.12), Material.FACADE, Label.BUILDING, body.seed + 5, int(Windows.CURTAIN_WALL))

@@ -17,7 +17,7 @@ from mirror.synth.street import furniture
 from mirror.synth.street.furniture import LampKind, LampPost, SignalHead
 from mirror.synth.street.furniture.small import Maker
 from mirror.synth.street.lots import Spot
-from mirror.synth.street.plan import Plan
+from mirror.synth.street.plan import StreetPlan
 from mirror.synth.textures.catalogue import Sign
 
 _SIGNS: Final[dict[str, tuple[tuple[Sign, ...], ...]]] = {
@@ -72,7 +72,7 @@ class Furniture:
     others: tuple[Model, ...]
 
 
-def furnish(plan: Plan, seed: int) -> Furniture:
+def furnish(plan: StreetPlan, seed: int) -> Furniture:
     """Build furniture for a plan's spots and rails.
 
     Args:
@@ -105,7 +105,7 @@ def furnish(plan: Plan, seed: int) -> Furniture:
     return Furniture(tuple(lamps), tuple(signals), tuple(others))
 
 
-def _build_thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
+def _build_thing(plan: StreetPlan, spot: Spot, rng: np.random.Generator) -> Model:
     """A sign or small object at a spot."""
     if spot.kind == "furniture":
         makers = _THINGS[plan.kind]
@@ -125,7 +125,7 @@ def _build_thing(plan: Plan, spot: Spot, rng: np.random.Generator) -> Model:
     return _place_at(spot, _cached_signs((sign,)), spot.facing_rad)
 
 
-def _build_rail(plan: Plan, number: int, seed: int) -> Model:
+def _build_rail(plan: StreetPlan, number: int, seed: int) -> Model:
     rail, rng = plan.rails[number], random_stream("rails", seed, 23, number)
     if rail.kind == "guard":
         return furniture.guard_rail(rail.line)
@@ -134,7 +134,7 @@ def _build_rail(plan: Plan, number: int, seed: int) -> Model:
     return furniture.garden_wall(rng, rail.line)
 
 
-def _build_lamp(plan: Plan, spot: Spot) -> LampPost:
+def _build_lamp(plan: StreetPlan, spot: Spot) -> LampPost:
     if plan.kind == "campus":
         post = _cached_lamp_post("column", 4.6, 0.0)
     elif _is_main(spot):

@@ -13,7 +13,7 @@ from mirror.synth.seeds import random_stream
 from mirror.synth.street.furniture import fence, garden_wall
 from mirror.synth.street.houses import HouseStyle, build_house
 from mirror.synth.street.lots import Lot
-from mirror.synth.street.plan import Plan
+from mirror.synth.street.plan import StreetPlan
 
 Shares = dict[HouseStyle, float]
 
@@ -36,7 +36,7 @@ _DETAIL_RANGE_M: Final = 30.0
 """Houses up to this distance outside the ROI are detailed."""
 
 
-def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
+def build_houses(plan: StreetPlan, seed: int) -> Iterator[Model]:
     """Yield a house for each lot, in the world frame; distant ones have less detail.
 
     Args:
@@ -56,7 +56,7 @@ def build_houses(plan: Plan, seed: int) -> Iterator[Model]:
             yield _front_fence(plan, lot, rng)
 
 
-def _place_house(plan: Plan, lot: Lot, model: Model) -> Model:
+def _place_house(plan: StreetPlan, lot: Lot, model: Model) -> Model:
     """A house in the world frame, at the highest ground along its front."""
     along = np.array([scalars.cos(lot.yaw_rad), scalars.sin(lot.yaw_rad)])
     places = lot.origin[:2] + 0.5 * lot.length_m * np.array([[-1.0], [-0.5], [0.0], [0.5], [1.0]]) * along
@@ -64,7 +64,7 @@ def _place_house(plan: Plan, lot: Lot, model: Model) -> Model:
     return model.place(lot.origin[0], lot.origin[1], height, lot.yaw_rad)
 
 
-def _front_fence(plan: Plan, lot: Lot, rng: np.random.Generator) -> Model:
+def _front_fence(plan: StreetPlan, lot: Lot, rng: np.random.Generator) -> Model:
     """A fence or wall along the front of a garden, with an opening on one side."""
     along = np.array([scalars.cos(lot.yaw_rad), scalars.sin(lot.yaw_rad)])
     ends = (-0.5, 0.28) if rng.random() < 0.5 else (-0.28, 0.5)

@@ -14,7 +14,7 @@ from mirror.synth.road_users.body import Body, RoadUser
 from mirror.synth.road_users.cars import build_car
 from mirror.synth.road_users.vans import build_van
 from mirror.synth.seeds import random_stream
-from mirror.synth.street.plan import Plan
+from mirror.synth.street.plan import StreetPlan
 from mirror.synth.textures.catalogue import PLATES
 from mirror.traffic.lanes.network import Lane
 from mirror.traffic.placement.motion import Placement, StaticMotion
@@ -26,7 +26,7 @@ _BODIES: Final = 16
 """Number of different bodies; each is parked at several places with different number plates."""
 
 
-def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
+def place_parked_vehicles(plan: StreetPlan, seed: int) -> tuple[RoadUser, ...]:
     """Place vehicles on a plan's parking lanes, in driving direction.
 
     Args:
@@ -45,7 +45,7 @@ def place_parked_vehicles(plan: Plan, seed: int) -> tuple[RoadUser, ...]:
     )
 
 
-def _bays(plan: Plan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
+def _bays(plan: StreetPlan, lane: Lane, rng: np.random.Generator) -> Iterator[Placement]:
     """Yield placements for the occupied bays of a lane."""
     for bay in range(int((lane.length_m - 1.0) / _BAY_M)):
         is_occupied, jitter = rng.random() < _OCCUPIED_SHARE, rng.uniform(-0.35, 0.35, 2)

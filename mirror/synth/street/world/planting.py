@@ -14,7 +14,7 @@ from mirror.arrays import Float64
 from mirror.portable import arrays, scalars
 from mirror.synth.model import Material, Model
 from mirror.synth.seeds import random_stream
-from mirror.synth.street.plan import Plan
+from mirror.synth.street.plan import StreetPlan
 from mirror.synth.street.plants import STREET_TREES, Kind, build_bush, build_hedge, build_tree
 
 _FIELD_TREES: Final[tuple[Kind, ...]] = ("oak", "birch", "poplar", "spruce", "pine", "lime")
@@ -30,7 +30,7 @@ _ROAD_M: Final = {"urban": 0.9, "campus": 0.9, "rural": 3.0, "highway": 8.0}
 """Distance of the trees at spots from the carriageway, metres."""
 
 
-def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
+def build_plants(plan: StreetPlan, seed: int) -> Iterator[Model]:
     """Yield trees, bushes and hedges in full leaf, in the world frame.
 
     Args:
@@ -63,7 +63,7 @@ def build_plants(plan: Plan, seed: int) -> Iterator[Model]:
             yield from _hedge_row(rail.line, random_stream("hedges", seed, 26, number))
 
 
-def _is_near(plan: Plan, place: Float64) -> bool:
+def _is_near(plan: StreetPlan, place: Float64) -> bool:
     """Return whether a position is visible from nearby: within or just outside the ROI, and near the roads."""
     within = float(arrays.hypot(place[0], place[1])) < plan.roi.radius_m + _DETAIL_RANGE_M
     return within and plan.roads.distance(shapely.Point(place[:2])) < _DETAIL_RANGE_M
@@ -87,7 +87,7 @@ def _place_tree(model: Model, place: Float64, rng: np.random.Generator) -> Model
     return model.place(float(place[0]), float(place[1]), float(place[2]), float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
-def _open_places(plan: Plan, number: int, rng: np.random.Generator) -> Float64:
+def _open_places(plan: StreetPlan, number: int, rng: np.random.Generator) -> Float64:
     """Positions (N, 3) on open land, in loose groups."""
     reach = plan.roi.radius_m + 60.0
     middles = rng.uniform(-reach, reach, (number, 2))

@@ -15,7 +15,7 @@ from mirror.synth.model import Model, merge_models
 from mirror.synth.road_users.body import RoadUser
 from mirror.synth.seeds import random_stream
 from mirror.synth.street.houses import build_far_houses, build_far_woods
-from mirror.synth.street.plan import Plan, plan_scene
+from mirror.synth.street.plan import StreetPlan, plan_scene
 from mirror.synth.street.world.furnishing import Furniture, furnish
 from mirror.synth.street.world.housing import build_houses
 from mirror.synth.street.world.parking import place_parked_vehicles
@@ -57,7 +57,7 @@ class World:
         seed: seed of all random choices.
     """
 
-    plan: Plan
+    plan: StreetPlan
     model: Model
     lamps: Float64
     lights: Mapping[int, Lights]
@@ -148,7 +148,7 @@ def _collect_lights(things: Furniture) -> dict[int, Lights]:
     return {group: Lights(*(np.concatenate(part) for part in zip(*parts))) for group, parts in lamps_by_group.items()}
 
 
-def _build_skyline(plan: Plan, seed: int) -> list[Model]:
+def _build_skyline(plan: StreetPlan, seed: int) -> list[Model]:
     """The skyline on all sides."""
     rng = random_stream("skyline", seed, 28)
     radius = plan.roi.radius_m

@@ -13,7 +13,7 @@ from benchmarks.studies.static_reconstruction.choices import baseline_name
 from benchmarks.studies.static_reconstruction.equal_bytes import count_parameters, with_equal_bytes
 from benchmarks.studies.static_reconstruction.methods import BASELINES
 from hybridworldsim.model.initialization import InitialGeometry, initial_street
-from hybridworldsim.model.settings import Refinement, Settings
+from hybridworldsim.model.settings import AnchorRefinement, Settings
 from hybridworldsim.trainable.viewpoint import Source
 from mirror.arrays import Float64
 
@@ -40,7 +40,7 @@ def test_numbers_of_our_model(initial: InitialGeometry) -> None:
     street = initial_street(initial, Settings())
     full = replace(
         Settings(),
-        refinement=Refinement(
+        refinement=AnchorRefinement(
             max_anchors=len(street.background), most_ground=len(street.ground), most_sky=len(street.sky)
         ),
     )

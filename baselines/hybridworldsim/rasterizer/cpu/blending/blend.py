@@ -19,7 +19,7 @@ from hybridworldsim.rasterizer.cpu.blending.forward import BATCH, PLACEMENT_SIZE
 from hybridworldsim.rasterizer.cpu.blending.sorting import depth_order
 from hybridworldsim.rasterizer.cpu.blending.splats import Splats, pack_splats
 from hybridworldsim.rasterizer.cpu.blending.tiles import Tiles, assign_tiles
-from hybridworldsim.rasterizer.presets import Preset
+from hybridworldsim.rasterizer.presets import GsplatPreset
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 from mirror.arrays import Float32, Float64, Int32, Int64
 from mirror.errors import UsageError
@@ -39,7 +39,7 @@ def blend(
     width: int,
     height: int,
     *,
-    preset: Preset,
+    preset: GsplatPreset,
     tile_size: int,
     absgrad: bool,
 ) -> BlendedImage:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hybridworldsim.rasterizer.lenses import Lens
-from hybridworldsim.rasterizer.presets import SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS, Preset
+from hybridworldsim.rasterizer.lenses import LensDistortion
+from hybridworldsim.rasterizer.presets import SQUARE_DISCRIMINANT_MIN, SQUARE_SIGMAS, GsplatPreset
 from mirror.arrays import Float64
 
 DEPTH_MIN = 1e-30
@@ -78,9 +78,9 @@ def to_kernel_camera(
     near_plane: float,
     far_plane: float,
     radius_clip: float,
-    preset: Preset,
+    preset: GsplatPreset,
     antialiased: bool,
-    lens: Lens | None,
+    lens: LensDistortion | None,
 ) -> KernelCamera:
     """Convert a camera to the form that kernels take.
 

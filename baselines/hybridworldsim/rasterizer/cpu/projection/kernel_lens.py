@@ -9,7 +9,7 @@ import numpy as np
 from hybridworldsim.kernels import lanes
 from hybridworldsim.kernels.compilation import kernel
 from hybridworldsim.rasterizer.cpu.projection.kernel_camera import KernelCamera
-from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, Lens
+from hybridworldsim.rasterizer.lenses import IMAGE_MARGIN, RADIAL_MIN, LensDistortion
 
 
 class KernelLens(NamedTuple):
@@ -42,7 +42,7 @@ class KernelLens(NamedTuple):
     bottom: float
 
 
-def to_kernel_lens(lens: Lens, camera: KernelCamera) -> KernelLens:
+def to_kernel_lens(lens: LensDistortion, camera: KernelCamera) -> KernelLens:
     """Convert a lens to the form that kernels take.
 
     Args:

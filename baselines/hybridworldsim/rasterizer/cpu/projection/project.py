@@ -21,8 +21,8 @@ from hybridworldsim.rasterizer.cpu.projection.unscented import SCRATCH, unscente
 from hybridworldsim.rasterizer.projected_gaussians import ProjectedGaussians
 
 if TYPE_CHECKING:
-    from hybridworldsim.rasterizer.lenses import Lens
-    from hybridworldsim.rasterizer.presets import Preset
+    from hybridworldsim.rasterizer.lenses import LensDistortion
+    from hybridworldsim.rasterizer.presets import GsplatPreset
 
 _Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -44,9 +44,9 @@ def project(
     near_plane: float,
     far_plane: float,
     radius_clip: float,
-    preset: Preset,
+    preset: GsplatPreset,
     antialiased: bool,
-    lens: Lens | None,
+    lens: LensDistortion | None,
 ) -> ProjectedGaussians:
     """Project Gaussians into one camera and keep those that reach its image.
 

@@ -5,8 +5,10 @@ The glossary's table lists the retired words (docs/glossary.md).
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -77,6 +79,16 @@ ALLOWED = {
 CLAUSE = r"(?:What|Whether|Which|Who|Whose|How|When|Where|Why|Those)\b"
 CLAUSES = re.compile(rf'^ *(?:async )?(?:def .*|\).*):\n +r?"""({CLAUSE}.*?)(?:"""|$)', re.M)
 """Functions whose documentation begins with a clause instead of a verb, such as "Return whether"."""
+NOUNS = re.compile(
+    r"(?:The|An?|All|Some|No|Each|Every|One|Both|Several|Everything|Nothing|None|As|At|By|In|Of|Under)\b"
+    r"|[(`\d]|[\w-]+ (?:of|that|between|per|from)\b"
+)
+"""Beginnings of summary lines that are noun phrases: an article, a shape, a name, or a noun with its attribute."""
+VERBS = re.compile(
+    r"(?:Append|Check|Continue|Copy|Cut|Draw|Load|Make|Mark|Move|Read|Record|Render|Require|Return|Say|Start|Yield)"
+    r" (?:that|from)\b"
+)
+"""Verbs that such an attribute follows."""
 
 
 def retired() -> list[str]:
@@ -84,6 +96,29 @@ def retired() -> list[str]:
     table = (ROOT / "docs" / "glossary.md").read_text().partition("## Retired words")[2]
     cells = re.findall(r"^\| ([^|]+) \|", table, re.M)[1:]
     return [word for cell in cells if not cell.startswith("---") for word in cell.split(", ")]
+
+
+def is_property(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Return whether a function is a property, whose summary says what its value is."""
+    return any("property" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def noun_phrases(text: str) -> Iterator[tuple[int, str]]:
+    """Yield line and summary of public functions without a verb, and of public classes that begin with a clause."""
+
+    def visit(parent: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
+        for node in parent.body:
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) or node.name.startswith("_"):
+                continue
+            summary = (ast.get_docstring(node) or "").partition("\n")[0]
+            if isinstance(node, ast.ClassDef):
+                yield from visit(node)
+                if re.match(CLAUSE, summary):
+                    yield node.lineno, summary
+            elif NOUNS.match(summary) and not VERBS.match(summary) and not is_property(node):
+                yield node.lineno, summary
+
+    yield from visit(ast.parse(text))
 
 
 def main() -> int:
@@ -100,6 +135,9 @@ def main() -> int:
             hits += 1
             number = text.count("\n", 0, clause.start(1)) + 1
             print(f"{name}:{number}: {clause[1][:40]!r}: begin with a verb, such as 'Return whether'")
+        for number, summary in noun_phrases(text) if file.suffix == ".py" and not name.startswith("tests/") else ():
+            hits += 1
+            print(f"{name}:{number}: {summary[:40]!r}: begin with a verb, or say what the class is")
         for number, line in enumerate(text.splitlines(), start=1):
             for word in words.findall(line):
                 if name != "docs/check_words.py" and name not in ALLOWED.get(word, ()):

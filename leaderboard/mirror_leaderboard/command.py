@@ -110,7 +110,7 @@ class SignArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class Rotate:
-    """Put a new organiser's key in the place of a lost or former one, and sign again what a listed key had signed.
+    """Replace a lost or former organiser's key, and sign all entries again that a listed key had signed.
 
     The former public key stays in keys.json with the day on which it ended. Entries without a valid signature are left.
     """

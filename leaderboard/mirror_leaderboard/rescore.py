@@ -56,7 +56,7 @@ class RolloutPlan:
 
 @dataclass(frozen=True)
 class Sources:
-    """What an organiser holds a result against.
+    """The data that an organiser holds a result against.
 
     Attributes:
         dataset: folder or URL of the dataset with the truth; for the protocol safety, the folder of the rollouts.
@@ -81,7 +81,7 @@ class Sources:
 
 
 def rescore(result: Result, path: Path, sources: Sources, progress: ProgressReporter | None = None) -> Result:
-    """Score a submission again, and return the new result if the given one states the same.
+    """Score a submission again, and return the new result if it equals the given one.
 
     Args:
         result: the given result.
@@ -232,7 +232,7 @@ def _stated_inputs(
 
 
 def require_equal(place: str, stated: object, expected: object, path: Path) -> None:
-    """Require that a result states what the evaluation finds.
+    """Require that a result equals that of the evaluation here.
 
     Raises:
         RefusedError: it states something else.
@@ -248,7 +248,7 @@ def require_equal(place: str, stated: object, expected: object, path: Path) -> N
 
 
 def require_equal_figures(stated: Sequence[GroupFigure], expected: Sequence[GroupFigure], path: Path) -> None:
-    """Require that a result states the figures that the evaluation finds, to 1e-9.
+    """Require that a result's figures equal those of the evaluation here, to 1e-9.
 
     Raises:
         RefusedError: a figure differs, is missing, or was not found.

@@ -79,12 +79,14 @@ class BoardView:
 
 
 def find_board(image: UInt8, board: CalibrationBoard) -> BoardView | str:
-    """The corners of the board in an (H, W) grey image; else the reason why there are none."""
+    """Return the corners of the board in an (H, W) grey image; else the reason why there are none."""
     return _find_charuco(image, board) if board.kind == "charuco" else _find_chessboard(image, board)
 
 
 def find_size(image: UInt8) -> tuple[int, int] | None:
-    """Numbers of inner corners of the chessboard that an (H, W) grey image shows, the larger first; None: no board.
+    """Return the numbers of inner corners of the chessboard that an (H, W) grey image shows, the larger first.
+
+    None: no board.
 
     The detector of Duda and Frese ("Accurate Detection and Localization of Checkerboard Corners for Calibration", 2018)
     grows a board from 3 x 3 corners.
@@ -135,7 +137,7 @@ def _find_charuco(image: UInt8, board: CalibrationBoard) -> BoardView | str:
 
 
 def board_normal(rotation_vector: Float64) -> Float64:
-    """The normal (3,) of a board in the camera frame, from its rotation vector (3,)."""
+    """Return the normal (3,) of a board in the camera frame, from its rotation vector (3,)."""
     import cv2
 
     matrix = np.asarray(cv2.Rodrigues(rotation_vector.reshape(3, 1))[0], np.float64)

@@ -143,7 +143,7 @@ def _near_rig(solution: Solution) -> TrackedRig:
 
 
 def summarise(solution: Solution, *, tracker_bias_px: float = TRACKER_BIAS_PX) -> list[CameraEstimate]:
-    """The estimates of all cameras, with covariances, from a solution."""
+    """Return the estimates of all cameras, with covariances, from a solution."""
     problem = solution.problem
     uncertainty = Uncertainty(solution)
     covariance = uncertainty.covariance
@@ -186,7 +186,7 @@ def _scale(unknown: float, variance: float) -> ScaleEstimate:
 
 @dataclass(frozen=True)
 class ObservingConditions:
-    """What the images and the motion of a drive are like, to explain why an axis is unobservable.
+    """Figures of a drive's images and motion that explain why an axis is unobservable.
 
     Attributes:
         turned_deg: total change of course over the frames.
@@ -211,7 +211,7 @@ _SHORT_M: Final = 5.0
 
 
 def explain(estimate: CameraEstimate, conditions: ObservingConditions) -> str | None:
-    """Say why an axis of a camera is unobservable; None: all axes are observable."""
+    """Explain why an axis of a camera is unobservable; None: all axes are observable."""
     if estimate.observable.all():
         return None
     if conditions.driven_m < _SHORT_M:

@@ -49,7 +49,7 @@ def _named_options() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class InputOptions:
-    """What is read from the dataset, and the errors that the recorded poses may have."""
+    """The inputs of a calibration check: traversals, layers, and errors that recorded poses may have."""
 
     stage: Annotated[
         Literal["factory", "online", "refined"] | None, help_text(default="the best of each camera", metavar="STAGE")
@@ -76,7 +76,7 @@ class InputOptions:
         return view if self.scene is None else view.where(scene=self.scene)
 
     def pose_prior(self) -> PosePrior:
-        """The errors that the recorded poses may have."""
+        """Return the errors that the recorded poses may have."""
         from mirror.calibration.rig import PosePrior
 
         return PosePrior(attitude_deg=self.pose_sigma_deg, position_m=self.pose_sigma_m, drift_m=self.pose_drift_m)

@@ -216,7 +216,7 @@ def _print(result: Result, out: Path, page: Path | None, scored: str = "image") 
 
 
 def figure_words(figure: GroupFigure) -> tuple[str, str, str]:
-    """Value, interval and count of a figure as text."""
+    """Return the value, interval and count of a figure as text."""
     from mirror.metrics.catalogue import find_measure
 
     measure = find_measure(figure.metric)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TriggerArguments:
-    """When a pass becomes a traversal. Defaults: the thresholds of the dataset, or of the paper for a new dataset."""
+    """Thresholds at which a pass becomes a traversal. Defaults: those of the dataset, or of the paper."""
 
     min_duration_s: Annotated[float | None, help_text(default="10")] = None
     """Shortest duration of a traversal."""
@@ -45,7 +45,7 @@ class TriggerArguments:
 
 @dataclass(frozen=True)
 class Cleaning:
-    """How position fixes are cleaned before the trigger. Defaults: the thresholds of the dataset, or these."""
+    """Thresholds that clean position fixes before the trigger. Defaults: those of the dataset, or these."""
 
     max_speed_mps: Annotated[float | None, help_text(default="70")] = None
     """A fix that needs a higher speed is an outlier."""
@@ -192,7 +192,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def stated_thresholds(thresholds: TriggerArguments | Cleaning) -> dict[str, object]:
-    """The thresholds that the command line states, by name."""
+    """Return the thresholds that the command line states, by name."""
     values: dict[str, object] = {name: value for name, value in vars(thresholds).items() if value is not None}
     if values.get("trim_standstill_s") == 0:
         values["trim_standstill_s"] = None
@@ -200,7 +200,7 @@ def stated_thresholds(thresholds: TriggerArguments | Cleaning) -> dict[str, obje
 
 
 def reader_options(pairs: Sequence[str], **named: str | None) -> dict[str, str]:
-    """Options for a reader.
+    """Return the options for a reader.
 
     Args:
         pairs: ``key=value`` words.

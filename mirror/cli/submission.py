@@ -188,7 +188,7 @@ def _hidden(argv: Sequence[str]) -> int:
 def requested_views(
     files: UntrustedFiles, protocol: str | None, split: str | None
 ) -> tuple[str, str] | SubmissionCheck:
-    """Protocol and split of a submission, or the problems of a submission that does not state them.
+    """Return the protocol and split of a submission, or the problems of a submission that does not state them.
 
     Args:
         files: of the submission.
@@ -215,7 +215,7 @@ def print_check(report: SubmissionCheck, submission: Path, *, as_json: bool) -> 
 
 
 def plain_report(report: SubmissionCheck) -> dict[str, object]:
-    """The report of a check for ``--json``."""
+    """Return the report of a check for ``--json``."""
     return {
         "expected": report.expected,
         "present": report.present,

@@ -173,7 +173,7 @@ class Traversal:
         ]
 
     def calibration(self, camera: str, timestamp_ns: int) -> CameraCalibration:
-        """The calibration of a camera that is valid at a time.
+        """Return the calibration of a camera that is valid at a time.
 
         Raises:
             DatasetError: no calibration is valid at that time.
@@ -199,7 +199,7 @@ class Traversal:
         )
 
     def image_rows(self, frame_index: int) -> Sequence[Mapping[str, Any]]:
-        """Rows of the images of one frame, in no particular order."""
+        """Return the rows of the images of one frame, in no particular order."""
         group = self._group("images")
         if group is None:
             return []
@@ -214,7 +214,7 @@ class Traversal:
         return RowIndex(np.where(is_valid(index), to_numpy(index), -1))
 
     def mask_rows(self, camera: str, timestamp_ns: int) -> Sequence[Mapping[str, Any]]:
-        """Rows of the masks of one image."""
+        """Return the rows of the masks of one image."""
         group = self._group("masks")
         if group is None:
             return []
@@ -230,7 +230,7 @@ class Traversal:
         return RowIndex(to_numpy(stamps))
 
     def depth_row(self, camera: str, timestamp_ns: int) -> Mapping[str, Any] | None:
-        """Row of an image's depth map in the chosen layer; None: the image has none.
+        """Return the row of an image's depth map in the chosen layer; None: the image has none.
 
         Raises:
             UsageError: the traversal has several depth layers and none was chosen.
@@ -259,7 +259,7 @@ class Traversal:
         return rows_of_layer(kind, self.traversal_id, arrays["source"], arrays["source_version"], chosen)
 
     def boxes(self, timestamp_ns: int) -> FrameBoxes:
-        """The boxes nearest in time, in the ego frame at their own time.
+        """Return the boxes nearest in time, in the ego frame at their own time.
 
         Boxes are used if they are at most half a period of their layer away. A layer with a single time has no period:
         its boxes are used only at exactly that time.
@@ -324,7 +324,7 @@ class Traversal:
 
 
 def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Array, chosen: str | None) -> Bool:
-    """Mask (N,) of the rows of a traversal that belong to one of its layers.
+    """Mark the rows (N,) of a traversal that belong to one of its layers.
 
     Args:
         kind: kind of the layers, for messages.
@@ -349,12 +349,12 @@ def rows_of_layer(kind: str, traversal_id: str, source: pa.Array, version: pa.Ar
 
 
 def layer_names(source: pa.Array, version: pa.Array) -> pa.Array:
-    """Names ``source@version`` (N,) from sources (N,) and their versions (N,)."""
+    """Return the names ``source@version`` (N,) from sources (N,) and their versions (N,)."""
     return pc.binary_join_element_wise(source.cast(pa.string()), version.cast(pa.string()), "@")
 
 
 def missing_layer_error(kind: str, layer: str, where: str) -> DatasetError:
-    """The error for a missing layer."""
+    """Return the error for a missing layer."""
     return DatasetError(
         f"there is no {kind} layer {layer}",
         file=where,

@@ -51,7 +51,7 @@ class PoseSlice:
     unknown: Bool
 
     def poses_known(self, stamps_ns: Int64) -> Bool:
-        """At which of (M,) stamps the vehicle's pose is known: at those of poses, and between poses with no gap."""
+        """Mark at which of (M,) stamps the vehicle's pose is known: at poses, and between poses with no gap."""
         after = np.searchsorted(self.timestamp_ns, stamps_ns, side="left")
         inside = (stamps_ns >= self.timestamp_ns[0]) & (stamps_ns <= self.timestamp_ns[-1])
         after = np.minimum(after, len(self.timestamp_ns) - 1)
@@ -59,7 +59,7 @@ class PoseSlice:
 
 
 class DriveContent:
-    """What a drive has besides its poses, read once, when the first traversal asks for it, by whichever thread."""
+    """Images, calibrations and boxes of a drive, read once, when the first traversal asks for them."""
 
     def __init__(self, recording: Recording, path: Path) -> None:
         self._recording = recording
@@ -68,16 +68,16 @@ class DriveContent:
         self._read: dict[str, Any] = {}
 
     def images(self) -> dict[str, ImageStream]:
-        """Image streams by camera."""
+        """Return image streams by camera."""
         streams: dict[str, ImageStream] = self._once("images", lambda: dict(self._recording.images()))
         return streams
 
     def calibrations(self) -> pa.Table:
-        """Calibration rows."""
+        """Return the calibration rows."""
         return self._once("calibrations", self._recording.calibrations)
 
     def boxes(self) -> pa.Table | None:
-        """Box rows, or None."""
+        """Return the box rows, or None."""
         return self._once("boxes", self._recording.boxes)
 
     def _once(self, name: str, read: Any) -> Any:
@@ -116,7 +116,7 @@ class DrivePasses:
 
     @cached_property
     def content(self) -> DriveContent:
-        """Images, calibrations and boxes, lazily."""
+        """Images, calibrations and boxes of the drive, read on first use."""
         return DriveContent(self.recording, self.path)
 
 

@@ -18,7 +18,7 @@ _MAX_TEXT: Final = 256
 
 @dataclass(frozen=True)
 class MessageProblem:
-    """Why a message is not read.
+    """The reason why a message is not read.
 
     Attributes:
         text: what is wrong with it.

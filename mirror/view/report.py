@@ -141,7 +141,7 @@ def _list_places(
 
 
 def scene_name(scene: Mapping[str, Any]) -> str:
-    """A scene's id with its city and type."""
+    """Return a scene's id with its city and type."""
     where = ", ".join(str(scene[name]) for name in ("city", "scene_type") if scene[name])
     return f"{scene['scene_id']}{f' ({where})' if where else ''}"
 

@@ -66,7 +66,7 @@ class BlockTraining:
     held_out: Plan | None
 
     def previews(self, run: Run, reporter: ProgressReporter) -> list[Preview]:
-        """Some training and held-out images of the block; a held-out image that cannot be read is left out."""
+        """Return some training and held-out images of the block; a held-out image that cannot be read is left out."""
         groups = [("training", self.training.plan, self.views)]
         if self.held_out is not None:
             groups.append(("held-out", self.held_out, select_views(self.block, self.held_out.views)))
@@ -141,7 +141,7 @@ def _places_with_images(driven: Float64, views: Sequence[RenderView]) -> Float64
 
 
 def source_pairs(views: Sequence[RenderView]) -> list[Source]:
-    """The traversals and cameras of views, sorted."""
+    """Return the traversals and cameras of views, sorted."""
     return sorted({Source(view.traversal_id, view.camera) for view in views})
 
 

@@ -156,7 +156,7 @@ class StreetRenderer:
 
 
 def blend_latents(appearance: AppearanceLatents, blend: Blend) -> Tensor:
-    """The weighted mean of latents."""
+    """Return the weighted mean of latents."""
     return torch.stack([weight * appearance(source) for source, weight in blend]).sum(0)
 
 

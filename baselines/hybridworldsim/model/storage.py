@@ -79,7 +79,7 @@ def save_block(
 
 
 def load_block(path: Path) -> tuple[Block, StreetModel, dict[str, Any]]:
-    """Read what `save_block` wrote.
+    """Read a block that `save_block` wrote.
 
     Returns:
         The block, its street in float32, and the further data that was stored with it.

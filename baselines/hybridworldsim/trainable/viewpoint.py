@@ -32,7 +32,7 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """A camera for rendering.
+    """A camera that an image is rendered for.
 
     Attributes:
         width_px: width of the image.
@@ -55,7 +55,7 @@ class Viewpoint:
 
     @cached_property
     def frustum(self) -> Float32:
-        """(21,) float32 what the camera may see.
+        """(21,) float32 bounds of the camera's view.
 
         Rotation by rows, translation, nearest depth; then for either axis the low and the high slope of its planes;
         then the lengths of the normals of these four planes.
@@ -70,7 +70,7 @@ class Viewpoint:
         return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
     def with_source(self, source: Source) -> Viewpoint:
-        """The same camera with another appearance."""
+        """Return the camera with another appearance."""
         return replace(self, source=source)
 
 

@@ -25,7 +25,7 @@ _NEAR: Final = 0.25
 
 @dataclass(frozen=True)
 class ViewSource:
-    """What shows a view: an image, or a frame of a video.
+    """The source of a view: an image, or a frame of a video.
 
     Attributes:
         file: the file.
@@ -75,7 +75,7 @@ class ReleasedFiles:
         return hashlib.sha256("\n".join([*lines, str(self.sample)]).encode()).hexdigest()
 
     def locate(self, plan: Plan) -> dict[str, ViewSource]:
-        """Find what shows each view, by the view's path.
+        """Find the image or the video frame that shows each view, by the view's path.
 
         Raises:
             UsageError: a folder or the table of clips is missing or broken, or is not used.

@@ -14,7 +14,7 @@ from hybridworldsim.trainable.viewpoint import Source, Viewpoint
 
 @dataclass(frozen=True, eq=False)
 class FinishedImage:
-    """A processed image.
+    """A rendered image after its appearance was applied.
 
     Attributes:
         rgb: (H, W, 3) final colours.
@@ -26,7 +26,7 @@ class FinishedImage:
 
 
 class AppearanceModel(nn.Module):
-    """Spherical harmonics, the same in all images: vanilla 3DGS.
+    """Spherical harmonics that all images share: vanilla 3DGS.
 
     Its parameters do not belong to single Gaussians. Tables with a row for each Gaussian are held by the trainer, for
     densification.
@@ -40,11 +40,14 @@ class AppearanceModel(nn.Module):
         self.sh_degree = sh_degree
 
     def tables(self, count: int) -> dict[str, Tensor]:
-        """Further parameters of `count` Gaussians; the part of a name before "_" selects the learning rate."""
+        """Return the further parameters of `count` Gaussians.
+
+        The part of a name before "_" selects the learning rate.
+        """
         return {"shN": torch.zeros(count, (self.sh_degree + 1) ** 2 - 1, 3)}
 
     def bands(self, source: Source, degree: int) -> list[tuple[str, int, int]]:
-        """Tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
+        """Return the tables that sum to a source's spherical harmonics: name, first coefficient, and one past the last.
 
         Args:
             source: traversal and camera of the appearance.
@@ -54,7 +57,7 @@ class AppearanceModel(nn.Module):
         return [("sh0", 0, 1), ("shN", 1, count)] if degree else [("sh0", 0, 1)]
 
     def optimizers(self) -> list[Optimizer]:
-        """Optimisers of the parameters that do not belong to single Gaussians."""
+        """Return the optimisers of the parameters that do not belong to single Gaussians."""
         return []
 
     def update(self, viewpoint: Viewpoint) -> None:
@@ -74,5 +77,5 @@ class AppearanceModel(nn.Module):
         return FinishedImage(rgb, rgb)
 
     def losses(self, alpha: Tensor, image: TrainingImage) -> dict[str, tuple[float, Tensor]]:
-        """Further losses: weight and value by name."""
+        """Return the further losses: weight and value by name."""
         return {}

@@ -80,7 +80,7 @@ def track(
 def find_tracks(
     detections: Sequence[Detections], world_SE3_ego: Poses, options: BoxTrackingOptions | None = None
 ) -> list[ObjectTrack]:
-    """The tracks of a traversal in the world frame; arguments as those of `track`.
+    """Return the tracks of a traversal in the world frame; arguments as those of `track`.
 
     Raises:
         UsageError: frames and poses do not fit, or times do not ascend.
@@ -110,14 +110,17 @@ def find_tracks(
 
 
 def track_score(scores: Sequence[float]) -> float:
-    """Score of a track of N boxes: their mean score times N / (N + 3), as short tracks are more often false."""
+    """Return the score of a track of N boxes: their mean score times N / (N + 3).
+
+    Short tracks are more often false.
+    """
     return float(np.mean(scores)) * len(scores) / (len(scores) + _NOT_SURE)
 
 
 def to_frames(
     tracks: Sequence[ObjectTrack], detections: Sequence[Detections], world_SE3_ego: Poses
 ) -> list[Detections]:
-    """The boxes of tracks in each frame, in the ego frame at that frame's time."""
+    """Return the boxes of tracks in each frame, in the ego frame at that frame's time."""
     rows: dict[int, list[tuple[ObjectTrack, int]]] = defaultdict(list)
     for item in tracks:
         for place, frame in enumerate(item.frames.tolist()):

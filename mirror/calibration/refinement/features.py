@@ -37,7 +37,7 @@ class ImageFeatures:
         return len(self.uv_px)
 
     def unit_descriptors(self) -> Float32:
-        """(N, 128) square roots of the normalised histograms: unit vectors (R. Arandjelovic, A. Zisserman 2012)."""
+        """Return unit vectors (N, 128), the roots of the normalised histograms (R. Arandjelovic, A. Zisserman 2012)."""
         histograms = self.descriptors.astype(np.float32)
         return np.sqrt(histograms / np.maximum(histograms.sum(axis=1, keepdims=True), 1.0))
 
@@ -66,7 +66,7 @@ def find_features(image: TrackedImage, most: int) -> ImageFeatures:
 
 
 def match_features(one: ImageFeatures, other: ImageFeatures) -> Int64:
-    """Pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
+    """Return the pairs (M, 2) of features that are each other's nearest and clearly nearer than the second nearest."""
     if len(one) < 2 or len(other) < 2:
         return np.zeros((0, 2), np.int64)
     first_units, second_units = one.unit_descriptors(), other.unit_descriptors()

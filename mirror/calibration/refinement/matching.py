@@ -45,7 +45,7 @@ class MatchingOptions:
 
 
 def choose_pairs(rigs: MovingRigs, options: MatchingOptions) -> Int64:
-    """Pairs (N, 2) of images that probably show the same surfaces, the first number below the second.
+    """Return the pairs (N, 2) of images that probably show the same surfaces, the first number below the second.
 
     For each image the images are counted that see points on its rays, at three assumed distances, at a similar angle.
     """
@@ -79,7 +79,7 @@ def choose_pairs(rigs: MovingRigs, options: MatchingOptions) -> Int64:
 def match_pair(
     rigs: MovingRigs, one: int, other: int, features: Sequence[ImageFeatures], options: MatchingOptions
 ) -> Int64:
-    """Matches (M, 2) of two images that fit one relative pose; none if they are fewer than ``options.least``."""
+    """Return matches (M, 2) of two images that fit one relative pose; none if they are fewer than ``options.least``."""
     first, second = features[one], features[other]
     pairs = match_features(first, second)
     if len(pairs) < options.least:

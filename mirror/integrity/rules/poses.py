@@ -197,7 +197,10 @@ def _turn_rate(view: SceneView) -> Iterator[Finding]:
 
 
 def turn_rates(motion: MotionColumns) -> Float64:
-    """Turn rate (N,) in degrees a second towards the pose a fifth of a second later, or the next if that is later."""
+    """Return the turn rates (N,) in degrees a second.
+
+    They are towards the pose a fifth of a second later, or the next if that is later.
+    """
     poses = motion.poses
     stamps = poses.integers("timestamp_ns")
     result = np.full(len(poses), np.nan)

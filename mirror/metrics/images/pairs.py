@@ -83,7 +83,7 @@ def as_pairs(
 
 
 def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> ImagePair:
-    """Check the two images and the mask of a metric, and return them as a `ImagePair`.
+    """Check the two images and the mask of a metric, and return them as a `Pair`.
 
     Args:
         render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.

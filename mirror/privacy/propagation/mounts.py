@@ -14,7 +14,7 @@ _HEAVY: Final = frozenset(("truck", "bus", "trailer", "construction"))
 
 @dataclass(frozen=True)
 class PlateMount:
-    """Where the end of a vehicle may carry a plate, above the ground and to both sides of the middle.
+    """The places where the end of a vehicle may carry a plate, above the ground and to both sides of the middle.
 
     Attributes:
         low_m: height of the lower edge of the lowest plate.
@@ -66,5 +66,5 @@ def is_vehicle(category: str) -> bool:
 
 
 def category_words(category: str) -> frozenset[str]:
-    """The words of a category, such as `vehicle` and `car` of ``vehicle.car``."""
+    """Return the words of a category, such as `vehicle` and `car` of ``vehicle.car``."""
     return frozenset(category.lower().replace(".", "_").replace(" ", "_").replace("-", "_").split("_"))

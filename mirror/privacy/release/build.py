@@ -45,7 +45,7 @@ _RANDOM_KEY: Final = 32
 
 @dataclass(frozen=True)
 class ReleaseOptions:
-    """What a release says and does.
+    """Options of a release: its name, licence, contact, clocks and vault.
 
     Attributes:
         name: name of the release.
@@ -76,7 +76,7 @@ class ReleaseOptions:
 
 @dataclass(frozen=True)
 class BuildReport:
-    """What building a release came to.
+    """The result of building a release.
 
     Attributes:
         release: its document.

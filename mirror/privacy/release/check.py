@@ -74,7 +74,7 @@ class ReleaseCheck:
     not_run: Sequence[str]
 
     def exit_code(self) -> ExitCode:
-        """The exit code of `mirror release check`."""
+        """Return the exit code of `mirror release check`."""
         if self.findings:
             return ExitCode.FINDINGS
         return ExitCode.COULD_NOT_RUN if self.not_run else ExitCode.DONE
@@ -212,7 +212,7 @@ def _hashes_of(root: Path) -> Iterator[tuple[str, str]]:
 
 
 def find_leaving(source: Layout, folders: list[Path], progress: ProgressReporter) -> list[ReleaseFinding]:
-    """Find recorded images in a release and what is published with it, also inside archives, tables and pages.
+    """Find recorded images in a release and its published files, also in archives, tables and pages.
 
     Args:
         source: the dataset.

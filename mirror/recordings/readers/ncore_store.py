@@ -38,7 +38,7 @@ Edge = tuple[str, str]
 
 @contextmanager
 def store_errors(store: Path) -> Iterator[None]:
-    """Turn what damaged stores raise into errors that name the store.
+    """Turn the errors of damaged stores into errors that name the store.
 
     Raises:
         RecordingError: in place of the package's exceptions.
@@ -189,7 +189,7 @@ class NcoreStores:
             return {edge: np.array(pose, np.float64).reshape(4, 4) for edge, pose in reader.get_static_poses()}
 
     def trajectory(self, source: str, target: str) -> tuple[Int64, Float64]:
-        """(N,) stamps in microseconds and (N, 4, 4) matrices of a frame that moves in another.
+        """Return the stamps (N,) in microseconds and (N, 4, 4) matrices of a frame that moves in another.
 
         Raises:
             RecordingError: there is none, or it cannot be read.
@@ -230,23 +230,23 @@ class NcoreStores:
         return frames
 
     def camera_path(self, camera: str) -> Path:
-        """The store of a camera's images."""
+        """Return the store of a camera's images."""
         return self._cameras[camera][0]
 
     def image_format(self, camera: str, end_us: int) -> str:
-        """``jpeg`` or ``png``: the format of the frame that ends at a stamp."""
+        """Return ``jpeg`` or ``png``: the format of the frame that ends at a stamp."""
         path, reader = self._cameras[camera]
         with store_errors(path):
             return str(reader.image_format(end_us))
 
     def image(self, camera: str, end_us: int) -> bytes:
-        """The encoded image of the frame that ends at a stamp."""
+        """Return the encoded image of the frame that ends at a stamp."""
         path, reader = self._cameras[camera]
         with store_errors(path):
             return bytes(reader.image(end_us, path))
 
     def lens(self, camera: str) -> tuple[Path, Any]:
-        """The store and the ``CameraModelParameters`` of a camera.
+        """Return the store and the ``CameraModelParameters`` of a camera.
 
         Raises:
             RecordingError: the sequence has no intrinsics of this camera.
@@ -263,7 +263,10 @@ class NcoreStores:
             return path, reader.get_camera_model_parameters(camera)
 
     def ego_mask(self, camera: str) -> UInt8 | None:
-        """(H, W) non-zero where the image shows the vehicle; None: the sequence has no mask ``ego`` of the camera."""
+        """Return the mask (H, W), non-zero where the image shows the vehicle.
+
+        None: the sequence has no mask ``ego`` of the camera.
+        """
         from mirror.recordings.readers.ncore_images import MaskReader
 
         found = self._choose("masks", MaskReader)
@@ -274,7 +277,7 @@ class NcoreStores:
             return reader.ego_mask(camera, path)
 
     def observations(self) -> Sequence[CuboidObservation] | None:
-        """All boxes; None: the sequence has none."""
+        """Return all boxes; None: the sequence has none."""
         from ncore.data.v4 import CuboidsComponent
 
         found = self._choose("cuboids", CuboidsComponent.Reader)
@@ -297,7 +300,7 @@ class NcoreStores:
             ]
 
     def cuboids_path(self) -> Path:
-        """The store of the boxes, or of the poses where there are none."""
+        """Return the store of the boxes, or of the poses where there are none."""
         from ncore.data.v4 import CuboidsComponent
 
         found = self._choose("cuboids", CuboidsComponent.Reader)

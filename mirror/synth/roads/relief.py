@@ -33,7 +33,7 @@ class Land:
     waves: Float64
 
     def height_m(self, points: Float64) -> Float64:
-        """Heights (N,) at points (N, 2)."""
+        """Return the heights (N,) at points (N, 2)."""
         return arrays.matmul(points, self.slope) + self._waves(points) - self._waves(np.zeros((1, 2)))
 
     def _waves(self, points: Float64) -> Float64:
@@ -89,7 +89,7 @@ class Relief:
     dips: tuple[Dip, ...]
 
     def heights_m(self, points: Float64, places: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:
-        """Heights (N,) of the carriageway, and heights (N,) of the surface that is one kerb higher.
+        """Return the heights (N,) of the carriageway, and heights (N,) of the surface that is one kerb higher.
 
         Args:
             points: (N, 2) positions, metres.
@@ -129,7 +129,7 @@ def _smoothstep(x: Float64) -> Float64:
 
 
 def find_level_stretches(street: CrossedStreet, crossings: Sequence[Crossing]) -> Float64:
-    """Stretches (K, 2) of a street's stations that lie inside crossings."""
+    """Return the stretches (K, 2) of a street's stations that lie inside crossings."""
     stretches = []
     for crossing in crossings:
         mine = [

@@ -26,7 +26,7 @@ from mirror.errors import DatasetError, UsageError
 
 @dataclass(frozen=True, eq=False)
 class WindowBatch:
-    """B windows.
+    """A batch of B windows.
 
     Attributes:
         target: (B, 1, V, C, H, W) clean latents.
@@ -56,13 +56,13 @@ class ClipWindow:
     present: Tensor
 
     def to(self, device: torch.device | str) -> ClipWindow:
-        """The same on a device."""
+        """Move the frames to a device."""
         return ClipWindow(self.latents.to(device), [one.to(device) for one in self.conditions], self.present)
 
 
 @torch.no_grad()
 def encode_clip(clip: Clip, codec: LatentCodec) -> Tensor:
-    """The latents of a clip's images: (F, V, C, H, W), float32."""
+    """Return the latents of a clip's images: (F, V, C, H, W), float32."""
     return torch.stack([codec.encode(to_tensor(frame)) for frame in clip.images])
 
 
@@ -105,7 +105,7 @@ class ClipWindows:
         return len(self._places)
 
     def batch(self, numbers: Sequence[int]) -> WindowBatch:
-        """The windows of these numbers."""
+        """Return the windows of these numbers."""
         places = [self._places[number] for number in numbers]
         windows = [slice(frame - self._references, frame) for _, frame in places]
         conditions = stack_conditions([self.conditions(row, frame) for row, frame in places])
@@ -118,12 +118,12 @@ class ClipWindows:
         )
 
     def conditions(self, row: int, frame: int) -> Conditions:
-        """The conditions of the window that ends with a frame of a clip."""
+        """Return the conditions of the window that ends with a frame of a clip."""
         singles = [self._frame_conditions(row, one) for one in range(frame - self._references, frame + 1)]
         return join_conditions(self._config, singles)
 
     def history(self, number: int) -> ClipWindow:
-        """The frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
+        """Return the frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
         row, frame = self._places[number]
         frames = range(max(frame - 2 * self._references, 0), frame)
         span = slice(frames.start, frames.stop)

@@ -67,7 +67,7 @@ class Backbone(nn.Module):
         self.out = nn.Sequential(nn.Conv2d(dim, dim, 3, padding=1, bias=False), nn.BatchNorm2d(dim), nn.ReLU(True))
 
     def forward(self, images: Tensor) -> Tensor:
-        """(B, 3, H, W) to (B, dim, H / 8, W / 8)."""
+        """Map (B, 3, H, W) to (B, dim, H / 8, W / 8)."""
         third = self.third(self.stem(images))
         top = nn.functional.interpolate(self.top(self.fourth(third)), size=third.shape[-2:], mode="nearest")
         out: Tensor = self.out(self.lateral(third) + top)
@@ -75,7 +75,7 @@ class Backbone(nn.Module):
 
 
 class TinyPetr(nn.Module):
-    """The network.
+    """The network of petr-tiny.
 
     Args:
         settings: sizes.
@@ -112,7 +112,7 @@ class TinyPetr(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, rig: TinyRigInput) -> tuple[HeadOutput, DenseOutput]:
-        """Boxes of all decoder layers, and the outputs of the dense head."""
+        """Return the boxes of all decoder layers, and the outputs of the dense head."""
         batch, cameras = rig.images.shape[:2]
         features = self.backbone(rig.images.flatten(0, 1))
         directions, origins = rig.directions.flatten(0, 1), rig.origins.flatten(0, 1)

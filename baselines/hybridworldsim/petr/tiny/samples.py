@@ -152,7 +152,7 @@ def read_samples(frames: Iterable[Frame], settings: NetworkSettings, range_m: fl
 
 
 def rig_input(cameras: Sequence[CameraInput], device: torch.device | str = "cpu") -> TinyRigInput:
-    """The input of the network for frames with equally many cameras."""
+    """Return the input of the network for frames with equally many cameras."""
     images = torch.from_numpy(np.stack([one.images for one in cameras])).to(device)
     directions = torch.from_numpy(np.stack([one.directions for one in cameras])).to(device)
     origins = torch.from_numpy(np.stack([one.origins for one in cameras])).to(device)

@@ -31,7 +31,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class MessagePlace:
-    """Where a message is stored: its block (a chunk or the file itself), and its bytes there."""
+    """The place of a message: its block (a chunk or the file itself), and its bytes there."""
 
     block: int
     offset: int
@@ -40,7 +40,7 @@ class MessagePlace:
 
 @dataclass(frozen=True)
 class Message:
-    """One message as stored.
+    """One message as a log stores it.
 
     Attributes:
         topic: its topic.
@@ -64,7 +64,7 @@ class MessageLog(Protocol):
         ...
 
     def topics(self) -> dict[str, Topic]:
-        """All topics by name."""
+        """Return all topics by name."""
         ...
 
     def messages(self, names: Collection[str]) -> Iterator[Message]:
@@ -76,5 +76,5 @@ class MessageLog(Protocol):
         ...
 
     def damage(self) -> Sequence[RecordingError]:
-        """Damaged blocks that the last complete pass over `messages` left out."""
+        """Return the damaged blocks that the last complete pass over `messages` left out."""
         ...

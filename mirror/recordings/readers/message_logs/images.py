@@ -25,7 +25,7 @@ VIDEO_SUFFIXES: Final = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
 def image_codec(data: bytes) -> str | None:
-    """``jpeg`` or ``png`` by the first bytes of an encoded image; None: another format."""
+    """Return ``jpeg`` or ``png`` by the first bytes of an encoded image; None: another format."""
     return next((codec for magic, codec in _MAGIC.items() if data.startswith(magic)), None)
 
 
@@ -43,7 +43,7 @@ def is_key_packet(data: bytes, suffix: str) -> bool:
 
 @dataclass(frozen=True)
 class StoredMessages:
-    """Where the N messages of a camera are stored.
+    """The places where the N messages of a camera are stored.
 
     Attributes:
         logs: the files of the drive.
@@ -98,7 +98,7 @@ class MessageImages:
         return self.exposure_start_ns
 
     def path(self, index: int) -> None:
-        """None: no file holds a single image."""
+        """Return None: no file holds a single image."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, encoded bytes)`` in storage order."""
@@ -131,7 +131,7 @@ class MessageVideo:
         return self.exposure_start_ns
 
     def path(self, index: int) -> None:
-        """None: no file holds a single frame."""
+        """Return None: no file holds a single frame."""
 
     def read(self, indices: Sequence[int]) -> Iterator[tuple[int, bytes]]:
         """Yield ``(index, JPEG bytes)``; only groups with requested frames are decoded, up to the last requested one.

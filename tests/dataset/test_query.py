@@ -519,7 +519,7 @@ def test_splits_filter_by_role(tmp_path: Path) -> None:
     for role in ("test", ["test", "val"]):
         with pytest.raises(UsageError, match=r"'test'.* in split 's'; expected one of held_out, train"):
             dataset.where(split="s", role=role)
-    with pytest.raises(DatasetError, match=r"no such split; expected one of s$"):
+    with pytest.raises(DatasetError, match=r"no such split; expected one of s\. Remedy: name one of them, or make it"):
         dataset.where(split="t", role="train")
 
 

@@ -88,6 +88,10 @@ def test_a_mask_has_the_size_of_the_images(
 
 def test_without_a_calibration_every_image_has_its_own_size(base: Base, tmp_path: Path) -> None:
     (base.path / "calibrations" / "factory.json").unlink()
+    document = json.loads((base.path / "recording.json").read_text())
+    for camera in document["cameras"].values():
+        camera["static_mask"] = None
+    (base.path / "recording.json").write_text(json.dumps(document))
     file = sorted((base.path / "images" / "front_wide").iterdir())[20]
     file.write_bytes(image(".jpg", (48, 64)))
     report = ingest_recordings([base.path], [base.roi], tmp_path / "d")

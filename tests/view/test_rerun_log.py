@@ -115,7 +115,7 @@ def test_a_layer_to_choose_is_chosen_by_an_option(tmp_path: Path, capsys: pytest
         assert "--boxes petr@1" in (said := capsys.readouterr().err) and "with_layers" not in said
         assert main([*command, "--boxes", "other@2"]) == 2
         said = capsys.readouterr().err
-        assert "--traversal" in said and second in said and "with_layers" not in said
+        assert "name another with --boxes" in said and second in said and "with_layers" not in said
     assert main([*words, "--boxes", "other@2", "--traversal", first]) == 0
     assert "3 boxes" in capsys.readouterr().out
     assert main([*words, "--boxes", "petr@1"]) == 0

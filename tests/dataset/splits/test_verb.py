@@ -69,7 +69,7 @@ def test_every_method(builder: Builder, capsys: pytest.CaptureFixture[str]) -> N
         (["s", "--train", "9"], "ask for fewer with --train N --held-out-traversals M"),
         (
             ["s", "--method", "by-scene", "--val", "0.9", "--test", "0.9"],
-            "mirror split: --train, --val, --test: the shares 0.7 + 0.9 + 0.9 add up to 2.5; expected 1\n",
+            "mirror split: --train, --val, --test: the shares 0.7 + 0.9 + 0.9 add up to 2.5; expected 1. Remedy: ",
         ),
         (["s", "--method", "by-condition", "--train-on", "light=day"], "--test-on: no condition given"),
         (["s", "--method", "by-condition", "--train-on", "light=dawn"], "'light=dawn' is not a condition"),

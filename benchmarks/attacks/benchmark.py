@@ -21,7 +21,7 @@ from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import ExitCode, UsageError
 from mirror.metrics.images.invariant import psnr_invariant
-from mirror.metrics.images.structure import ms_structure
+from mirror.metrics.images.matched_structure import matched_structure
 from mirror.protocols.document import load_protocol
 from mirror.protocols.png import decode_render
 from mirror.protocols.truth.source import GroundTruth
@@ -30,9 +30,9 @@ from mirror.schema.files import write_bytes
 from mirror_baselines import camera_mean, nearest_frame
 
 PROTOCOL: Final = "static-reconstruction"
-KEY: Final = "ms_structure"
+KEY: Final = "matched_structure"
 FORMER_KEY: Final = "psnr_invariant"
-METRICS: Final[Mapping[str, Callable[..., float]]] = {FORMER_KEY: psnr_invariant, KEY: ms_structure}
+METRICS: Final[Mapping[str, Callable[..., float]]] = {FORMER_KEY: psnr_invariant, KEY: matched_structure}
 HONEST: Final = "honest"
 FLOOR: Final = "nearest_frame"
 BEST_FILTER: Final = "linear filter, best for the key"

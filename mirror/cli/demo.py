@@ -85,7 +85,7 @@ def _compare_block(results: Path) -> ExitCode:
     """Print the scores of the block and of the nearest images on the held-out traversal. The block must be above."""
     scores = {name: _held_out_scores(results / name) for name in (_OURS, _FLOOR)}
     for name, values in scores.items():
-        structure, invariant = values["ms_structure"], values["psnr_invariant"]
+        structure, invariant = values["matched_structure"], values["psnr_invariant"]
         print(f"  {name:<13} structure {structure:.3f}, invariant PSNR {invariant:.2f} dB on the held-out traversal")
     if costs := _costs(results / _OURS):
         print(f"  {costs}")
@@ -118,7 +118,7 @@ def _held_out_scores(result: Path) -> dict[str, float]:
     figures = read_json(result / RESULT, Result).figures
     values = {figure.metric: figure.value for figure in figures if (figure.group, figure.level) == ("novel", "group")}
     # NaN is above no value.
-    shown = ("ms_structure", "psnr_invariant")
+    shown = ("matched_structure", "psnr_invariant")
     return {metric: math.nan if (value := values[metric]) is None else value for metric in shown}
 
 

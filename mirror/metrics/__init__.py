@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from mirror.metrics.images.colour_correction import correct_colours as correct_colours
     from mirror.metrics.images.colour_correction import psnr_cc as psnr_cc
     from mirror.metrics.images.invariant import psnr_invariant as psnr_invariant
+    from mirror.metrics.images.matched_structure import matched_structure as matched_structure
     from mirror.metrics.images.psnr import Psnr as Psnr
     from mirror.metrics.images.psnr import PsnrSummary as PsnrSummary
     from mirror.metrics.images.psnr import psnr as psnr
@@ -119,6 +120,7 @@ __all__ = [
     "load_st_lpips",
     "lpips",
     "mask_iou",
+    "matched_structure",
     "mean_interval",
     "ms_structure",
     "nuscenes_detection",
@@ -185,6 +187,7 @@ __getattr__, __dir__ = lazy_names(
         "lpips": "mirror.metrics.features.lpips",
         "mask_iou": "mirror.metrics.boxes.iou_2d",
         "mean_interval": "mirror.metrics.images.bootstrap",
+        "matched_structure": "mirror.metrics.images.matched_structure",
         "ms_structure": "mirror.metrics.images.structure",
         "nuscenes_detection": "mirror.metrics.detection.nuscenes",
         "paired_difference": "mirror.metrics.images.bootstrap",

@@ -118,8 +118,18 @@ _OF_IMAGES: Final = {
         is_plain=True,
         function="mirror.metrics.images.psnr:psnr",
     ),
-    "ms_structure": Measure(
+    "matched_structure": Measure(
         "Structure",
+        "share of the truth's local structure that the render matches",
+        "higher",
+        3,
+        low=0.0,
+        high=1.0,
+        is_plain=True,
+        function="mirror.metrics.images.matched_structure:matched_structure",
+    ),
+    "ms_structure": Measure(
+        "Structure, all",
         "share of the truth's local structure that the render explains",
         "higher",
         3,

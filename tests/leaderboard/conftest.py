@@ -33,7 +33,7 @@ def measured(method: str, psnr: float, *, lpips: float | None = None, **changes:
     figures = (
         Figure(group="training", metric="psnr", value=psnr + 2, low=psnr + 1.5, high=psnr + 2.5, n=70),
         Figure(group="novel", metric="psnr", value=psnr, low=psnr - 0.5, high=psnr + 0.5, n=35, n_infinite=1),
-        Figure(group="novel", metric="ms_structure", value=psnr / 50, low=psnr / 51, high=psnr / 49, n=35),
+        Figure(group="novel", metric="matched_structure", value=psnr / 50, low=psnr / 51, high=psnr / 49, n=35),
         Figure(group="novel", metric="psnr_invariant", value=psnr + 3, low=psnr + 2.5, high=psnr + 3.5, n=35),
         Figure(group="novel", metric="psnr_cc", value=psnr + 1, low=psnr + 0.5, high=psnr + 1.5, n=35),
         Figure(group="novel", metric="ssim", value=psnr / 40, low=psnr / 41, high=psnr / 39, n=35),

@@ -495,8 +495,8 @@ def test_two_variants_of_one_method_are_distinct_on_the_page(tmp_path: Path) -> 
 def test_the_key_is_the_first_figure_and_no_colour_fit() -> None:
     for name in ("static-reconstruction", "lane-shift"):
         protocol = load_protocol(name)
-        assert protocol.ranking is not None and protocol.ranking.metric == "ms_structure"
-        assert protocol.metric_names[:4] == ("ms_structure", "psnr", "psnr_invariant", "psnr_affine")
+        assert protocol.ranking is not None and protocol.ranking.metric == "matched_structure"
+        assert protocol.metric_names[:4] == ("matched_structure", "psnr", "psnr_invariant", "psnr_affine")
 
 
 def test_the_result_does_not_choose_the_extractor(tiny_dataset: Dataset, tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_other_hashes_make_another_table() -> None:
 
 def test_rows_are_sorted_by_the_protocols_column() -> None:
     (board,) = make_boards([measured("low", 10.0), measured("high", 30.0), measured("middle", 20.0)])
-    assert board.ranked_by == ("novel", "ms_structure")
+    assert board.ranked_by == ("novel", "matched_structure")
     assert [entry.method for entry in board.entries] == ["high", "middle", "low"]
     assert board.best(("novel", "psnr")) == 30.0
     assert board.best(("novel", "lpips_alex")) is None
@@ -86,7 +86,7 @@ def test_columns_are_in_the_protocols_order() -> None:
     (board,) = make_boards([measured("a", 10.0)])
     # The group and the metric that rank come first; LPIPS has no value.
     assert board.columns == (
-        ("novel", "ms_structure"),
+        ("novel", "matched_structure"),
         ("novel", "psnr"),
         ("novel", "psnr_invariant"),
         ("novel", "psnr_cc"),

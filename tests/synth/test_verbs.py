@@ -104,7 +104,7 @@ def test_demo_replaces_only_its_own_folder(
             out = Path(words[words.index("--out") + 1])
             figures = [
                 {"metric": metric, "group": "novel", "value": scores[out.name] + more, "better": "higher", "n": 1}
-                for metric, more in (("ms_structure", 0.0), ("psnr_invariant", 3.0))
+                for metric, more in (("matched_structure", 0.0), ("psnr_invariant", 3.0))
             ]
             out.mkdir(parents=True)
             (out / "result.json").write_text(json.dumps({**result(), "figures": figures}))

@@ -1,4 +1,6 @@
-"""Structure at several scales that a render shares with the truth, ``ms_structure``: the key that ranks renders.
+"""Structure at several scales that a render shares with the truth, ``ms_structure``: it ranks edits.
+
+`matched_structure` ranks renders by the same sums in another form.
 
 PSNR and SSIM reward renders that show less. On held-out images, whose light differs from the trained light, a flat
 colour has a better SSIM than the nearest recorded image, before and after a fit of its colours, and a blur improves the
@@ -28,6 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, overload
 
@@ -56,8 +59,28 @@ WINDOW_SIGMA_PX: Final = 3.0
 WEIGHT_VARIANCE: Final = 0.02**2
 """Variance of the truth, as a part of the squared data range, at which a window has half the weight."""
 
+DARK_OFFSET: Final = 0.02
+"""What is added to a value, as a part of the data range, before its logarithm is taken."""
+
 _REACH: Final = 3.0
 """Half the width of a gaussian window, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class StructureForm:
+    """Settings in which the metrics of structure differ.
+
+    Attributes:
+        fine_sigma_px: standard deviation of the gaussian that smooths an octave before its band is taken, in pixels of
+            the scale; 0: none, so that the band has all that is finer too.
+        least_share: ``r |r|`` up to which a window gains nothing; None: windows gain ``r |r|`` itself.
+        has_logarithms: whether a render gets the best of the logarithms of its luma and channels too.
+    """
+
+    fine_sigma_px: float = 0.0
+    least_share: float | None = None
+    has_logarithms: bool = False
+
 
 NO_STRUCTURE: Final = "the truth has no structure in the mask"
 
@@ -107,10 +130,18 @@ def ms_structure(
         UsageError: the images cannot be compared (`as_pair`), they have neither 1 nor 3 channels, or a selected pixel
             is NaN or infinite.
     """
-    return of_layout([_score(pair) for pair in as_pairs(render, truth, mask, data_range, layout)], layout)
+    form = StructureForm()
+    return of_layout(
+        [score_structure(pair, form) for pair in as_pairs(render, truth, mask, data_range, layout)], layout
+    )
 
 
-def _score(pair: ImagePair) -> Score:
+def score_structure(pair: ImagePair, form: StructureForm) -> Score:
+    """Score the structure that a render shares with the truth.
+
+    Raises:
+        UsageError: the images have neither 1 nor 3 channels, or a selected pixel is NaN or infinite.
+    """
     if pair.render.shape[2] not in (1, 3):
         raise UsageError(f"images of {pair.render.shape[2]} channels", expected="1 or 3: luma is needed")
     if pair.empty:
@@ -121,7 +152,10 @@ def _score(pair: ImagePair) -> Score:
     truth = _centred(_luma(pair.truth[part]), known, pair.data_range)
     image = pair.render[part]
     shown = [_luma(image)] if image.shape[2] == 1 else [_luma(image), *np.moveaxis(image, 2, 0)]
-    scores = list(_scale_scores([_centred(values, known, pair.data_range) for values in shown], truth, known))
+    renders = [_centred(values, known, pair.data_range) for values in shown]
+    if form.has_logarithms:
+        renders += [_centred(_logarithm(values, pair.data_range), known, 1.0) for values in shown]
+    scores = list(_scale_scores(renders, truth, known, form))
     return Score(float(np.mean(scores, axis=0).max())) if scores else Score(math.nan, NO_STRUCTURE)
 
 
@@ -151,14 +185,23 @@ def _centred(values: AnyArray, known: Float64, data_range: float) -> Float64:
     return np.asarray((relative - relative.sum() / known.sum()) * known)
 
 
-def _scale_scores(renders: Sequence[Float64], truth: Float64, known: Float64) -> Iterator[list[float]]:
+def _logarithm(values: AnyArray, data_range: float) -> Float64:
+    """Take the logarithm of values (H, W) as parts of the data range, with an offset that spares dark noise."""
+    return np.asarray(np.log(np.maximum(values / np.float64(data_range), 0.0) + DARK_OFFSET))
+
+
+def _scale_scores(
+    renders: Sequence[Float64], truth: Float64, known: Float64, form: StructureForm
+) -> Iterator[list[float]]:
     """Yield the scores of each render in an octave, the finest first; none where the truth has no structure.
 
     Args:
         renders: (N,) values (H, W), 0 outside the mask.
         truth: (H, W) luma, 0 outside the mask.
         known: (H, W) 1 in the mask, else 0.
+        form: of the metric.
     """
+    least_share = -1.0 if form.least_share is None else form.least_share
     for scale in range(SCALES):
         if scale:
             whole = _halve(known) == 1.0
@@ -167,23 +210,31 @@ def _scale_scores(renders: Sequence[Float64], truth: Float64, known: Float64) ->
         if not known.any():
             return
         band_share, share = _smooth(known, BAND_SIGMA_PX), _smooth(known, WINDOW_SIGMA_PX)
+        fine_share, fine_truth = (_smooth_fine(image, form) for image in (known, truth))
         smooth_truth = _smooth(truth, BAND_SIGMA_PX)
         true_squares: Float64 | None = None
         products = np.empty((3, *known.shape))
         scores = []
         for render in renders:
-            smooth_render = _smooth(render, BAND_SIGMA_PX)
+            fine_render, smooth_render = _smooth_fine(render, form), _smooth(render, BAND_SIGMA_PX)
             multiply_bands(
-                render, truth, smooth_render, smooth_truth, band_share, known, products[0], products[1], products[2]
-            )
+                fine_render, fine_truth, fine_share, smooth_render, smooth_truth, band_share, known,
+                products[0], products[1], products[2],
+            )  # fmt: skip
             if true_squares is None:
                 true_squares = _smooth(products[1], WINDOW_SIGMA_PX)
             squares, cross = _smooth(products[0], WINDOW_SIGMA_PX), _smooth(products[2], WINDOW_SIGMA_PX)
-            score, weight = sum_scores(squares, true_squares, cross, share, known, ROUNDING_VARIANCE, WEIGHT_VARIANCE)
+            score, weight = sum_scores(
+                squares, true_squares, cross, share, known, ROUNDING_VARIANCE, WEIGHT_VARIANCE, least_share
+            )
             if weight > 0.0:
                 scores.append(score / weight)
         if scores:
             yield scores
+
+
+def _smooth_fine(image: Float64, form: StructureForm) -> Float64:
+    return _smooth(image, form.fine_sigma_px) if form.fine_sigma_px > 0.0 else image
 
 
 def _halve(image: Float64) -> Float64:

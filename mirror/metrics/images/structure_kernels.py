@@ -11,8 +11,9 @@ from mirror.arrays import Float64
 
 @njit(cache=True, nogil=True)
 def multiply_bands(
-    render: Float64,
-    truth: Float64,
+    fine_render: Float64,
+    fine_truth: Float64,
+    fine_share: Float64,
     smooth_render: Float64,
     smooth_truth: Float64,
     share: Float64,
@@ -24,8 +25,9 @@ def multiply_bands(
     """Subtract the windows' means of render and truth; write squares and the product of the rest.
 
     Args:
-        render: (H, W) luma, 0 outside the mask.
-        truth: (H, W) luma, 0 outside the mask.
+        fine_render: (H, W) sums of small windows of the render, or the render itself, 0 outside the mask.
+        fine_truth: (H, W) those of the truth.
+        fine_share: (H, W) share of each small window that is in the mask.
         smooth_render: (H, W) sums of windows of the render.
         smooth_truth: (H, W) sums of windows of the truth.
         share: (H, W) share of each window that is in the mask.
@@ -37,10 +39,10 @@ def multiply_bands(
     for row in range(known.shape[0]):
         for column in range(known.shape[1]):
             x = y = 0.0
-            # Where the mask is, its share is not 0.
+            # Where the mask is, its shares are not 0.
             if known[row, column] > 0.0:
-                x = render[row, column] - smooth_render[row, column] / share[row, column]
-                y = truth[row, column] - smooth_truth[row, column] / share[row, column]
+                x = fine_render[row, column] / fine_share[row, column] - smooth_render[row, column] / share[row, column]
+                y = fine_truth[row, column] / fine_share[row, column] - smooth_truth[row, column] / share[row, column]
             squares[row, column] = x * x
             true_squares[row, column] = y * y
             products[row, column] = x * y
@@ -55,8 +57,9 @@ def sum_scores(
     known: Float64,
     rounding_variance: float,
     weight_variance: float,
+    least_share: float,
 ) -> tuple[float, float]:
-    """Sum ``r |r|`` and the weights over the mask.
+    """Sum the gains over the mask, which are ``r |r|`` or what it has above the least share, and the weights.
 
     Sums of windows hold the mask's share of each, by which means would be divided: the constants get it instead.
 
@@ -68,9 +71,10 @@ def sum_scores(
         known: (H, W) 1 in the mask, else 0.
         rounding_variance: q of the definition.
         weight_variance: C of the definition.
+        least_share: ``r |r|`` up to which a window gains nothing; negative: none.
 
     Returns:
-        The weighted sum of ``r |r|``, and the sum of the weights.
+        The weighted sum of the gains, and the sum of the weights.
     """
     weighted = total = 0.0
     for row in range(known.shape[0]):
@@ -81,6 +85,9 @@ def sum_scores(
             if known[row, column] > 0.0 and y > rounding:
                 weight = y / (y + weight_variance * share[row, column])
                 r = products[row, column] / math.sqrt((squares[row, column] + rounding) * (y + rounding))
-                weighted += weight * r * abs(r)
+                gain = r * abs(r)
+                if least_share >= 0.0:
+                    gain = max(gain - least_share, 0.0) / (1.0 - least_share)
+                weighted += weight * gain
                 total += weight
     return weighted, total

@@ -1,8 +1,9 @@
-"""`ms_structure` against its definition in dense float64 sums, and against renders that show nothing."""
+"""`ms_structure` and `matched_structure` against their definitions in dense float64 sums, and renders of nothing."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
+from mirror.metrics.images.matched_structure import matched_structure
 from mirror.metrics.images.structure import NO_STRUCTURE, ms_structure
 from tests.metrics.images.references import ellipse, street
 
@@ -24,13 +26,17 @@ def window_matrix(size: int, sigma: float) -> np.ndarray:
     return weights / np.exp(-0.5 * np.arange(-reach, reach + 1) ** 2 / sigma**2).sum()
 
 
-def by_definition(render: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
+def by_definition(metric: object, render: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> float:
     """The definition, with every window as a dense sum over selected pixels; images in [0, 1]."""
-    return max(of_values(x, truth @ WEIGHTS, mask) for x in (render @ WEIGHTS, *np.moveaxis(render, 2, 0)))
+    is_matched = metric is matched_structure
+    shown = [render @ WEIGHTS, *np.moveaxis(render, 2, 0)]
+    if is_matched:
+        shown += [np.log(x + 0.02) for x in shown]
+    return max(of_values(x, truth @ WEIGHTS, mask, is_matched) for x in shown)
 
 
-def of_values(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> float:
-    """The score of luma or of one channel of a render."""
+def of_values(x: np.ndarray, y: np.ndarray, mask: np.ndarray, is_matched: bool) -> float:
+    """The score of luma or of one channel of a render, or of the logarithm of one."""
     known = mask.astype(float)
     scores = []
     for scale in range(4):
@@ -44,24 +50,27 @@ def of_values(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> float:
             total = down @ known @ across.T
             return down @ (known * image) @ across.T / np.where(total > 0, total, 1.0)
 
-        a, b = x - mean(x, 2.0), y - mean(y, 2.0)
+        fine = [mean(image, 0.7) if is_matched else image for image in (x, y)]
+        a, b = fine[0] - mean(x, 2.0), fine[1] - mean(y, 2.0)
         aa, bb, ab = mean(a * a, 3.0), mean(b * b, 3.0), mean(a * b, 3.0)
         rounding = 1 / (12 * 255**2)
         r = ab / np.sqrt((aa + rounding) * (bb + rounding))
         weights = known * np.where(bb > rounding, bb / (bb + 0.02**2), 0.0)
         if weights.sum() > 0:
-            scores.append((weights * r * abs(r)).sum() / weights.sum())
+            gain = np.maximum(r * abs(r) - 0.6, 0.0) / 0.4 if is_matched else r * abs(r)
+            scores.append((weights * gain).sum() / weights.sum())
     return float(np.mean(scores))
 
 
+@pytest.mark.parametrize("metric", [ms_structure, matched_structure])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64"])
-def test_score_follows_its_definition(dtype: str) -> None:
+def test_score_follows_its_definition(metric: Callable[..., float], dtype: str) -> None:
     scale = {"uint8": 255, "uint16": 65535}.get(dtype, 1.0)
     render, truth = ((image / 255 * scale).astype(dtype) for image in street(61, 83))
     mask = ellipse(61, 83, slice(5, 58), slice(9, 80))
     for used in (np.ones((61, 83), bool), mask):
-        expected = by_definition(render / np.float64(scale), truth / np.float64(scale), used)
-        found = ms_structure(render, truth, mask=used, data_range=scale if scale == 1.0 else None)
+        expected = by_definition(metric, render / np.float64(scale), truth / np.float64(scale), used)
+        found = metric(render, truth, mask=used, data_range=scale if scale == 1.0 else None)
         assert found == pytest.approx(expected, abs=1e-6 if dtype == "float32" else 1e-11)
 
 
@@ -70,6 +79,17 @@ def test_equal_images_explain_everything() -> None:
     assert 0.99 < ms_structure(truth, truth) <= 1.0
     inverted = np.repeat(np.rint(255 - truth @ WEIGHTS).astype(np.uint8)[..., None], 3, axis=2)
     assert -1.0 <= ms_structure(inverted, truth) < -0.98
+
+
+def test_a_power_of_the_brightness_gains_little() -> None:
+    render, truth = street()
+    honest = matched_structure(render, truth)
+    assert 0.1 < honest < 0.9
+    for power in (0.6, 1.5):
+        changed = np.rint(255 * (render / 255.0) ** power).astype(np.uint8)
+        assert matched_structure(changed, truth) - honest < 0.005
+    assert 0.95 < matched_structure(truth, truth) <= 1.0
+    assert matched_structure(255 - truth, truth) == 0.0
 
 
 def test_nothing_shown_scores_nothing() -> None:
@@ -81,6 +101,8 @@ def test_nothing_shown_scores_nothing() -> None:
     assert ms_structure(flat, truth) == pytest.approx(0.0, abs=1e-12)
     assert abs(ms_structure(ramp, truth)) < 0.02
     assert abs(ms_structure(noise, truth)) < 0.05
+    for nothing in (flat, ramp, noise):
+        assert 0.0 <= matched_structure(nothing, truth) < 0.005
 
 
 @settings(max_examples=25, deadline=None)

@@ -80,12 +80,12 @@ def test_hashes_of_shipped_protocols_are_unchanged() -> None:
         ("editing-accuracy", 2): "0c21f36d",
         ("editing-accuracy-small", 2): "b6f4d7c2",
         ("generation", 2): "8417feae",
-        ("lane-shift", 3): "815468d5",
+        ("lane-shift", 4): "76228b49",
         ("runtime", 1): "c0001232",
         ("safety", 2): "e345a3ae",
-        ("static-reconstruction", 3): "7066fd9b",
+        ("static-reconstruction", 4): "2be5e6e1",
         ("static-reconstruction-omnire", 2): "abfb52d3",
-        ("static-reconstruction-unmasked", 1): "023bfb6c",
+        ("static-reconstruction-unmasked", 2): "cb674702",
         ("vehicle-translation", 2): "03c094f8",
     }
 

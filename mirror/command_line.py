@@ -271,18 +271,6 @@ def refuse_empty_texts(arguments: object) -> None:
                 )
 
 
-def require_device(device: str) -> None:
-    """Require that the value of ``--device`` has the form of a device's name.
-
-    Raises:
-        UsageError: it has another form.
-    """
-    if not re.fullmatch(r"cpu|cuda(:[0-9]{1,3})?", device):
-        raise UsageError(
-            f"{device!r}", place="--device", expected="cpu, cuda, or cuda:N", remedy="name one of them with --device"
-        )
-
-
 def parse_settings(words: Sequence[str]) -> dict[str, str]:
     """Read the values of ``--set``: settings of a method, annotator or describer by name.
 

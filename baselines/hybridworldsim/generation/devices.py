@@ -1,4 +1,4 @@
-"""Devices of networks: their precision, and errors that name a missing device or one whose memory is exhausted."""
+"""Computation of networks on a device: precision, repetition bit for bit, and an error that names exhausted memory."""
 
 from __future__ import annotations
 
@@ -16,21 +16,6 @@ Precision: TypeAlias = Literal["float32", "bf16"]
 
 TRAINING_REMEDY: Final = "more --accumulate, a smaller --batch, --recompute, or --precision bf16"
 GENERATION_REMEDY: Final = "a smaller --size, fewer --cameras, or another --device"
-
-
-def require_device(device: str) -> None:
-    """Check that torch can use a device.
-
-    Raises:
-        UsageError: there is no such device.
-    """
-    try:
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        # torch says so with an AssertionError where it was built without CUDA.
-        raise UsageError(
-            f"no device {device!r}: {str(error).splitlines()[0]}", place="--device", expected="cpu, or cuda with a GPU"
-        ) from error
 
 
 def computing_in(precision: Precision, device: torch.device | str) -> AbstractContextManager[object]:

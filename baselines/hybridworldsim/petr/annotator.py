@@ -20,6 +20,7 @@ from mirror.annotation.detections import AnnotationError, Detections
 from mirror.annotation.protocol import Annotator, require_settings, share_setting
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
+from mirror.devices import resolve_device
 from mirror.errors import UsageError
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import rotate
@@ -125,8 +126,7 @@ class _Installed:
             if settings["generation"] not in known:
                 raise UsageError(settings["generation"], place="--set generation", expected=" or ".join(known))
             generation = known[settings["generation"]]
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise UsageError("no CUDA device is available", place="--device", expected="cpu, or a machine with a GPU")
+        device = resolve_device(device).name
         checkpoint = read_checkpoint(Path(settings["weights"]), sha256=settings.get("sha256"), generation=generation)
         return PetrAnnotator(
             checkpoint,

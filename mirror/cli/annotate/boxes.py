@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from mirror.command_line import help_text, parse_arguments, parse_settings, require_device
+from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def run(argv: Sequence[str]) -> int:
     from mirror.annotation.protocol import TrainableAnnotator
     from mirror.annotation.registry import installed_annotator, open_annotator
 
-    require_device(arguments.device)
+    device = resolve_device(arguments.device).name
     installed = installed_annotator(arguments.annotator)
 
     from mirror.annotation.run import annotate
@@ -72,7 +73,7 @@ def run(argv: Sequence[str]) -> int:
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
     settings = parse_settings(arguments.set)
-    annotator = open_annotator(arguments.annotator, installed, dataset, settings, arguments.device)
+    annotator = open_annotator(arguments.annotator, installed, dataset, settings, device)
     try:
         with progress_bar(quiet=arguments.json) as bar:
             report = annotate(

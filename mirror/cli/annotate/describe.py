@@ -10,7 +10,8 @@ from typing import Annotated, Final
 
 import tyro
 
-from mirror.command_line import help_text, parse_arguments, parse_settings, require_device
+from mirror.command_line import help_text, parse_arguments, parse_settings
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode
 
 _EXAMPLES: Final = (
@@ -51,12 +52,12 @@ def run(argv: Sequence[str]) -> int:
     from mirror.dataset import open as open_dataset
     from mirror.progress import progress_bar
 
-    require_device(arguments.device)
+    device = resolve_device(arguments.device).name
     installed = installed_describer(arguments.describer)
     dataset = open_dataset(arguments.dataset)
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
-    describer = installed.open(dataset, parse_settings(arguments.set), arguments.device)
+    describer = installed.open(dataset, parse_settings(arguments.set), device)
     try:
         with progress_bar(quiet=arguments.json) as bar:
             report = describe_frames(dataset, describer, arguments.out, bar)

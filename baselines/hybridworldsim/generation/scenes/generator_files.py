@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hybridworldsim.generation.devices import require_device
 from hybridworldsim.generation.model_files import (
     captioned_config,
     read_autoencoder,
@@ -17,6 +16,7 @@ from hybridworldsim.generation.model_files import (
 from hybridworldsim.generation.scenes.released import ReleasedModel, autoencoder_hash, open_released
 from hybridworldsim.generation.scenes.rollout import SceneGenerator, require_codec
 from hybridworldsim.generation.text import CachedCaptions
+from mirror.devices import resolve_device
 from mirror.weights.resolve import file_sha256
 
 
@@ -108,7 +108,7 @@ def open_generator(generator: Path, autoencoder: Path, device: str = "cpu", guid
         UsageError: there is no such device, or the generator cannot be guided.
         DatasetError: a file is missing, broken or of another kind, or they do not fit each other.
     """
-    require_device(device)
+    device = resolve_device(device).name
     require_guidance(generator, guidance)
     network, references = read_generator(generator)
     codec = read_autoencoder(autoencoder)

@@ -9,11 +9,11 @@ from typing import Final
 import torch
 
 from hybridworldsim.generation.autoencoder.of_diffusers import CONFIG, WEIGHTS, load_autoencoder
-from hybridworldsim.generation.devices import require_device
 from hybridworldsim.generation.layout.boxes import OPENDWM_STYLE, BoxStyle
 from hybridworldsim.generation.network.checkpoints import load_transformer
 from hybridworldsim.generation.network.configuration import BASES, TransformerConfig
 from hybridworldsim.generation.scenes.rollout import SceneGenerator, require_codec, require_size
+from mirror.devices import resolve_device
 from mirror.errors import UsageError
 from mirror.weights.errors import WeightsUnavailableError
 from mirror.weights.resolve import file_sha256
@@ -93,7 +93,7 @@ def open_released(
         DatasetError: the autoencoder is not that of the model.
         WeightsUnavailableError: a file is missing or broken, or belongs to another model.
     """
-    require_device(device)
+    device = resolve_device(device).name
     require_size(model.config, size_px, f"choose such a --size: training had {model.size_px[1]}x{model.size_px[0]}")
     if not checkpoint.is_file():
         raise WeightsUnavailableError("no such file", file=checkpoint, expected=f"the state dict of {model.name}")

@@ -13,7 +13,6 @@ from hybridworldsim.generation.devices import (
     exhausted_memory_named,
     repeating_exactly,
     require_counts,
-    require_device,
     require_seed,
 )
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
@@ -28,6 +27,7 @@ from hybridworldsim.generation.training.windows import ClipWindows, require_clip
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import join_processes
+from mirror.devices import resolve_device
 from mirror.errors import DatasetError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -90,7 +90,7 @@ def distil_on_clips(
         UsageError: `out` holds another run, or the models or the captions do not fit.
         WeightsUnavailableError: the captions are missing, broken or of another size.
     """
-    require_device(options.device)
+    options = replace(options, device=resolve_device(options.device).name)
     torch.set_num_threads(options.threads)
     listed = read_list(clips).training
     if not listed:

@@ -18,7 +18,6 @@ from hybridworldsim.generation.devices import (
     exhausted_memory_named,
     repeating_exactly,
     require_counts,
-    require_device,
     require_seed,
 )
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
@@ -40,6 +39,7 @@ from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes
 from mirror.arrays import UInt8
+from mirror.devices import resolve_device
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -110,7 +110,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
         UsageError: `out` holds another run, the options do not fit, or a view has no caption.
         WeightsUnavailableError: the captions are missing, broken or of another size.
     """
-    require_device(options.device)
+    options = replace(options, device=resolve_device(options.device).name)
     torch.set_num_threads(options.threads)
     listed = read_list(clips).training
     if not listed:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import torch
 
 from hybridworldsim.petr.tiny.detect import find_boxes
 from hybridworldsim.petr.tiny.familiarity import NAME, FamiliarInputs, read_inputs
@@ -21,7 +20,7 @@ from mirror.annotation.detections import Detections
 from mirror.annotation.protocol import Annotator, TrainingReport, TrainingTask, require_settings, share_setting
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
-from mirror.errors import UsageError
+from mirror.devices import resolve_device
 from mirror.geometry.poses import Poses
 from mirror.progress import ProgressReporter
 from mirror.schema.finished_work import hash_values
@@ -87,8 +86,7 @@ class _Installed:
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:
         """Read the network, and check device and settings."""
         require_settings("petr-tiny", settings, self.settings)
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise UsageError("no CUDA device is available", place="--device", expected="cpu, or a machine with a GPU")
+        device = resolve_device(device).name
         given = settings.get("weights")
         expected = settings.get("sha256") or (None if given else SHIPPED_SHA256)
         path = Path(given) if given else SHIPPED

@@ -15,7 +15,7 @@ import numpy as np
 from mirror.arrays import Float64, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.image import Image
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.writing import Render
 from mirror.methods.training_images import list_training_images
 from mirror.protocols.document import Pixels
@@ -25,7 +25,7 @@ from mirror.protocols.views import Plan, RenderView
 MAX_IMAGES: Final = 40
 """Largest number of images opened for a camera, evenly spaced; with more the mean hardly changes."""
 
-METHOD: Final = Method(
+METHOD: Final = SubmittedMethod(
     name="camera_mean",
     version="1",
     licence="Apache-2.0",

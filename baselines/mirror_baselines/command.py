@@ -15,7 +15,7 @@ from mirror.command_line import help_text, parse_arguments
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mirror.evaluation.submission.manifest import Appearance, Method
+    from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
     from mirror.evaluation.submission.writing import Renderer
 
 _EXAMPLES = (
@@ -97,7 +97,7 @@ def main(argv: Sequence[str]) -> int:
     return ExitCode.DONE
 
 
-def _choose_method(arguments: Arguments) -> tuple[Renderer, Method, Appearance, str]:
+def _choose_method(arguments: Arguments) -> tuple[Renderer, SubmittedMethod, Appearance, str]:
     """Return the renderer, what the manifest states of it, and a hash of what it reads besides the dataset."""
     if arguments.method in (*_FLOORS, *_EDITS):
         for option, given in (("--outputs", arguments.outputs), ("--clips", arguments.clips)):

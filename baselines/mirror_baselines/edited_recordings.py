@@ -16,7 +16,7 @@ import numpy as np
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.writing import Render
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.truth.source import GroundTruth
@@ -43,7 +43,7 @@ class EditedRecording:
         change: makes a render.
     """
 
-    method: Method
+    method: SubmittedMethod
     change: Change
 
     def render(self, dataset: Dataset, plan: Plan) -> Iterator[Render]:
@@ -152,7 +152,7 @@ def _from_far_to_near(view: RenderView) -> list[Edit]:
 
 def _describe(name: str, change: Change) -> EditedRecording:
     trained_on = "nothing: the recorded image of each view is shown or changed"
-    return EditedRecording(Method(name=name, version="1", licence="Apache-2.0", trained_on=trained_on), change)
+    return EditedRecording(SubmittedMethod(name=name, version="1", licence="Apache-2.0", trained_on=trained_on), change)
 
 
 EDITED_RECORDINGS: Final[Mapping[str, EditedRecording]] = {

@@ -14,12 +14,12 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.writing import Render
 from mirror.protocols.views import Plan
 from mirror_baselines import nearest_frame
 
-METHOD: Final = Method(
+METHOD: Final = SubmittedMethod(
     name="grey_frame",
     version="1",
     licence="Apache-2.0",

@@ -14,7 +14,7 @@ import numpy as np
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.writing import Render
 from mirror.protocols.views import Plan
 from mirror_baselines import nearest_frame
@@ -25,7 +25,7 @@ LUMA_SIGMA_PX: Final = 6.0
 CHROMA_SIGMA_PX: Final = 30.0
 """Standard deviation of the gaussian that smooths the differences of colours from luma."""
 
-METHOD: Final = Method(
+METHOD: Final = SubmittedMethod(
     name="smoothed_nearest_frame",
     version="1",
     licence="Apache-2.0",

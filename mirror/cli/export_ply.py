@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> int:
 
     from mirror.dataset import open as open_dataset
     from mirror.methods.appearance import AppearancePolicy, require_known_appearance
-    from mirror.methods.model import Model
+    from mirror.methods.model import ModelFolder
     from mirror.methods.model_document import read_reconstruction, require_matching_split
     from mirror.methods.ply_export import PlyExportOptions
     from mirror.protocols.document import load_protocol
@@ -88,7 +88,7 @@ def main(argv: Sequence[str]) -> int:
     views = tuple(view for view in views if view.camera == views[0].camera)
     appearance = AppearancePolicy(arguments.appearance or "nearest", views, everywhere=arguments.appearance is not None)
     options = PlyExportOptions(arguments.degree, arguments.sky, arguments.reach)
-    model = Model.read(arguments.model, arguments.method)
+    model = ModelFolder.read(arguments.model, arguments.method)
     written = model.export_ply(views, arguments.out, options, appearance)
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), **asdict(written)}))

@@ -132,7 +132,7 @@ def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
 
 def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     from mirror.methods.interactive import TrainedAppearance
-    from mirror.methods.model import Model
+    from mirror.methods.model import ModelFolder
     from mirror.methods.model_document import read_reconstruction, require_matching_split
     from mirror.view.street_path import read_path
     from mirror.view.street_viewer import StreetViewer, ViewerOptions, measure_moves
@@ -151,7 +151,7 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     trained = dataset.where(traversal=sorted(document.trained))
     rows = trained.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
     appearances = [TrainedAppearance(**row) for row in sorted(rows, key=lambda row: row["traversal_id"])]
-    renderer = Model.read(model, arguments.method).open_interactive(appearances)
+    renderer = ModelFolder.read(model, arguments.method).open_interactive(appearances)
     if arguments.measure is not None:
         return _print_times(measure_moves(renderer, path, arguments.measure), as_json=arguments.json)
     viewer = StreetViewer(renderer, path, ViewerOptions(arguments.host, arguments.port))

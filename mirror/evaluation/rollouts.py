@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from mirror.errors import UsageError
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers.safety import ScoredRollout, rollout_figures, rollout_view, score_folder
-from mirror.evaluation.submission.manifest import Appearance, Method, SubmissionManifest
+from mirror.evaluation.submission.manifest import Appearance, SubmissionManifest, SubmittedMethod
 from mirror.evaluation.versions import list_versions
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import Protocol
@@ -95,7 +95,7 @@ def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
         split=identity.split,
         dataset_hash=identity.dataset_hash,
         plan_hash=identity.plan_hash,
-        method=Method(name=policy.policy, version=(policy.policy_hash or "1")[:12]),
+        method=SubmittedMethod(name=policy.policy, version=(policy.policy_hash or "1")[:12]),
         appearance=Appearance(policy="none"),
     )
     return Result(

@@ -23,7 +23,7 @@ from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.ingest.usable import clean_usable
 from mirror.recordings.boundary import reader_errors
 from mirror.recordings.protocol import DriveInfo, ImageStream, Recording, Track
-from mirror.schema.documents import CleaningOptions, CleaningReport, Roi, Source
+from mirror.schema.documents import CleaningOptions, CleaningReport, RecordingSource, Roi
 
 POSE_MARGIN_NS = 1_000_000_000
 
@@ -107,7 +107,7 @@ class DrivePasses:
     path: Path
     recording: Recording
     info: DriveInfo
-    source: Source
+    source: RecordingSource
     cleaning: CleaningReport
     start_ns: int
     end_ns: int
@@ -120,7 +120,7 @@ class DrivePasses:
         return DriveContent(self.recording, self.path)
 
 
-def fingerprint(recording: Recording, reader: str, name: str) -> Source:
+def fingerprint(recording: Recording, reader: str, name: str) -> RecordingSource:
     """Identify a recording by the paths, sizes and modification times of its files.
 
     Raises:
@@ -147,13 +147,13 @@ def fingerprint(recording: Recording, reader: str, name: str) -> Source:
             expected="at least a file of poses",
             remedy="copy the recording again, or leave it out",
         )
-    return Source(reader=reader, name=name, files=files, bytes=total, fingerprint=digest.hexdigest())
+    return RecordingSource(reader=reader, name=name, files=files, bytes=total, fingerprint=digest.hexdigest())
 
 
 def find_drive_passes(
     path: Path,
     recording: Recording,
-    source: Source,
+    source: RecordingSource,
     trigger: RoiTrigger,
     rois: Sequence[Roi],
     cleaning: CleaningOptions,

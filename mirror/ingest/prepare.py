@@ -19,7 +19,7 @@ from mirror.recordings.boundary import reader_errors
 from mirror.recordings.missing_images import name_missing_images, without_missing_images
 from mirror.recordings.protocol import Recording
 from mirror.recordings.registry import open_recording
-from mirror.schema.documents import DriveDocument, Source, is_identifier
+from mirror.schema.documents import DriveDocument, RecordingSource, is_identifier
 from mirror.schema.files import read_json
 
 
@@ -90,7 +90,12 @@ def _missing_images_named(recording: Recording) -> Iterator[None]:
 
 
 def _is_unchanged(
-    path: Path, recording: Recording, source: Source, layout: Layout, options: IngestOptions, settings: IngestSettings
+    path: Path,
+    recording: Recording,
+    source: RecordingSource,
+    layout: Layout,
+    options: IngestOptions,
+    settings: IngestSettings,
 ) -> bool:
     """Return whether the drive is complete in the dataset as its recording is now.
 
@@ -119,7 +124,7 @@ def _is_unchanged(
     return set(document.scenes) >= settings.scenes and are_traversals_intact(layout, document.drive_id)
 
 
-def _same_source(layout: Layout, drive_id: str, source: Source, configuration: str) -> bool:
+def _same_source(layout: Layout, drive_id: str, source: RecordingSource, configuration: str) -> bool:
     """Return whether a complete drive of the dataset has just this input and these options; True if there is none."""
     manifest = complete_manifest(layout.drive(drive_id))
     if manifest is None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from mirror.arrays import UInt8
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
-from mirror.methods.model import Model
+from mirror.methods.model import ModelFolder
 from mirror.protocols.views.view import RenderView
 
 
@@ -35,7 +35,7 @@ def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, st
 
 
 def open_by_camera(
-    model: Model, appearance: AppearancePolicy, policies: Mapping[str, str]
+    model: ModelFolder, appearance: AppearancePolicy, policies: Mapping[str, str]
 ) -> Callable[[RenderView], UInt8]:
     """Open a renderer that uses, for each view, the policy of its camera.
 

@@ -70,7 +70,7 @@ class ModelRenderer:
 
 
 @dataclass(frozen=True)
-class Model:
+class ModelFolder:
     """A trained model and its method; its files are read when it is opened.
 
     Attributes:
@@ -84,7 +84,7 @@ class Model:
     method: InstalledMethod
 
     @classmethod
-    def read(cls, folder: Path, given: str | None = None, *, option: str = "--method ") -> Model:
+    def read(cls, folder: Path, given: str | None = None, *, option: str = "--method ") -> ModelFolder:
         """Read the document of a model, and load its method.
 
         Args:
@@ -151,7 +151,7 @@ class Model:
         return cast(PlyExporter, self.method).export_ply(self.folder, views, out, options, appearance)
 
 
-def read_models(folders: Sequence[Path], given: str | None = None) -> dict[str, Model]:
+def read_models(folders: Sequence[Path], given: str | None = None) -> dict[str, ModelFolder]:
     """Read models of several scenes by one method.
 
     Args:
@@ -176,7 +176,7 @@ def read_models(folders: Sequence[Path], given: str | None = None) -> dict[str, 
     method = method_of_model(methods[0], given)
     for folder, document in zip(folders, documents):
         require_finished(document, folder)
-    return {document.scene: Model(folder, document, method) for folder, document in zip(folders, documents)}
+    return {document.scene: ModelFolder(folder, document, method) for folder, document in zip(folders, documents)}
 
 
 def open_model(
@@ -193,4 +193,4 @@ def open_model(
         DatasetError: the folder holds no complete model.
         UsageError: the method cannot be loaded, or does not support the policy.
     """
-    return Model.read(folder, method, option="method=").open(appearance)
+    return ModelFolder.read(folder, method, option="method=").open(appearance)

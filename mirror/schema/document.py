@@ -25,7 +25,7 @@ _DOCUMENTS: Sequence[type[BaseModel]] = (
     documents.Rig,
     documents.RigCamera,
     documents.DriveDocument,
-    documents.Source,
+    documents.RecordingSource,
     documents.CleaningReport,
     documents.SplitDocument,
     documents.NovelTraversal,

@@ -224,7 +224,7 @@ class DatasetDocument(Document):
     cleaning: CleaningOptions
 
 
-class Source(Document):
+class RecordingSource(Document):
     """The recording of a drive.
 
     Attributes:
@@ -276,7 +276,7 @@ class DriveDocument(Document):
     vehicle_id: Identifier
     vehicle_type: str
     rig_id: Identifier | None
-    source: Source
+    source: RecordingSource
     configuration: str
     scenes: tuple[str, ...]
     frame: str | None

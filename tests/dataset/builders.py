@@ -25,10 +25,10 @@ from mirror.schema.documents import (
     DatasetDocument,
     DriveDocument,
     ImageTotals,
+    RecordingSource,
     Rig,
     RigCamera,
     Roi,
-    Source,
     TriggerOptions,
 )
 from mirror.schema.files import encode_table, write_bytes, write_json
@@ -144,7 +144,7 @@ class Builder:
             vehicle_id=vehicle_id,
             vehicle_type="van",
             rig_id=self.rig_id if self.cameras else None,
-            source=Source(reader="test", name=drive_id, files=1, bytes=1, fingerprint="0" * 64),
+            source=RecordingSource(reader="test", name=drive_id, files=1, bytes=1, fingerprint="0" * 64),
             configuration="0" * 64,
             scenes=tuple(self.scenes),
             frame=self.scenes[passes[0].scene_id].frame,

@@ -8,7 +8,7 @@ from typing import Any
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.protocols.document import Protocol, parse_protocol
 from mirror.protocols.png import encode_png
@@ -83,7 +83,7 @@ def write_renders(
         file = out / view.path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(encode_png(change(view, truth.image(view))))
-    manifest = make_manifest(plan, Method(name=name), appearance or Appearance(policy="none"), runtime)
+    manifest = make_manifest(plan, SubmittedMethod(name=name), appearance or Appearance(policy="none"), runtime)
     out.mkdir(exist_ok=True)
     write_manifest(out, manifest)
     return plan

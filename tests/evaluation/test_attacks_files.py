@@ -18,7 +18,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.submission.check import check_submission
-from mirror.evaluation.submission.manifest import MANIFEST, Appearance, Method
+from mirror.evaluation.submission.manifest import MANIFEST, Appearance, SubmittedMethod
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.evaluation.submission.untrusted import UntrustedError, open_untrusted
 from mirror.protocols.document import load_protocol
@@ -167,7 +167,7 @@ def test_hostile_detections_are_problems(dataset: Dataset, root: Path, tmp_path:
     file.parent.mkdir(parents=True, exist_ok=True)
     frames = f'[{{"frame_index": 0, "boxes": [{boxes}]}}]'
     file.write_text(f'{{"format": "mirror-detections", "version": "1.0", "frames": {frames}}}')
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="boxes"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, SubmittedMethod(name="boxes"), Appearance(policy="none")))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is None
     assert len(done.check.problems) == 1

@@ -21,7 +21,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.evaluation.run import EvaluationOptions, evaluate
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, PublishReport, publish
@@ -298,7 +298,7 @@ def test_a_published_bundle_is_trained_on_and_its_submission_is_scored(
             grey = model(torch.full((1, 3, view.height_px, view.width_px), 0.5))[0].clamp(0, 1)
         (out / view.path).parent.mkdir(parents=True, exist_ok=True)
         (out / view.path).write_bytes(encode_png((grey.permute(1, 2, 0).numpy() * 255).astype("uint8")))
-    write_manifest(out, make_manifest(plan, Method(name="one layer"), Appearance(policy="none"), None))
+    write_manifest(out, make_manifest(plan, SubmittedMethod(name="one layer"), Appearance(policy="none"), None))
     result = evaluate(out, root, few, SPLIT, tmp_path / "results", EvaluationOptions(workers=1)).result
     assert {figure.metric for figure in result.figures} >= {"psnr", "ssim"}
 

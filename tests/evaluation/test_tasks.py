@@ -23,7 +23,7 @@ from mirror.evaluation.run import Evaluation, EvaluationOptions, evaluate
 from mirror.evaluation.scorers import distributions, speed
 from mirror.evaluation.scorers.distributions import split_into_clips
 from mirror.evaluation.scorers.editing_accuracy import EditingScorer
-from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.geometry.box_projection import project_boxes
 from mirror.geometry.poses import Poses, to_pose_numbers
@@ -408,7 +408,7 @@ def test_annotation(dataset: Dataset, root: Path, tmp_path: Path, sigma_m: float
         file = tmp_path / "s" / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(boxes_of(dataset, file.name.removesuffix(".json"), sigma_m)))
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="boxes"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, SubmittedMethod(name="boxes"), Appearance(policy="none")))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
     figures = {figure.metric: figure.value for figure in done.result.figures}
@@ -440,7 +440,7 @@ def test_invalid_boxes_are_problems(dataset: Dataset, root: Path, tmp_path: Path
         file = tmp_path / "s" / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="boxes"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, SubmittedMethod(name="boxes"), Appearance(policy="none")))
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is None
     assert len(done.check.problems) == 1
@@ -451,7 +451,7 @@ def test_run_time_is_taken_from_the_manifest(dataset: Dataset, root: Path, tmp_p
     plan = plan_views(dataset, protocol, SPLIT)
     runtime = Runtime(device="a GPU", frames_per_second=21.0, model_bytes=8 * 10**8, driven_m=200.0)
     (tmp_path / "s").mkdir()
-    manifest = make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime)
+    manifest = make_manifest(plan, SubmittedMethod(name="fast"), Appearance(policy="none"), runtime)
     write_manifest(tmp_path / "s", manifest)
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", ALONE)
     assert done.result is not None
@@ -493,7 +493,7 @@ def test_speed_of_a_method_in_a_file_is_measured(
     protocol = load_protocol("runtime")
     plan = plan_views(dataset, protocol, SPLIT)
     (tmp_path / "s").mkdir()
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="slow"), Appearance(policy="none")))
+    write_manifest(tmp_path / "s", make_manifest(plan, SubmittedMethod(name="slow"), Appearance(policy="none")))
     done = evaluate(
         tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(measured=(f"{file}:SLOW", tmp_path))
     )

@@ -21,7 +21,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import SchemaError, UsageError
 from mirror.evaluation.result import Result
 from mirror.evaluation.run import EvaluationOptions, evaluate
-from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.metrics.boxes.raster import polygon_mask
 from mirror.protocols.document import load_protocol, protocol_names
@@ -161,7 +161,9 @@ def test_times_of_an_unverified_row_are_those_of_its_manifest(dataset: Dataset, 
     plan = plan_views(dataset, protocol, SPLIT)
     runtime = Runtime(device="a GPU", frames_per_second=21.0)
     (tmp_path / "s").mkdir()
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime))
+    write_manifest(
+        tmp_path / "s", make_manifest(plan, SubmittedMethod(name="fast"), Appearance(policy="none"), runtime)
+    )
     done = evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))
     assert done.result is not None
     require_plan(done.result, tmp_path / "out" / "result.json", str(root))
@@ -212,7 +214,9 @@ def test_costs_are_stated_unless_they_are_measured_here(
     plan = plan_views(dataset, protocol, SPLIT)
     runtime = Runtime(device="a GPU", frames_per_second=9e5, training_s=0.5)
     (tmp_path / "s").mkdir()
-    write_manifest(tmp_path / "s", make_manifest(plan, Method(name="fast"), Appearance(policy="none"), runtime))
+    write_manifest(
+        tmp_path / "s", make_manifest(plan, SubmittedMethod(name="fast"), Appearance(policy="none"), runtime)
+    )
     assert evaluate(tmp_path / "s", root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1)).result
     path, sources = tmp_path / "out" / "result.json", Sources(str(root), tmp_path / "s", workers=1)
     add_result(path, tmp_path / "board", "street", sources=sources)

@@ -19,7 +19,7 @@ from mirror.errors import ExitCode, UsageError
 from mirror.methods import Capabilities, open_model
 from mirror.methods.capabilities import NEEDED_OF_METHOD, NEEDED_OF_RENDERER
 from mirror.methods.interactive import PlainRenderer, TrainedAppearance
-from mirror.methods.model import Model, read_models
+from mirror.methods.model import ModelFolder, read_models
 from mirror.methods.registry import METHODS, load_method
 from mirror.plugins import list_parts
 from tests.conftest import ROOT
@@ -79,7 +79,7 @@ def test_a_statement_decides_and_functions_without_one(
     tiny_dataset: Dataset, tmp_path: Path, stated: str, expected: Sequence[str]
 ) -> None:
     folder, method = make_model(tiny_dataset, tmp_path, ALL_FUNCTIONS.format(stated=stated))
-    model = Model.read(folder, method)
+    model = ModelFolder.read(folder, method)
     trained = [TrainedAppearance("a", "day", "clear")]
     opened = model.open_interactive(trained)
     assert isinstance(opened, PlainRenderer) is ("open_interactive" not in expected)
@@ -118,7 +118,7 @@ def test_a_renderer_without_the_function_that_its_method_states_is_refused(
     text += "        return lambda view: None\n\n\nMETHOD = Flat()\n"
     folder, method = make_model(tiny_dataset, tmp_path, text)
     with pytest.raises(UsageError) as refused:
-        Model.read(folder, method).open()
+        ModelFolder.read(folder, method).open()
     assert "renders_depth" in str(refused.value) and "method.py:METHOD" in str(refused.value)
 
 

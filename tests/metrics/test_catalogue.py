@@ -52,7 +52,7 @@ from mirror.evaluation.figures import compute_figures
 from mirror.evaluation.report_tables import Footnotes, list_measures, summary_table
 from mirror.evaluation.result import Result
 from mirror.evaluation.scorers.reconstruction import score_pixels
-from mirror.evaluation.submission.manifest import Method, SubmissionManifest
+from mirror.evaluation.submission.manifest import SubmittedMethod, SubmissionManifest
 from mirror.metrics.catalogue import MEASURES, find_measure
 from mirror.metrics.catalogue_page import format_tables
 from mirror.pages.rendering import render_part
@@ -78,9 +78,8 @@ assert (figure.metric, figure.value, figure.unit, figure.better) == ("mean_error
 assert Figure(group="training", metric="mean_error", value=5.0).value == 5.0
 assert MEASURES["mean_error"].head == "Error (levels)" and MEASURES["mean_error"].format(5.0) == "5.0"
 
-result = Result.model_construct(
-    figures=(figure,), submission=SubmissionManifest.model_construct(method=Method(name="any")), protocol=protocol
-)
+manifest = SubmissionManifest.model_construct(method=SubmittedMethod(name="any"))
+result = Result.model_construct(figures=(figure,), submission=manifest, protocol=protocol)
 notes = Footnotes()
 listed = render_part("mirror.evaluation", "figures.html", "metrics", list_measures(result))
 assert "<b>mean_error</b>: mean difference of the scored pixels; lower is better." in listed

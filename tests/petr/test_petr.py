@@ -17,7 +17,7 @@ from hybridworldsim.petr.boxes import decode_boxes, encode_boxes  # noqa: E402
 from hybridworldsim.petr.checkpoint import load_strictly, read_checkpoint  # noqa: E402
 from hybridworldsim.petr.detector import Petr  # noqa: E402
 from hybridworldsim.petr.encoding import lid_depths, matrix_points, multiview_sine, query_sine  # noqa: E402
-from hybridworldsim.petr.head import Head, HeadOutput, HeadSettings  # noqa: E402
+from hybridworldsim.petr.head import DetectionHead, HeadOutput, HeadSettings  # noqa: E402
 from hybridworldsim.petr.loss import TrueBoxes, detection_loss, match, sigmoid_focal_loss  # noqa: E402
 from hybridworldsim.petr.onnx import export_onnx  # noqa: E402
 from hybridworldsim.petr.rig import EGO_SE3_LIDAR, InputRaster, projection_matrix  # noqa: E402
@@ -129,7 +129,7 @@ def test_frames_of_a_rig_become_a_layer(published: Path, tmp_path: Path) -> None
 def test_encodings_agree_with_loops_in_float64() -> None:
     cameras = projections(3)
     points = matrix_points(torch.from_numpy(cameras), 2, 3, (64, 64), lid_depths(64, 1.0, 61.2, dtype=torch.float64))
-    head = Head(HeadSettings(queries=5, layers=1), 4).double()
+    head = DetectionHead(HeadSettings(queries=5, layers=1), 4).double()
     from hybridworldsim.petr.encoding import encode_points
 
     limits = torch.tensor((-61.2, -61.2, -10.0, 61.2, 61.2, 10.0), dtype=torch.float64)
@@ -194,7 +194,7 @@ def test_the_generation_is_read_or_asked_for(tmp_path: Path, meta: dict[str, str
 
 
 def test_checkpoints_that_do_not_fit_are_refused_by_key(tmp_path: Path) -> None:
-    network = Head(SMALL, 4)
+    network = DetectionHead(SMALL, 4)
     file = tmp_path / "weights.pth"
     state = dict(network.state_dict())
     removed = "input_proj.bias"
@@ -275,7 +275,7 @@ class Whole(torch.nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.backbone, self.head = torch.nn.Conv2d(3, 4, 8, 8), Head(SMALL, 4)
+        self.backbone, self.head = torch.nn.Conv2d(3, 4, 8, 8), DetectionHead(SMALL, 4)
 
     def forward(self, images: torch.Tensor, points: torch.Tensor) -> HeadOutput:
         return self.head(self.backbone(images.flatten(0, 1)).unflatten(0, images.shape[:2]), points)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from hybridworldsim.petr.encoding import lid_depths
-from hybridworldsim.petr.head import Head, HeadOutput, HeadSettings
+from hybridworldsim.petr.head import DetectionHead, HeadOutput, HeadSettings
 from hybridworldsim.petr.neck import Neck
 from hybridworldsim.petr.resnet import ResNet50
 from hybridworldsim.petr.vovnet import VoVNet99
@@ -37,7 +37,7 @@ class Petr(nn.Module):
         super().__init__()
         self.img_backbone = VoVNet99() if backbone == "vovnet99" else ResNet50()
         self.img_neck = Neck(self.img_backbone.channels, _NECK)
-        self.pts_bbox_head = Head(settings or HeadSettings(), _NECK)
+        self.pts_bbox_head = DetectionHead(settings or HeadSettings(), _NECK)
 
     @property
     def depths(self) -> Tensor:

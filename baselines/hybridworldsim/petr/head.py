@@ -64,7 +64,7 @@ class HeadOutput:
     codes: Tensor
 
 
-class Head(nn.Module):
+class DetectionHead(nn.Module):
     """From features and points of rays to boxes.
 
     Args:

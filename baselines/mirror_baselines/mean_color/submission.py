@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror_baselines.mean_color.mean import MAX_IMAGES
 
-METHOD: Final = Method(
+METHOD: Final = SubmittedMethod(
     name="mean_color",
     version="1",
     licence="Apache-2.0",

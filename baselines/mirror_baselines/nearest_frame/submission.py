@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 
-METHOD: Final = Method(
+METHOD: Final = SubmittedMethod(
     name="nearest_frame",
     version="1",
     licence="Apache-2.0",

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from mirror.evaluation.submission.manifest import Appearance, Method
+from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 
 APPEARANCE: Final = Appearance(policy="other", description="generated from reference frames, layout or text")
 
@@ -33,7 +33,7 @@ class Generator:
         lower_part: whether the images may show the lower part of what was recorded, in its full width.
     """
 
-    method: Method
+    method: SubmittedMethod
     image_name: re.Pattern[str] | None
     videos: bool
     lower_part: bool = False
@@ -44,19 +44,19 @@ _NUSCENES: Final = r".+__(?P<channel>CAM_[A-Z0-9_]+)__(?P<us>\d{16})"
 GENERATORS: Final[Mapping[str, Generator]] = MappingProxyType(
     {
         "opendwm": Generator(
-            Method(name="OpenDWM", url="https://github.com/SenseTime-FVG/OpenDWM", licence="MIT"),
+            SubmittedMethod(name="OpenDWM", url="https://github.com/SenseTime-FVG/OpenDWM", licence="MIT"),
             re.compile(_NUSCENES),
             videos=False,
         ),
         "magicdrive-v2": Generator(
-            Method(name="MagicDrive-V2", url="https://github.com/flymin/MagicDrive-V2", licence="AGPL-3.0"),
+            SubmittedMethod(name="MagicDrive-V2", url="https://github.com/flymin/MagicDrive-V2", licence="AGPL-3.0"),
             re.compile(_NUSCENES + r"_gen(?P<sample>\d+)"),
             videos=True,
             # 848 x 1600 pixels of 900 x 1600: the upper rows are cut off.
             lower_part=True,
         ),
         "driveeditor": Generator(
-            Method(name="DriveEditor", url="https://github.com/yvanliang/DriveEditor", licence="not stated"),
+            SubmittedMethod(name="DriveEditor", url="https://github.com/yvanliang/DriveEditor", licence="not stated"),
             None,
             videos=True,
         ),

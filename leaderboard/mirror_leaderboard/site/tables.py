@@ -36,7 +36,7 @@ _USUAL_HEAD: Final = 14
 
 
 @dataclass(frozen=True)
-class Head:
+class ColumnHead:
     """The head of a column.
 
     Attributes:
@@ -97,7 +97,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class BoardTable:
     """A table of a board.
 
     Attributes:
@@ -109,11 +109,11 @@ class Table:
 
     caption: str
     groups: Sequence[tuple[str, int]]
-    heads: Sequence[Head]
+    heads: Sequence[ColumnHead]
     rows: Sequence[Row]
 
 
-def board_tables(board: Board, notes: dict[str, int]) -> list[Table]:
+def board_tables(board: Board, notes: dict[str, int]) -> list[BoardTable]:
     """Arrange the table of a board; many groups are split into tables that fit a window.
 
     Args:
@@ -152,7 +152,7 @@ def _head_lines(head: str) -> list[str]:
     return head.split(", ")
 
 
-def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> Table:
+def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], *, named: bool) -> BoardTable:
     best = {column: board.best(column) for column in part}
     caption = f"{board.protocol}, {board.title}"
     if named:
@@ -162,7 +162,7 @@ def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], 
     ]
     # Footnotes are numbered by rows, then by heads.
     rows = [_arrange_row(entry, board, part, best, notes) for entry in board.entries]
-    return Table(caption, groups, [_arrange_head(column, board, notes) for column in part], rows)
+    return BoardTable(caption, groups, [_arrange_head(column, board, notes) for column in part], rows)
 
 
 def group_title(group: str) -> str:
@@ -173,10 +173,10 @@ def group_title(group: str) -> str:
     return _GROUPS.get(group, group.replace("-", " "))
 
 
-def _arrange_head(column: Column, board: Board, notes: dict[str, int]) -> Head:
+def _arrange_head(column: Column, board: Board, notes: dict[str, int]) -> ColumnHead:
     measure = MEASURES[column[1]]
     direction = "descending" if measure.better == "higher" else "ascending"
-    return Head(
+    return ColumnHead(
         measure=measure,
         lines=_head_lines(measure.head),
         marks=_number_notes([_FORGEABLE] if measure.forgeable else [], notes),

@@ -26,7 +26,7 @@ MOST_FRAMES_PER_SECOND: Final = 1e6
 """More pixels of the protocols' size than the memory of any processor takes."""
 
 
-class Method(Document):
+class SubmittedMethod(Document):
     """The method that made the renders, as its authors name it.
 
     Attributes:
@@ -109,7 +109,7 @@ class SubmissionManifest(Document):
     split: Word
     dataset_hash: Hash
     plan_hash: Hash
-    method: Method
+    method: SubmittedMethod
     appearance: Appearance
     runtime: Runtime | None = None
     seed: int | None = None

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
-from mirror.evaluation.submission.manifest import LEAST_COSTS, Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import LEAST_COSTS, Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.writing import Render, write_submission
 from mirror.methods.appearance import AppearancePolicy, require_known_appearance
-from mirror.methods.model import Model
+from mirror.methods.model import ModelFolder
 from mirror.methods.model_document import DOCUMENT, Reconstruction, require_held_out_images, require_matching_split
 from mirror.methods.registry import read_licence
 from mirror.progress import ProgressReporter
@@ -38,7 +38,7 @@ class ModelSubmission:
     """
 
     dataset: Dataset
-    models: Mapping[str, Model]
+    models: Mapping[str, ModelFolder]
     plan: Plan
     placed: Mapping[str, RenderView]
     layers: Mapping[str, str]
@@ -64,7 +64,7 @@ class ModelSubmission:
             DatasetError: the folder cannot be written, or a model is not complete.
         """
         documents = [model.document for model in self.models.values()]
-        about = Method(
+        about = SubmittedMethod(
             name=self.method,
             licence=read_licence(self.method),
             trained_on=describe_training(documents, self.layers),
@@ -84,7 +84,7 @@ class ModelSubmission:
 
 def plan_model_submission(
     dataset: Dataset,
-    models: Mapping[str, Model],
+    models: Mapping[str, ModelFolder],
     protocol: Protocol,
     split: str,
     *,
@@ -134,7 +134,7 @@ def plan_model_submission(
     return ModelSubmission(dataset, models, plan, placed, layers, appearance)
 
 
-def hash_models(models: Iterable[Model]) -> str:
+def hash_models(models: Iterable[ModelFolder]) -> str:
     """Return the SHA-256 over the documents of models, which record training times: no two trainings have the same."""
     return hashlib.sha256(b"".join((model.folder / DOCUMENT).read_bytes() for model in models)).hexdigest()
 

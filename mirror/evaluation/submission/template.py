@@ -13,9 +13,9 @@ from mirror.evaluation.submission.manifest import (
     FORMAT_VERSION,
     MANIFEST,
     Appearance,
-    Method,
     Runtime,
     SubmissionManifest,
+    SubmittedMethod,
 )
 from mirror.protocols.png import encode_png
 from mirror.protocols.truth.source import GroundTruth
@@ -58,7 +58,7 @@ def detections_path(traversal_id: str) -> str:
 
 def make_manifest(
     plan: Plan,
-    method: Method,
+    method: SubmittedMethod,
     appearance: Appearance,
     runtime: Runtime | None = None,
     seed: int | None = None,

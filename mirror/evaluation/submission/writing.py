@@ -12,7 +12,7 @@ from typing import TypeAlias
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, UsageError
-from mirror.evaluation.submission.manifest import MANIFEST, MOST_FRAMES_PER_SECOND, Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import MANIFEST, MOST_FRAMES_PER_SECOND, Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.template import expected_files, make_manifest, write_manifest
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.png import encode_png
@@ -32,7 +32,7 @@ def write_submission(
     dataset: Dataset,
     plan: Plan,
     renderer: Renderer,
-    method: Method,
+    method: SubmittedMethod,
     appearance: Appearance,
     out: Path,
     progress: ProgressReporter | None = None,

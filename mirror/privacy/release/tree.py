@@ -21,7 +21,7 @@ from mirror.errors import DatasetError
 from mirror.ingest.tables import assign_frames
 from mirror.privacy.log import LOG, ImageRecord, read_log, read_plate_region
 from mirror.privacy.release.renaming import Renaming
-from mirror.schema.documents import DriveDocument, ImageTotals, Rig, Source
+from mirror.schema.documents import DriveDocument, ImageTotals, RecordingSource, Rig
 from mirror.schema.files import conform, encode_table, read_json, read_table, write_bytes, write_json
 from mirror.schema.links import require_inside
 from mirror.schema.tables import (
@@ -224,7 +224,9 @@ def _write_ledger(
             "drive_id": renaming.new_drive_id,
             "vehicle_id": renaming.new_vehicle_id,
             # The name of a recording, its size and its fingerprint identify the original.
-            "source": Source(reader="release", name=renaming.new_drive_id, files=0, bytes=0, fingerprint="0" * 64),
+            "source": RecordingSource(
+                reader="release", name=renaming.new_drive_id, files=0, bytes=0, fingerprint="0" * 64
+            ),
             "start_ns": drive.start_ns + renaming.shift_ns,
             "end_ns": drive.end_ns + renaming.shift_ns,
         }

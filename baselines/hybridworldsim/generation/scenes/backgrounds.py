@@ -90,7 +90,7 @@ def _open_model(
     folder: Path, dataset: Dataset, appearance: str, views: Sequence[RenderView], method: str | None
 ) -> tuple[Background, str]:
     from mirror.methods.appearance import AppearancePolicy, require_known_appearance
-    from mirror.methods.model import Model
+    from mirror.methods.model import ModelFolder
     from mirror.methods.model_document import DOCUMENT, read_reconstruction, require_matching_split
 
     document = read_reconstruction(folder)
@@ -102,7 +102,7 @@ def _open_model(
             f"the static model is of scene {document.scene}", place="--background", expected=f"of {', '.join(scenes)}"
         )
     policy = AppearancePolicy(appearance, views, everywhere=True)
-    return Model.read(folder, method).open(policy), file_sha256(folder / DOCUMENT)
+    return ModelFolder.read(folder, method).open(policy), file_sha256(folder / DOCUMENT)
 
 
 def _require_preset(preset: str) -> None:

@@ -16,7 +16,7 @@ from hybridworldsim.generation.scenes.rates import plan_rates, rate_note
 from hybridworldsim.generation.scenes.scene_clip import require_valid_boxes
 from hybridworldsim.generation.scenes.scene_map import open_scene_map
 from mirror.dataset.dataset import Dataset
-from mirror.evaluation.submission.manifest import Appearance, Method, Runtime
+from mirror.evaluation.submission.manifest import Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.writing import write_submission
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.protocols.document import load_protocol
@@ -54,13 +54,13 @@ class SubmissionRequest:
     method_file: str | None = None
 
     @property
-    def method(self) -> Method:
+    def method(self) -> SubmittedMethod:
         """The submission's statement of the generator."""
         if self.files.base is None:
-            return Method(
+            return SubmittedMethod(
                 name="hybridworldsim-generation", licence="Apache-2.0", trained_on="clips of other drives"
             )  # fmt: skip
-        return Method(
+        return SubmittedMethod(
             name=f"hybridworldsim-{self.files.base.name}", trained_on=self.files.base.trained_on, licence="MIT",
             url="https://github.com/SenseTime-FVG/OpenDWM",
         )  # fmt: skip

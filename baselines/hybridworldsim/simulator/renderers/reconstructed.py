@@ -26,7 +26,7 @@ from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
-from mirror.methods.model import Model, ModelRenderer
+from mirror.methods.model import ModelFolder, ModelRenderer
 from mirror.methods.model_document import Reconstruction, read_reconstruction, require_finished
 from mirror.protocols.views.view import RenderView
 from mirror.schema.scenario import Scenario
@@ -86,7 +86,7 @@ class OpenModel:
             UsageError: the model is of another scene, or its method cannot be loaded or does not render depth.
         """
         document, trained = require_model_of(path, street)
-        renderer = Model.read(path, method, option=option).open()
+        renderer = ModelFolder.read(path, method, option=option).open()
         if not renderer.capabilities.renders_depth:
             raise UsageError(
                 f"method {document.method} renders no depth, which places road users in its images", file=path,

@@ -47,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _drive(folder: Path, streets: Sequence[str], seeds: int) -> None:
     """Drive all scenarios that fit; each run lies in a folder of its street's number, scenario and seed."""
-    from hybridworldsim.simulator.policies.registry import make_policy
+    from hybridworldsim.simulator.policy_registry import make_policy
     from hybridworldsim.simulator.renderers.registry import RendererFactory
     from hybridworldsim.simulator.rollout.run import RolloutRequest, run_rollout
     from hybridworldsim.simulator.street.opening import open_street

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hybridworldsim.simulator.policies.registry import POLICIES
+from hybridworldsim.simulator.policy_registry import POLICIES
 from mirror.annotation.descriptions import DESCRIBERS
 from mirror.annotation.registry import ANNOTATORS
 from mirror.cli.verbs import VERBS

@@ -15,7 +15,7 @@ from tests.wheels import write_wheel
 _USE = """
 import sys
 from pathlib import Path
-from hybridworldsim.simulator.policies.registry import make_policy
+from hybridworldsim.simulator.policy_registry import make_policy
 from mirror.annotation.descriptions import DESCRIBERS
 from mirror.annotation.registry import installed_annotator
 from mirror.cli.main import main

@@ -10,7 +10,7 @@ import grpc
 import numpy as np
 import pytest
 
-from hybridworldsim.simulator.policies.registry import make_policy
+from hybridworldsim.simulator.policy_registry import make_policy
 from hybridworldsim.simulator.remote.driver_file import DriverFile, read_driver_file
 from hybridworldsim.simulator.remote.messages import wire
 from hybridworldsim.simulator.remote.policy import RemotePolicy

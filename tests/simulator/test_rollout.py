@@ -13,7 +13,7 @@ from hybridworldsim.simulator.ego.vehicle import Controls
 from hybridworldsim.simulator.environment.street_env import StreetEnv
 from hybridworldsim.simulator.policies.protocol import Observation, ObservationSpec, PlannedTrajectory
 from hybridworldsim.simulator.policies.references import LaneKeeping, Log, Stop
-from hybridworldsim.simulator.policies.registry import make_policy, policy_names
+from hybridworldsim.simulator.policy_registry import make_policy, policy_names
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
 from hybridworldsim.simulator.rollout.run import VIDEO_FILE, run_rollout

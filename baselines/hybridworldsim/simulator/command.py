@@ -187,7 +187,7 @@ def _request(arguments: Arguments) -> RolloutRequest:
 
 
 def _policy(arguments: Arguments, name: str) -> Policy:
-    from hybridworldsim.simulator.policies.registry import make_policy
+    from hybridworldsim.simulator.policy_registry import make_policy
 
     if "://" not in name and arguments.driver is None:
         return make_policy(name)

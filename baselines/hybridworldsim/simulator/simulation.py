@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from hybridworldsim.simulator.agents.casting import Stage, cast_agents
 from hybridworldsim.simulator.agents.groups import AllAgents
+from hybridworldsim.simulator.casting import Stage, cast_agents
 from hybridworldsim.simulator.ego.tracker import TrajectoryTracker
 from hybridworldsim.simulator.ego.trajectory import Trajectory
 from hybridworldsim.simulator.ego.vehicle import Controls

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from hybridworldsim.generation.autoencoder.codec import to_tensor
 from hybridworldsim.generation.autoencoder.of_diffusers import load_autoencoder
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
+from hybridworldsim.generation.clips.captions import TextEmbedding
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.command import main
@@ -38,7 +39,6 @@ from hybridworldsim.generation.scenes.rig import rig_of
 from hybridworldsim.generation.scenes.run import PIXELS
 from hybridworldsim.generation.scenes.scene_clip import SceneConditions, make_scene_clip
 from hybridworldsim.generation.scenes.submission import SubmissionRequest
-from hybridworldsim.generation.text import TextEmbedding
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.weights.errors import WeightsUnavailableError

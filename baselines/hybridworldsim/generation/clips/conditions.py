@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.clips.captions import Captions, TextEmbedding, embed_views, require_equal_lengths
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
-from hybridworldsim.generation.text import Captions, TextEmbedding, embed_views, require_equal_lengths
 from mirror.arrays import Float32, Float64
 from mirror.errors import UsageError
 

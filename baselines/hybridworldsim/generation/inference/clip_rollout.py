@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_bytes, to_tensor
+from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.devices import require_seed
@@ -20,7 +21,6 @@ from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_frame_layout
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.transformer import Transformer
-from hybridworldsim.generation.text import Captions
 from mirror.arrays import Bool, UInt8
 from mirror.errors import UsageError
 

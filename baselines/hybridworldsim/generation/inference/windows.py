@@ -8,9 +8,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from hybridworldsim.generation.clips.captions import require_equal_lengths
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
-from hybridworldsim.generation.text import require_equal_lengths
 from mirror.errors import UsageError
 
 REFERENCES = 5

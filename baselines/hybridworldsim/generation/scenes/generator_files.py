@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from hybridworldsim.generation.clips.captions import CachedCaptions
 from hybridworldsim.generation.model_files import (
     captioned_config,
     read_autoencoder,
@@ -15,7 +16,6 @@ from hybridworldsim.generation.model_files import (
 )
 from hybridworldsim.generation.scenes.released import ReleasedModel, autoencoder_hash, open_released
 from hybridworldsim.generation.scenes.rollout import SceneGenerator, require_codec
-from hybridworldsim.generation.text import CachedCaptions
 from mirror.devices import resolve_device
 from mirror.weights.resolve import file_sha256
 

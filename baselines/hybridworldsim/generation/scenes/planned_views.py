@@ -9,6 +9,7 @@ from itertools import groupby
 import cv2
 import numpy as np
 
+from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.inference.blending import blend, draw_hulls, hull_shares
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
 from hybridworldsim.generation.scenes.backgrounds import Background
@@ -17,7 +18,6 @@ from hybridworldsim.generation.scenes.rig import SceneRig, rig_of
 from hybridworldsim.generation.scenes.rollout import SceneGenerator, roll_out_sequence
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame, SceneConditions, boxes_of
 from hybridworldsim.generation.scenes.scene_map import SceneMap
-from hybridworldsim.generation.text import Captions
 from mirror.arrays import Float32, UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import FrameSequence

@@ -9,11 +9,11 @@ from typing import Final
 import cv2
 import numpy as np
 
+from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.clips.clip import CATEGORIES, Clip, ClipBoxes
 from hybridworldsim.generation.clips.map_lines import MapLine, crop_lines, move_lines
 from hybridworldsim.generation.scenes.backgrounds import Background
 from hybridworldsim.generation.scenes.rig import SceneRig
-from hybridworldsim.generation.text import Captions
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from hybridworldsim.generation.autoencoder.codec import LatentCodec
+from hybridworldsim.generation.clips.captions import CachedCaptions, embedding_widths
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_list
 from hybridworldsim.generation.devices import (
@@ -24,7 +25,6 @@ from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.model_files import read_autoencoder, write_autoencoder, write_generator
 from hybridworldsim.generation.network.configuration import TransformerConfig
-from hybridworldsim.generation.text import CachedCaptions, embedding_widths
 from hybridworldsim.generation.training.autoencoder_trainer import (
     AutoencoderSettings,
     AutoencoderTrainer,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_tensor
+from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions, stack_conditions
 from hybridworldsim.generation.inference.windows import join_conditions
@@ -19,7 +20,6 @@ from hybridworldsim.generation.layout.images import draw_clip_layout, takes_map
 from hybridworldsim.generation.layout.map_lines import MAP_CHANNELS
 from hybridworldsim.generation.network.conditions import Conditions
 from hybridworldsim.generation.network.configuration import TransformerConfig
-from hybridworldsim.generation.text import Captions
 from mirror.arrays import UInt8
 from mirror.errors import DatasetError, UsageError
 

@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
+from hybridworldsim.generation.clips.captions import CachedCaptions, CachedEmbeddings, TextEmbedding, embedding_widths
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions
 from hybridworldsim.generation.inference.windows import join_conditions
@@ -19,7 +20,6 @@ from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.model_files import captioned_config, read_generator
 from hybridworldsim.generation.network.configuration import AdapterConfig
 from hybridworldsim.generation.network.transformer import Transformer
-from hybridworldsim.generation.text import CachedCaptions, CachedEmbeddings, TextEmbedding, embedding_widths
 from hybridworldsim.generation.training.autoencoder_trainer import AutoencoderSettings
 from hybridworldsim.generation.training.distillation import DistillationSettings
 from hybridworldsim.generation.training.distillation_run import DistillationOptions, distil_on_clips

@@ -125,9 +125,11 @@ class PluginKind:
         absent = [part for part in stated if not hasattr(plugin, part)]
         if absent or isinstance(plugin, type):
             problem = f"it has no {', '.join(absent)}" if absent else "a class, not an object"
+            remedy = f"make an object of it in its file, and name that with {self.option}"
             raise self.error(
-                problem, file=name, place=self.option, expected=expected, remedy=f"mend the {self.noun} {name}"
-            )
+                problem, file=name, place=self.option, expected=expected,
+                remedy=f"mend the {self.noun} {name}" if absent else remedy,
+            )  # fmt: skip
         for part, function in stated.items():
             if inspect.isfunction(function):
                 self.require_call(getattr(plugin, part), name, part, inspect.signature(function).parameters.values())

@@ -151,12 +151,6 @@ def _track_arrays(track: Track) -> tuple[Int64, Float64, Float64, bool]:
             remedy="mend the reader: a track has one pair of coordinates",
         )
     lon_or_x, lat_or_y = (np.ascontiguousarray(axis, np.float64) for axis in pair)
-    if not len(stamps) == len(lon_or_x) == len(lat_or_y):
-        raise RecordingError(
-            f"{len(stamps)} stamps but {len(lon_or_x)} and {len(lat_or_y)} coordinates",
-            file=track.file,
-            remedy="mend the reader: each stamp has one position",
-        )
     if not len(stamps):
         if track.bad is not None:
             raise track.bad.first

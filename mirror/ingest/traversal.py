@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 
 from mirror.arrays import Int64
 from mirror.dataset.layout import Layout, complete_manifest, is_intact, seal
-from mirror.errors import RecordingError
+from mirror.errors import RecordingError, SchemaError
 from mirror.ingest.images import PlacedImages, Transfer, place_images, refer_to_images
 from mirror.ingest.passes import DrivePasses
 from mirror.ingest.refusals import refuse_invalid_boxes, refuse_other_image_sizes, refuse_other_mask_size
@@ -363,19 +363,33 @@ def _image_table(
         )
     if not parts:
         return IMAGES.schema.empty_table()
-    return conform(pa.concat_tables(parts), IMAGES, file=IMAGES.place)
+    return _conform_rows(pa.concat_tables(parts), IMAGES, drive)
 
 
 def _calibration_table(drive: DrivePasses) -> pa.Table:
     rows = drive.content.calibrations()
     if not rows.num_rows:
         return CALIBRATIONS.schema.empty_table()
-    rows = conform(rows, CALIBRATIONS, file=drive.path)
+    rows = _conform_rows(rows, CALIBRATIONS, drive)
     _require_covariances(rows, drive)
     plain = {name: rows.column(name).cast(pa.string()) for name in ("camera", "stage")}
     keys = pa.table({**plain, "valid_from_ns": rows.column("valid_from_ns")})
     order = pc.sort_indices(keys, [(key, "ascending") for key in CALIBRATIONS.sorted_by])
     return rows.take(order).combine_chunks()
+
+
+def _conform_rows(rows: pa.Table, table: Table, drive: DrivePasses) -> pa.Table:
+    """Cast rows that a reader gave to a table's schema."""
+    try:
+        return conform(rows, table, file=drive.path)
+    except SchemaError as error:
+        raise RecordingError(
+            error.problem,
+            file=error.file,
+            place=error.place,
+            expected=error.expected,
+            remedy=f"mend the reader: docs/schema.md has the columns of the table {table.name}",
+        ) from error
 
 
 def _require_covariances(rows: pa.Table, drive: DrivePasses) -> None:
@@ -398,7 +412,7 @@ def _write_boxes(layout: Layout, name: str, drive: DrivePasses, one: Pass, deriv
     boxes = drive.content.boxes()
     if boxes is None:
         return
-    boxes = conform(boxes, BOXES, file=drive.path)
+    boxes = _conform_rows(boxes, BOXES, drive)
     refuse_invalid_boxes(boxes, drive.path)
     stamps = boxes.column("timestamp_ns")
     boxes = boxes.filter(pc.and_(pc.greater_equal(stamps, one.entry_ns), pc.less_equal(stamps, one.exit_ns)))

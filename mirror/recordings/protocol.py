@@ -95,6 +95,20 @@ class Track:
     bad: BadRows | None = None
     repeats: int = 0
 
+    def __post_init__(self) -> None:
+        count = len(self.timestamp_ns)
+        shapes = {"rotation": (count, 4)}
+        for name in ("timestamp_ns", "longitude_deg", "latitude_deg", "x_m", "y_m", "height_m", "rotation", "sigma_m"):
+            values, shape = getattr(self, name), shapes.get(name, (count,))
+            if values is not None and values.shape != shape:
+                raise RecordingError(
+                    f"{name} has the shape {values.shape}, but there are {count} poses",
+                    remedy="mend the reader: each pose has one row in every array",
+                    file=self.file,
+                    place="track",
+                    expected=f"the shape {shape}",
+                )
+
     def __len__(self) -> int:
         return len(self.timestamp_ns)
 

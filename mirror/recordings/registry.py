@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Final, cast
 
 from mirror.errors import RecordingError
 from mirror.plugins import PluginKind, is_file_reference
@@ -34,12 +34,8 @@ def load_readers(name: str | None = None) -> dict[str, Reader]:
 def _make_reader(found: Callable[[], object], name: str) -> Reader:
     READERS.require_call(found, name, name.rpartition(":")[2], ())
     reader = found()
-    if not isinstance(reader, Reader):
-        raise RecordingError(
-            "it is not a reader", file=name, place="--reader",
-            expected="a class that follows mirror.recordings.Reader: name, expects, recognises, open",
-        )  # fmt: skip
-    return reader
+    READERS.require_parts(reader, name, Reader)
+    return cast(Reader, reader)
 
 
 def _make_installed_reader(name: str) -> Reader:

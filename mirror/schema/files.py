@@ -304,7 +304,12 @@ def conform(data: pa.Table, table: Table, *, file: str | Path, columns: Sequence
     present = set(data.column_names)
     extra = present - {field.name for field in fields}
     if extra:
-        raise SchemaError(f"table {table.name} has an unknown column", file=file, place=f"column {min(extra)}")
+        raise SchemaError(
+            f"table {table.name} has an unknown column",
+            file=file,
+            place=f"column {min(extra)}",
+            expected=f"no columns but {', '.join(field.name for field in fields)}",
+        )
     arrays = []
     for field in fields:
         if field.name not in present and field.name in ADDED:

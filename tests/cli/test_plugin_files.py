@@ -25,6 +25,7 @@ class X:
     def act(self{}): ...
     def close(self): ...
 """
+READER = "class X:\n    name = expects = 'x'\n    def recognises(self, path): ...\n    def open(self, {}): ...\n"
 ANNOTATOR = "class A:\n    settings = {{}}\n    def open(self, dataset, settings, device): return {}\nX = A()\n"
 
 
@@ -45,6 +46,8 @@ ANNOTATOR = "class A:\n    settings = {{}}\n    def open(self, dataset, settings
         (ANNOTATE, "class A:\n    settings = {}\n    open = 3\nX = A()\n", "open is int, which cannot be called"),
         (ANNOTATE, ANNOTATOR.format("7"), "it has no annotate, close, fingerprint, name, version"),
         (INGEST, "class X:\n    def __init__(self, path): ...\n", "X does not take the arguments of its host"),
+        (INGEST, "class X:\n    name = 'x'\n    recognises = open = print\n", "it has no expects"),
+        (INGEST, READER.format("path"), "expected open(path, options)"),
         (INGEST, "exit(0)\n", "the file ends the program when it is imported"),
     ],
 )

@@ -53,6 +53,7 @@ RAISED_BY: Final = {
     "mirror/cli/ingest.py": ("ingest", "rois propose"),
     "mirror/cli/layers.py": ("view", "reconstruct", "export colmap"),
     "mirror/cli/recording.py": ("recording new",),
+    "mirror/cli/submission.py": ("evaluate", "submission check"),
     "mirror/cli/view.py": ("view",),
     "mirror/dataset/derived_layer.py": ("annotate", "annotate track", "annotate masks", "calibrate refine"),
     "mirror/dataset/door/": ("ingest", "dataset publish"),

@@ -77,11 +77,10 @@ def main(argv: Sequence[str]) -> int:
     """Run the verb."""
     arguments = parse_arguments(Arguments, argv, "mirror evaluate", examples=_EXAMPLES, renamed=_RENAMED)
 
-    from mirror.cli.submission import print_check, requested_views
+    from mirror.cli.submission import load_requested_protocol, print_check, requested_views
     from mirror.evaluation.run import EvaluationOptions, evaluate, read_result
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
-    from mirror.protocols.document import load_protocol
     from mirror.weights.resolve import WeightResolver
 
     if arguments.submission is None:
@@ -107,7 +106,15 @@ def main(argv: Sequence[str]) -> int:
         features=arguments.features,
     )
     with progress_bar(quiet=arguments.json) as bar:
-        evaluation = evaluate(submission, arguments.dataset, load_protocol(protocol), split, out, options, bar)
+        evaluation = evaluate(
+            submission,
+            arguments.dataset,
+            load_requested_protocol(protocol, arguments.protocol),
+            split,
+            out,
+            options,
+            bar,
+        )
     if evaluation.result is None:
         return print_check(evaluation.check, submission, as_json=arguments.json)
     page = _report(evaluation, out, baselines) if arguments.report else None

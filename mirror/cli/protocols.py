@@ -1,4 +1,4 @@
-"""``mirror protocols list`` and ``mirror protocols show NAME``."""
+"""``mirror protocols list`` and ``mirror protocols show PROTOCOL``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Final
 
 import tyro
@@ -14,7 +15,11 @@ from mirror.command_line import Subcommand, help_text, parse_arguments, run_subc
 from mirror.errors import ExitCode
 
 _LIST_EXAMPLES: Final = ("mirror protocols list", "mirror protocols list --json")
-_SHOW_EXAMPLES: Final = ("mirror protocols show static-reconstruction", "mirror protocols show lane-shift --json")
+_SHOW_EXAMPLES: Final = (
+    "mirror protocols show static-reconstruction",
+    "mirror protocols show lane-shift --json",
+    "mirror protocols show mine.toml",
+)
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,8 @@ class ProtocolListArguments:
 class ShowArguments:
     """Print a protocol as TOML. A changed copy with another name is a protocol: --protocol mine.toml."""
 
-    name: Annotated[tyro.conf.Positional[str], help_text(metavar="NAME")]
-    """Name of a protocol, as `mirror protocols list` shows it."""
+    name: Annotated[tyro.conf.Positional[str], help_text(metavar="PROTOCOL")]
+    """Name of a protocol, as `mirror protocols list` shows it, or the path of its .toml file, which is checked."""
     json: bool = False
     """Print the protocol, with all defaults and its hash, as JSON."""
 
@@ -69,9 +74,10 @@ def _show(words: Sequence[str]) -> int:
 
     from mirror.protocols.document import load_protocol, read_definition
 
+    protocol = load_protocol(arguments.name)
     if arguments.json:
-        protocol = load_protocol(arguments.name)
         print(json.dumps({**protocol.model_dump(mode="json"), "hash": protocol.hash}))
         return ExitCode.DONE
-    sys.stdout.write(read_definition(arguments.name).decode())
+    own = arguments.name.endswith(".toml")
+    sys.stdout.write((Path(arguments.name).read_bytes() if own else read_definition(arguments.name)).decode())
     return ExitCode.DONE

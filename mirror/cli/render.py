@@ -110,7 +110,7 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     from mirror.evaluation.submission.models import plan_model_submission
     from mirror.methods.model import read_models
     from mirror.progress import progress_bar
-    from mirror.protocols.document import load_protocol
+    from mirror.protocols.document import format_file_option, load_protocol
 
     for option in ("traversal", "cameras", "width", "hz"):
         if getattr(arguments, option) is not None:
@@ -134,7 +134,8 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
     if arguments.json:
         print(json.dumps({"out": str(arguments.out), "views": count, "method": submission.method}))
     else:
-        more = " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(submission.plan) != "unused" else ""
+        more = format_file_option(arguments.protocol)
+        more += " --hidden FOLDER" if load_scorer(protocol.task).hidden_use(submission.plan) != "unused" else ""
         print(f"{count} renders by {submission.method}: {arguments.out}")
         print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{more}")
     return ExitCode.DONE

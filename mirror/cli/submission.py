@@ -17,6 +17,7 @@ from mirror.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mirror.evaluation.submission.check import SubmissionCheck
     from mirror.evaluation.submission.untrusted import UntrustedFiles
+    from mirror.protocols.document import Protocol
 
 _LISTED_PROBLEMS = 8
 _NEW_EXAMPLES = (
@@ -141,14 +142,14 @@ def _check(argv: Sequence[str]) -> int:
     from mirror.evaluation.submission.check import check_submission
     from mirror.evaluation.submission.untrusted import open_untrusted
     from mirror.progress import progress_bar
-    from mirror.protocols.document import load_protocol
     from mirror.protocols.views import plan_views
 
     files = open_untrusted(arguments.submission)
     requested = requested_views(files, arguments.protocol, arguments.split)
     if isinstance(requested, tuple):
         protocol, split = requested
-        plan = plan_views(open_dataset(arguments.dataset), load_protocol(protocol), split)
+        stated = load_requested_protocol(protocol, arguments.protocol)
+        plan = plan_views(open_dataset(arguments.dataset), stated, split)
         with progress_bar(quiet=arguments.json) as bar:
             bar.start("files", len(plan.views))
             report = check_submission(files, plan, decode=arguments.decode, advance=bar.advance)
@@ -203,6 +204,29 @@ def requested_views(
         return read_protocol_and_split(files, protocol, split)
     except UntrustedError as error:
         return report_unreadable_manifest(files, error)
+
+
+def load_requested_protocol(protocol: str, given: str | None) -> Protocol:
+    """Load the protocol of a submission.
+
+    Args:
+        protocol: as `requested_views` returned it.
+        given: value of --protocol; None: the submission's manifest names the protocol.
+
+    Raises:
+        UsageError: no protocol has that name, or its file cannot be read.
+        SchemaError: its file is invalid.
+    """
+    from mirror.protocols.document import load_protocol, protocol_names
+
+    # A submission is untrusted: its manifest names no file.
+    if given is None and protocol not in protocol_names():
+        raise UsageError(
+            f"the submission follows protocol {protocol!r}, which does not come with the toolkit",
+            expected=f"one of {', '.join(protocol_names())}, or the file of that protocol",
+            remedy="give the file with --protocol FILE.toml",
+        )
+    return load_protocol(protocol)
 
 
 def print_check(report: SubmissionCheck, submission: Path, *, as_json: bool) -> ExitCode:

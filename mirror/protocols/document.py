@@ -282,6 +282,15 @@ def load_protocol(name: str, *, masked: bool = True) -> Protocol:
     return load_protocol(sibling)
 
 
+def format_file_option(protocol: str) -> str:
+    """Format the option that names a protocol's file to a verb that reads a submission, with a space before it.
+
+    Args:
+        protocol: value of --protocol; of a name, which the submission's manifest has too, the text is empty.
+    """
+    return f" --protocol {protocol}" if protocol.endswith(".toml") else ""
+
+
 def parse_protocol(data: bytes, file: str) -> Protocol:
     """Parse the TOML of a protocol.
 

@@ -16,12 +16,18 @@ _PATTERNS: Final = {
 }
 """The patterns of documents in words: a message shows no regular expression."""
 
+_QUOTE: Final = "'"
+
 
 def describe_problem(details: ErrorDetails) -> str:
     """Describe the fault of a value: one of `pydantic.ValidationError.errors`, without the exception's name."""
     if details["type"] == "string_pattern_mismatch":
         pattern = details.get("ctx", {}).get("pattern", "")
         return _PATTERNS.get(pattern, "the text has another form than documented")
+    if details["type"] == "union_tag_invalid":
+        context = details["ctx"]
+        known = context["expected_tags"].replace(_QUOTE, "")
+        return f"{context['discriminator'].strip(_QUOTE)} {context['tag']!r} is none of {known}"
     return details["msg"].removeprefix("Value error, ")
 
 

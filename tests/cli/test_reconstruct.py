@@ -730,7 +730,8 @@ def test_views_that_nobody_took_are_a_submission_too(
     said(capsys, *reconstruct(dataset, model, "--steps", 12))
     asked = ("--dataset", dataset.root, "--split", "novel", "--protocol", protocol, "--out", submission)
     assert main([str(word) for word in ("render", model, *asked)]) == ExitCode.DONE
-    assert capsys.readouterr().out.endswith(f"evaluate {dataset.root} {submission} --hidden FOLDER\n")
+    shown = f"evaluate {dataset.root} {submission} --protocol {protocol} --hidden FOLDER\n"
+    assert capsys.readouterr().out.endswith(shown)
     plan = plan_views(dataset, load_protocol(str(protocol)), "novel")
     assert len(plan.views) == len(list(submission.rglob("*.png"))) > 20
     assert {view.group for view in plan.views} == {f"{side}-{far}m" for side in ("left", "right") for far in (1, 2, 3)}

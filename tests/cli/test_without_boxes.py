@@ -14,7 +14,7 @@ import mirror
 from mirror.cli.main import main
 from mirror.dataset.missing import find_missing
 from mirror.errors import ExitCode
-from mirror.protocols.document import load_protocol, protocol_names
+from mirror.protocols.document import load_protocol, protocol_names, read_definition
 from mirror.synth import SynthReport
 from tests.conftest import ROOT
 
@@ -104,5 +104,10 @@ def test_protocols_are_listed_and_printed(tmp_path: Path, capsys: pytest.Capture
         assert main(["protocols", "show", name]) == ExitCode.DONE
         (tmp_path / "mine.toml").write_text(capsys.readouterr().out)
         assert load_protocol(str(tmp_path / "mine.toml")) == load_protocol(name)
+        assert main(["protocols", "show", str(tmp_path / "mine.toml")]) == ExitCode.DONE
+        assert capsys.readouterr().out == (tmp_path / "mine.toml").read_text()
+    (tmp_path / "mine.toml").write_text(read_definition("lane-shift").decode().replace('"psnr"', '"psnrr"'))
+    assert main(["protocols", "show", str(tmp_path / "mine.toml")]) == ExitCode.COULD_NOT_RUN
+    assert "metric 'psnrr' is none of psnr, " in capsys.readouterr().err
     assert main(["protocols", "show", "static"]) == ExitCode.COULD_NOT_RUN
     assert "static-reconstruction" in capsys.readouterr().err

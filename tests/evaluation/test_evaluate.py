@@ -234,7 +234,9 @@ def test_commands(
     (tmp_path / "s9" / "renders").rename(tmp_path / "s9" / "moved")
     assert main(["evaluate", str(tmp_path / "s9"), *words]) == 1
     assert "missing" in capsys.readouterr().out
-    assert main(["evaluate", str(folder / "noise4"), *words]) == 2
+    for verb in (["evaluate", *words], ["submission", "check", "--truth", str(root)]):
+        assert main([*verb, str(folder / "noise4")]) == 2
+        assert "Remedy: give the file with --protocol FILE.toml" in capsys.readouterr().err
 
 
 def test_paired_differences_have_smaller_intervals(root: Path, folder: Path, tmp_path: Path) -> None:

@@ -170,6 +170,7 @@ def _write_submission(
     from hybridworldsim.generation.scenes.released import NO_BACKGROUND
     from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
     from mirror.progress import progress_bar
+    from mirror.protocols.document import format_file_option
 
     request = SubmissionRequest(
         files,
@@ -191,7 +192,7 @@ def _write_submission(
         print(f"{count} views: {arguments.out}")
         if files.base is not None:
             print(f"note: {NO_BACKGROUND}")
-        print(f"next: mirror evaluate {arguments.dataset} {arguments.out}")
+        print(f"next: mirror evaluate {arguments.dataset} {arguments.out}{format_file_option(arguments.protocol)}")
     return ExitCode.DONE
 
 

@@ -18,7 +18,7 @@ class Score(float):
     reason: str | None
 
     def __new__(cls, value: float, reason: str | None = None) -> Score:
-        """A float with a reason."""
+        """Make a float with a reason."""
         score = super().__new__(cls, value)
         score.reason = reason
         return score

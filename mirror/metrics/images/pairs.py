@@ -49,7 +49,7 @@ class ImagePair:
         """Raise if a pixel that counts is NaN or infinite, and name the first.
 
         Raises:
-            UsageError: it is.
+            UsageError: a pixel that counts is not finite.
         """
         if self.render.dtype.kind != "f":
             return
@@ -83,7 +83,7 @@ def as_pairs(
 
 
 def as_pair(render: AnyArray, truth: AnyArray, mask: AnyArray | None, data_range: float | None) -> ImagePair:
-    """Check the two images and the mask of a metric, and return them as a `Pair`.
+    """Check the two images and the mask of a metric, and return them as an `ImagePair`.
 
     Args:
         render: (H, W) or (H, W, C); uint8, uint16, float32 or float64.

@@ -139,7 +139,7 @@ def _track_arrays(track: Track) -> tuple[Int64, Float64, Float64, bool]:
     """Stamps and coordinates of a recorded track as contiguous (N,) arrays, and whether they are geodetic.
 
     Raises:
-        RecordingError: coordinates are missing, their number differs from that of the stamps, or there is no pose.
+        RecordingError: coordinates are missing, or there is no pose.
     """
     stamps = np.ascontiguousarray(track.timestamp_ns, np.int64)
     geodetic = track.longitude_deg is not None

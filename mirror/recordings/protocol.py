@@ -81,6 +81,9 @@ class Track:
         file: the file that the poses come from, for messages.
         bad: rows of the recording that make no pose and are not among the N; None: there are none.
         repeats: number of rows of the recording that are not among the N, as they equal the row before them.
+
+    Raises:
+        RecordingError: an array has not N rows, or a rotation not four values.
     """
 
     timestamp_ns: Int64

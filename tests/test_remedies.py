@@ -55,6 +55,7 @@ RAISED_BY: Final = {
     "mirror/cli/recording.py": ("recording new",),
     "mirror/cli/submission.py": ("evaluate", "submission check"),
     "mirror/cli/view.py": ("view",),
+    "mirror/devices.py": ("reconstruct", "render", "annotate"),
     "mirror/dataset/derived_layer.py": ("annotate", "annotate track", "annotate masks", "calibrate refine"),
     "mirror/dataset/door/": ("ingest", "dataset publish"),
     "mirror/dataset/images/": ("ingest",),

@@ -27,7 +27,7 @@ from benchmarks.report import Peer, Row, median_ms, report
 from mirror.arrays import UInt8
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
-from tests.dataset.builders import EPOCH, SECOND, SEVEN, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, SEVEN, Builder, Pass
 
 SCENES = 10
 FRAMES = 400

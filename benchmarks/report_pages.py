@@ -25,7 +25,7 @@ from benchmarks.report import Row, report
 from mirror.dataset.index import build_index
 from mirror.errors import UsageError
 from mirror.view.report_site import write_site
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.leaderboard.browser import Browser, find_browser
 
 SIZE: Final = (320, 180)

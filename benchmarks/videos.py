@@ -28,7 +28,7 @@ from mirror.dataset.image import Image
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, write_recording
 
 RANDOM_BAR_MS = 60.0
 CONSECUTIVE_BAR = 1.25

@@ -22,7 +22,7 @@ from mirror.dataset.splits import make_split
 from mirror.geometry import Camera
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.tables import BOXES
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 
 PACKAGES = ("mirror", "mirror.dataset", "mirror.geometry", "mirror.metrics")
 OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS

@@ -15,6 +15,7 @@ SOURCES = {
 }
 """Packages whose tests lie in a folder of their own; the other folders are parts of `mirror` or of `hybridworldsim`."""
 OTHERS = {
+    "builders": "writers of datasets, of a small street and of recordings in the `folder` format",
     "fuzz": "damaged recordings of all readers",
     "golden": "what earlier versions wrote",
     "peers": "other toolkits that read our files, and what they read",

@@ -23,7 +23,7 @@ from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import DatasetError, UsageError
 from tests.annotation.known import Known, truth
-from tests.dataset.builders import Builder, Pass
+from tests.builders.dataset import Builder, Pass
 
 
 def assert_truth(dataset: Dataset, layer: str) -> None:

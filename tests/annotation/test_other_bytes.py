@@ -22,22 +22,15 @@ from mirror.errors import DatasetError
 from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES, CALIBRATIONS
 from tests.annotation.known import Known
-from tests.dataset.builders import Builder, Pass
+from tests.builders.dataset import write_two_drives
 from tests.other_bytes import give_other_bytes
 
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """A dataset whose images have detail, so that flat ones are shorter."""
-    root = tmp_path / "dataset"
-    builder = Builder(root, cameras=("front_wide", "rear"))
-    builder.scene("a")
     noise = np.random.default_rng(0).integers(0, 256, (32, 48, 3)).astype(np.uint8)
-    images = dict.fromkeys(("front_wide", "rear"), cv2.imencode(".jpg", noise)[1].tobytes())
-    builder.drive("d0", [Pass("a", frames=4, images=images)])
-    builder.drive("d1", [Pass("a", frames=3, heading_deg=200.0, images=images)])
-    build_index(root)
-    return root
+    return write_two_drives(tmp_path / "dataset", cv2.imencode(".jpg", noise)[1].tobytes())
 
 
 class FrameList(Known):

@@ -20,7 +20,7 @@ from mirror.protocols.document import Protocol, load_protocol
 from mirror.schema.documents import NovelTraversal, SplitDocument
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES, DEPTH, POINTS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 
 CAMERAS = ("front_wide", "front_left")
 # Drive, lane in metres to the left, heading, colour (RGB), role.

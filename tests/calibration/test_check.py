@@ -24,8 +24,8 @@ from mirror.geometry import Poses
 from mirror.schema.files import read_table
 from mirror.schema.tables import EGO_POSES
 from mirror.view.calibration_page import write_calibration_page
+from tests.builders.dataset import Builder, Pass
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
-from tests.dataset.builders import Builder, Pass
 
 ERROR_DEG = np.array([0.0, 0.35, -0.45])
 CHOICE = FrameChoice(frames=12, step_m=2.0)

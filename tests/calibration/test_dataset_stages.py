@@ -14,7 +14,7 @@ from mirror.dataset.index import build_index
 from mirror.geometry import Poses
 from mirror.schema.tables import BOXES, CALIBRATIONS
 from mirror.view.cameras_figure import cameras_figure
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibration
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, calibration
 
 CAMERAS = ("front_wide", "rear")
 ONLINE_DEG, REFINED_DEG, LATER_DEG = 0.5, 0.7, 0.2

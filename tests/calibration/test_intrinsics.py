@@ -15,8 +15,8 @@ from mirror.cli.main import main
 from mirror.errors import UsageError
 from mirror.geometry.cameras import Camera
 from mirror.recordings.lens_files import read_lens
+from tests.builders.small_folder import write_recording
 from tests.calibration.boards import TURNS, view
-from tests.recordings.layout import write_recording
 
 LENS = Camera("brown_conrady", 480, 360, 400.0, 402.0, 243.0, 178.0, (-0.12, 0.05, 0.0004, -0.0003, 0.0))
 FISHEYE = Camera("kannala_brandt", 480, 360, 200.0, 201.0, 243.0, 178.0, (0.03, -0.01, 0.0, 0.0))

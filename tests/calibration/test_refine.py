@@ -19,8 +19,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.errors import DatasetError, ExitCode
 from mirror.geometry import Poses, matrix_from_quaternion
+from tests.builders.dataset import Builder, Pass
 from tests.calibration.corridor import LENS, NOMINAL, corridor, padded
-from tests.dataset.builders import Builder, Pass
 from tests.other_bytes import give_other_bytes
 
 CAMERAS = ("front_wide", "front_narrow", "rear")

@@ -16,7 +16,7 @@ from mirror.cli.main import main
 from mirror.cli.verbs import all_commands
 from mirror.ingest.rois import write_rois
 from mirror.version import __version__
-from tests.ingest.recordings import LAT, LON, SCENE, tree, write_recording
+from tests.builders.folder import LAT, LON, SCENE, tree, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.synth import SynthReport
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, write_recording
 
 
 @pytest.fixture(scope="module")

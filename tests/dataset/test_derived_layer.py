@@ -14,7 +14,7 @@ from mirror.dataset.redaction import REDACTION
 from mirror.dataset.unfinished_work import DEPTH, REFINEMENT, remove_work, work_folder
 from mirror.errors import DatasetError
 from mirror.schema.tables import IMAGES, POINTS
-from tests.dataset.builders import Builder, Pass
+from tests.builders.dataset import Builder, Pass
 
 HASH = "1" * 64
 

@@ -23,7 +23,7 @@ from mirror.schema.documents import FileEntry, Manifest
 from mirror.schema.files import read_json, read_table, sha256_bytes, write_json, write_table
 from mirror.schema.index_tables import INDEX_IMAGES
 from mirror.schema.tables import BOXES, CALIBRATIONS, EGO_POSES, IMAGES, MASKS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)

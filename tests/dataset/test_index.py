@@ -21,7 +21,7 @@ from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.files import read_table, write_table
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.tables import BOXES, IMAGES, MASKS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
 
 GEOD = pyproj.Geod(ellps="WGS84")
 

@@ -14,7 +14,7 @@ from mirror.errors import DatasetError, SchemaError
 from mirror.integrity.summary import summarise
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.tables import BOXES
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 
 
 @pytest.fixture

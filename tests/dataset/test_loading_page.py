@@ -16,8 +16,8 @@ from mirror.geometry import Camera, project_boxes
 from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import write_bytes
 from mirror.schema.tables import BOXES
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 from tests.conftest import ROOT
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
 
 pytest.importorskip("torch")
 

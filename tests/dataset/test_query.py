@@ -29,7 +29,7 @@ from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.tables import BOXES
 from mirror.schema.version import SCHEMA_VERSION
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box
 
 GEOD = pyproj.Geod(ellps="WGS84")
 LIGHT, WEATHER = ("day", "dusk", "night"), ("clear", "rain")

@@ -16,7 +16,7 @@ from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import read_manifest
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.tables import POINTS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, write_reconstruction
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, write_reconstruction
 
 
 def built(root: Path) -> tuple[Builder, list[str], int]:

@@ -12,7 +12,7 @@ import mirror
 from mirror.dataset.index import build_index
 from mirror.dataset.row_index import RowIndex
 from mirror.schema.tables import BOXES, MASKS
-from tests.dataset.builders import EPOCH, Builder, Pass, box, mask_row
+from tests.builders.dataset import EPOCH, Builder, Pass, box, mask_row
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])

@@ -18,7 +18,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.geometry.cameras import Camera
 from mirror.schema.files import write_bytes
 from mirror.schema.tables import BOXES, CALIBRATIONS, MASKS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, calibration, mask_row
 
 torch = pytest.importorskip("torch")
 from torch.utils.data import DataLoader, default_collate  # noqa: E402

@@ -17,7 +17,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.query.catalog import TABLES
 from mirror.dataset.sql import has_spatial_functions
 from mirror.errors import UsageError
-from tests.export.street import make_street
+from tests.builders.street import make_street
 from tests.interruptions import MIRROR, interrupt
 
 pytest.importorskip("duckdb", reason="the extra sql is not installed")

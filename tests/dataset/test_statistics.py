@@ -15,7 +15,7 @@ from mirror.cli.main import main
 from mirror.dataset.index import build_index
 from mirror.dataset.statistics import SceneRow, Statistics, compute_statistics
 from mirror.view.plots import write_plots
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 
 CAMERAS = ("front_wide", "front_left", "rear")
 

@@ -14,7 +14,7 @@ import mirror
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
 from mirror.errors import UsageError
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 
 torch = pytest.importorskip("torch")
 from torch.utils.data import DataLoader  # noqa: E402

@@ -11,8 +11,8 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
+from tests.builders.folder import tree
 from tests.evaluation.submissions import small, small_text, write_renders
-from tests.ingest.recordings import tree
 
 FOLDERS = {
     "evaluate": "evaluate {data} {here}/submission --protocol {here}/small.toml --out {out}",

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from mirror.dataset.dataset import Dataset
+from tests.builders.folder import tree
 from tests.evaluation.submissions import SPLIT, small, small_text, write_renders
-from tests.ingest.recordings import tree
 from tests.interruptions import MIRROR, MOST_S, finish, hear_again, interrupt, stop_thrice
 
 

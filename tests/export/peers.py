@@ -12,7 +12,7 @@ from typing import Any
 
 from mirror.dataset.dataset import Dataset
 from mirror.export.run import ExportOptions, export
-from tests.export.street import LENSES, make_street
+from tests.builders.street import LENSES, make_street
 
 RESULTS = Path(__file__).resolve().parents[1] / "peers"
 PERSPECTIVE = tuple(name for name, lens in LENSES.items() if lens.model in ("pinhole", "brown_conrady"))

@@ -12,15 +12,10 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.export.run import ExportOptions, export
-from tests.export.street import LENSES, make_street
+from tests.builders.street import LENSES, make_street
 
 pycolmap = pytest.importorskip("pycolmap")
 MODELED = tuple(name for name, lens in LENSES.items() if lens.model != "f_theta")
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset")
 
 
 def points_before(camera: str, seed: int) -> np.ndarray:

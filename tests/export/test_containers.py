@@ -26,13 +26,8 @@ from mirror.geometry.cameras import Camera
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
 from mirror.progress import NullProgress
-from tests.dataset.builders import Builder, Pass
-from tests.export.street import LENSES, make_street
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset")
+from tests.builders.dataset import Builder, Pass
+from tests.builders.street import LENSES
 
 
 def members(path: Path) -> dict[str, bytes]:

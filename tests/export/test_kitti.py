@@ -13,12 +13,6 @@ from mirror.dataset.dataset import Dataset
 from mirror.export.run import ExportOptions, export
 from mirror.geometry.boxes import corners
 from mirror.geometry.cameras import undistorted
-from tests.export.street import make_street
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset")
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,8 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.raster import image_raster
 from mirror.errors import UsageError
 from mirror.export.gsplat_parser import Parser
+from tests.builders.street import LENSES
 from tests.export.peers import RESULTS
-from tests.export.street import LENSES, make_street
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset")
 
 
 def test_gsplat_parser_has_the_images_of_the_dataset(street: Dataset) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
@@ -16,12 +15,6 @@ from mirror.export.nuscenes import channel_name
 from mirror.geometry.boxes import corners as box_corners
 from mirror.geometry.cameras import undistorted
 from tests.export.peers import PERSPECTIVE, result
-from tests.export.street import make_street
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset")
 
 
 def images_of(street: Dataset) -> Iterator[tuple[Frame, str, Image]]:

@@ -22,7 +22,7 @@ from mirror.ingest.run import ingest_recordings
 from mirror.recordings.discovery import find_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
-from tests.export.street import LENSES, make_street
+from tests.builders.street import LENSES, make_street
 from tests.recordings.formats.nuscenes import CHANNELS, write_nuscenes
 from tests.recordings.formats.street import synth_drives
 

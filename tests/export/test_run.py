@@ -23,8 +23,8 @@ from mirror.export.publish import PublishOptions, publish
 from mirror.export.run import LAYOUTS, ExportOptions, export, find_layout
 from mirror.protocols.document import load_protocol
 from mirror.schema.tables import IMAGES
-from tests.dataset.builders import Builder
-from tests.export.street import encoded, make_street
+from tests.builders.dataset import Builder
+from tests.builders.street import encoded, make_street
 
 pytest.importorskip("pycolmap")
 CAMERAS = ("front_wide", "front_narrow")
@@ -212,7 +212,7 @@ def test_exports_state_no_orientation(tmp_path: Path, monkeypatch: pytest.Monkey
         Image.open(io.BytesIO(encoded(camera, drive))).save(data, "jpeg", **more)
         return data.getvalue()
 
-    monkeypatch.setattr("tests.export.street.encoded", turned)
+    monkeypatch.setattr("tests.builders.street.encoded", turned)
     street = make_street(tmp_path / "dataset", CAMERAS)
     assert ImageOps.exif_transpose(Image.open(io.BytesIO(turned("front_wide", 0)))).size == (128, 192)
     for name in ("colmap", "webdataset"):

@@ -22,7 +22,7 @@ from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
 from mirror.schema.files import write_table
 from mirror.schema.tables import BOXES
-from tests.ingest.recordings import LAT, LON, START_NS, street, write_recording
+from tests.builders.folder import LAT, LON, START_NS, locate_on_street, write_recording
 from tests.recordings.formats.argoverse2 import write_argoverse2
 from tests.recordings.formats.colmap import write_colmap
 from tests.recordings.formats.kitti360 import write_kitti360
@@ -102,7 +102,7 @@ def folder(root: Path) -> Base:
 
 def csv(root: Path) -> Base:
     """A GPS table of seconds since 1970."""
-    lon, lat = street(-40.0 + SPEED_MPS * SECONDS)
+    lon, lat = locate_on_street(-40.0 + SPEED_MPS * SECONDS)
     rows = [f"{1_700_000_000 + t:.1f},{x:.9f},{y:.9f},520.0,1.5,Clear" for t, x, y in zip(SECONDS, lon, lat)]
     path = root / "drive"
     path.mkdir(parents=True)
@@ -133,7 +133,7 @@ def boreas(root: Path) -> Base:
 def comma2k19(root: Path) -> Base:
     """A route of two segments; straight on along the ellipsoid's surface."""
     path = root / "b0c9d2329ad1606b_2018-08-02--08-34-47"
-    lon, lat = street(-40.0 + SPEED_MPS * SECONDS)
+    lon, lat = locate_on_street(-40.0 + SPEED_MPS * SECONDS)
     to_ecef = pyproj.Transformer.from_crs(4979, 4978, always_xy=True)
     position = np.column_stack(to_ecef.transform(lon, lat, np.full(len(lon), 520.0)))
     # Forward east, right south, down: columns of enu_R_device, turned into ECEF.

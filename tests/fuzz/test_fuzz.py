@@ -20,11 +20,11 @@ from mirror.errors import MirrorError
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
+from tests.builders.folder import tree
 from tests.fuzz.bases import BASES, REAL_BASES, Base
 from tests.fuzz.judge import Reference, faults_of_untouched, faults_of_values, rows_of
 from tests.fuzz.mutations import mutate
 from tests.fuzz.worker import Request, Worker
-from tests.ingest.recordings import tree
 
 TRIALS = int(os.environ.get("MIRROR_FUZZ", "50"))
 VERBOSE = "MIRROR_FUZZ_VERBOSE" in os.environ

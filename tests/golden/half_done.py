@@ -26,7 +26,7 @@ from mirror.annotation.tracking.layer import track_layer
 from mirror.dataset.frames import Frame
 from mirror.dataset.index.build import build_index
 from tests.annotation.known import Known
-from tests.dataset.builders import Builder, Pass
+from tests.builders.dataset import Builder, Pass
 
 DATASET: Final = Path(__file__).with_name("half_done.zip")
 RECORD: Final = Path(__file__).with_name("half_done.json")

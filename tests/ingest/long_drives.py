@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tests.ingest.recordings import LAT, LON, START_NS
+from tests.builders.folder import LAT, LON, START_NS, folder_document
 
 RADIUS_M = 400.0
 """Of the circle that is driven round and round, at 8 m/s."""
@@ -39,18 +39,7 @@ def write_drives(root: Path, count: int, poses: int) -> list[Path]:
         stamps = START_NS + number * 86_400_000_000_000 + np.round(seconds * 1e9).astype(np.int64)
         columns = {"timestamp_ns": stamps, "longitude_deg": lon, "latitude_deg": lat, "height_m": np.full(poses, 520.0)}
         pq.write_table(pa.table(columns), drive / "poses.parquet")
-        document = {
-            "format": "mirror-folder",
-            "version": "1.0",
-            "drive_id": drive.name,
-            "vehicle_id": "car",
-            "vehicle_type": "sedan",
-            "rig_id": None,
-            "time_base": "unix_ns",
-            "frame": {"kind": "wgs84"},
-            "weather": "clear",
-            "cameras": {},
-        }
+        document = folder_document(drive.name, weather="clear")
         (drive / "recording.json").write_text(json.dumps(document))
         drives.append(drive)
     return drives

@@ -1,4 +1,4 @@
-"""A road map of the street of `tests.ingest.recordings`."""
+"""A road map of the street of `tests.builders.folder`."""
 
 from __future__ import annotations
 

@@ -1,13 +1,18 @@
-"""What the trigger's tests share: a drive straight through, cleaned and judged in one call."""
+"""What the tests of triggers share: a straight drive, cleaned and judged in one call, and the passes of a folder."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
 from mirror.ingest.clean import clean
+from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
 from mirror.ingest.trigger import Pass, RoiTrigger
 from mirror.recordings.protocol import Track
+from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
+from tests.builders.folder import SCENE
 from tests.ingest.drives import T0_NS, Place
 
 
@@ -23,6 +28,15 @@ def run(
     listed = rois if isinstance(rois, list) else [rois]
     cleaned, _ = clean(track, cleaning, min_step_m=chosen.min_step_m)
     return RoiTrigger(listed, chosen, cleaning).passes(cleaned, frame=listed[0].frame if listed else None, is_clip=clip)
+
+
+def passes_of_folder(path: Path) -> DrivePasses:
+    """Return the passes of a recording in the `folder` format through the scene of its street."""
+    recording, cleaning = open_recording(path), CleaningOptions()
+    source = fingerprint(recording, "folder", path.name)
+    return find_drive_passes(
+        path, recording, source, RoiTrigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning
+    )
 
 
 def straight(

@@ -12,25 +12,18 @@ from mirror.dataset.layout import Layout, is_intact
 from mirror.errors import DatasetError, RecordingError
 from mirror.ingest import traversal as traversal_module
 from mirror.ingest.images import place_images
-from mirror.ingest.passes import DrivePasses, find_drive_passes, fingerprint
+from mirror.ingest.passes import DrivePasses
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.staging import Staging
 from mirror.ingest.traversal import WriteOptions, WriteReport, write_traversal
-from mirror.ingest.trigger import RoiTrigger
-from mirror.recordings.registry import open_recording
-from mirror.schema.documents import CleaningOptions, TriggerOptions
 from mirror.schema.tables import POINTS
-from tests.ingest.recordings import SCENE, tree, write_recording
+from tests.builders.folder import SCENE, tree, write_recording
+from tests.ingest.passes import passes_of_folder
 
 
 @pytest.fixture
 def drive(tmp_path: Path) -> DrivePasses:
-    path = write_recording(tmp_path / "fleet", "a")
-    recording, cleaning = open_recording(path), CleaningOptions()
-    source = fingerprint(recording, "folder", "a")
-    return find_drive_passes(
-        path, recording, source, RoiTrigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning
-    )
+    return passes_of_folder(write_recording(tmp_path / "fleet", "a"))
 
 
 def attempt(staging: Staging, drive: DrivePasses) -> WriteReport:

@@ -31,7 +31,7 @@ from mirror.recordings.registry import open_recording
 from mirror.recordings.summary import summarise
 from mirror.schema.documents import CleaningOptions, CleaningReport, DriveDocument, Roi, TriggerOptions
 from mirror.schema.files import read_json
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, folder_document, write_recording
 
 COUNT = 400
 START_NS = 1_622_000_000_000_000_000
@@ -56,15 +56,7 @@ def table(columns: list[np.ndarray], header: str, bad: Mapping[int, Spoil]) -> s
 
 def folder(path: Path, bad: Mapping[int, Spoil]) -> Path:
     """Columns: 0 stamp, 1 x, 2 y, 3 to 6 quaternion, 7 sigma."""
-    document = {
-        "format": "mirror-folder",
-        "version": "1.0",
-        "drive_id": "straight",
-        "vehicle_id": "car",
-        "vehicle_type": "van",
-        "time_base": "unix_ns",
-        "frame": {"kind": "local", "name": "yard"},
-    }
+    document = folder_document("straight", frame={"kind": "local", "name": "yard"})
     path.mkdir()
     (path / "recording.json").write_text(json.dumps(document))
     zero, one = np.zeros(COUNT), np.ones(COUNT)

@@ -24,7 +24,7 @@ from mirror.recordings.registry import open_recording
 from mirror.schema.documents import NovelTraversal, SplitDocument
 from mirror.schema.files import read_table, write_table
 from mirror.schema.tables import BOXES, IMAGES
-from tests.ingest.recordings import SCENE, START_NS, write_recording
+from tests.builders.folder import SCENE, START_NS, write_recording
 from tests.wheels import install_plugins
 
 

@@ -19,7 +19,7 @@ from mirror.ingest.run import ingest_recordings
 from mirror.integrity import Cost, check
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, write_recording
 from tests.wheels import install_plugins
 
 

@@ -19,7 +19,7 @@ from mirror.recordings.registry import load_readers, open_recording
 from mirror.schema.documents import Roi
 from mirror.schema.files import encode_table, read_table, write_bytes
 from mirror.schema.tables import IMAGES
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, write_recording
 from tests.recordings.formats.every import WRITERS, film
 
 pytest.importorskip("pycolmap", reason="the peer that writes the models is in the extra calibration")

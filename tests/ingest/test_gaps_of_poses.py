@@ -21,8 +21,8 @@ from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import DriveDocument, Roi
 from mirror.schema.files import read_json, read_table
 from mirror.schema.tables import EGO_POSES, IMAGES
+from tests.builders.folder import START_NS, folder_document
 
-START_NS = 1_700_000_000_000_000_000
 RADIUS_M, SPEED_MPS = 40.0, 15.0
 YARD = Roi(scene_id="yard", frame="yard", x_m=0.0, y_m=0.0, radius_m=60.0)
 BEYOND = Roi(scene_id="yard", frame="yard", x_m=0.0, y_m=-10.0, radius_m=48.0)
@@ -39,19 +39,8 @@ def place(stamps_ns: np.ndarray) -> np.ndarray:
 def record(path: Path, lost: np.ndarray, *, is_clip: bool, wild: bool = False) -> Path:
     """A drive in circles: poses at 10 Hz but for the lost ones, which are absent or wild; images at 4 Hz."""
     (path / "images" / "front").mkdir(parents=True)
-    document = {
-        "format": "mirror-folder",
-        "version": "1.0",
-        "drive_id": "circle",
-        "vehicle_id": "car",
-        "vehicle_type": "van",
-        "rig_id": "one",
-        "time_base": "unix_ns",
-        "frame": {"kind": "local", "name": "yard"},
-        "is_clip": is_clip,
-        "reference_camera": "front",
-        "cameras": {"front": {}},
-    }
+    cameras = {"rig_id": "one", "reference_camera": "front", "cameras": {"front": {}}}
+    document = folder_document("circle", frame={"kind": "local", "name": "yard"}, is_clip=is_clip, **cameras)
     (path / "recording.json").write_text(json.dumps(document))
     lines = ["timestamp_ns,x_m,y_m"]
     for stamp, (x, y), gone in zip(STAMPS, place(STAMPS), lost):

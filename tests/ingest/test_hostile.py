@@ -16,9 +16,9 @@ from mirror.cli.main import main
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.registry import open_recording
+from tests.builders.folder import SCENE, write_recording
 from tests.fuzz.bases import BASES
 from tests.fuzz.worker import Request, Worker
-from tests.ingest.recordings import SCENE, write_recording
 
 
 def array_header(header: bytes) -> bytes:

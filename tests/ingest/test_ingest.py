@@ -20,7 +20,7 @@ from mirror.ingest.traversal import WriteOptions
 from mirror.schema.documents import DriveDocument
 from mirror.schema.files import read_json, read_table
 from mirror.schema.tables import CALIBRATIONS, EGO_POSES, IMAGES, PASSES
-from tests.ingest.recordings import LAT, LON, SCENE, START_NS, tree, write_recording
+from tests.builders.folder import LAT, LON, SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
 

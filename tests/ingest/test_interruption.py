@@ -18,7 +18,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
-from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
+from tests.builders.folder import SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
 SCENES = [SCENE, SCENE.model_copy(update={"scene_id": "wide", "radius_m": 80.0})]

@@ -10,7 +10,7 @@ import pytest
 from mirror.cli.main import main
 from mirror.errors import ExitCode
 from mirror.integrity import check
-from tests.ingest.recordings import LAT, LON, START_NS, write_recording
+from tests.builders.folder import LAT, LON, START_NS, write_recording
 
 HOUR_NS = 3_600_000_000_000
 ROI = ["--roi", f"{LON},{LAT},60"]

@@ -17,8 +17,8 @@ from mirror.errors import DatasetError, MirrorError, SchemaError, UsageError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.schema.road_map import RoadMap, encode_road_map, write_road_map
+from tests.builders.folder import SCENE, write_recording
 from tests.ingest.maps import east_map
-from tests.ingest.recordings import SCENE, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from mirror.integrity import Severity, check
 from mirror.recordings.protocol import FileStream
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import Roi
-from tests.ingest.recordings import SCENE, write_recording
+from tests.builders.folder import SCENE, write_recording
 from tests.recordings.formats.every import WRITERS
 
 pytest.importorskip("pycolmap", reason="the peer that writes the models is in the extra calibration")

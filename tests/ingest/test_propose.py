@@ -11,7 +11,7 @@ import pytest
 from mirror.cli.main import main
 from mirror.ingest.propose import propose_rois
 from mirror.ingest.rois import read_rois, write_rois
-from tests.ingest.recordings import LAT, LON, SCENE, START_NS, street, tree, write_recording
+from tests.builders.folder import LAT, LON, SCENE, START_NS, locate_on_street, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
 
@@ -19,7 +19,7 @@ HOUR_NS = 3_600_000_000_000
 def write_csv(path: Path, seconds: np.ndarray, offset_m: np.ndarray, *, north_deg: float = 0.0) -> Path:
     """A drive along the street as a table of fixes."""
     path.parent.mkdir(exist_ok=True)
-    lon, lat = street(offset_m)
+    lon, lat = locate_on_street(offset_m)
     rows = [f"{START_NS / 1e9 + t:.3f},{x:.9f},{y + north_deg:.9f}" for t, x, y in zip(seconds, lon, lat)]
     path.write_text("time,lon,lat\n" + "\n".join(rows) + "\n")
     return path
@@ -64,7 +64,7 @@ def test_drives_that_share_only_their_last_street_are_proposed_there(tmp_path: P
     drive.write_text("\n".join([header, *moved]) + "\n")
     best = propose_rois(sorted((tmp_path / "fleet").glob("*.csv")), count=1).ranked[0]
     assert (best.drives, best.traversals) == (2, 2)
-    lon, lat = street(np.array([joined - 60.0, 1200.0]))
+    lon, lat = locate_on_street(np.array([joined - 60.0, 1200.0]))
     longitude_deg, latitude_deg = best.roi.longitude_deg or 0.0, best.roi.latitude_deg or 0.0
     assert min(lon) <= longitude_deg <= max(lon)
     assert min(lat) - 60.0 / 111_000.0 <= latitude_deg <= max(lat) + 60.0 / 111_000.0

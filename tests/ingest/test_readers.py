@@ -22,7 +22,7 @@ from mirror.dataset.layout import Layout
 from mirror.errors import DatasetError
 from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
-from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
+from tests.builders.folder import SCENE, START_NS, tree, write_recording
 
 HOUR_NS = 3_600_000_000_000
 DRIVES = 3

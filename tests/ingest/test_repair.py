@@ -17,7 +17,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.recordings.readers.folder import FolderRecording
 from mirror.schema.files import unwritable_error
-from tests.ingest.recordings import SCENE, START_NS, tree, write_recording
+from tests.builders.folder import SCENE, START_NS, tree, write_recording
 
 WEST = SCENE.model_copy(update={"scene_id": "west", "longitude_deg": SCENE.longitude_deg - 0.0008})
 

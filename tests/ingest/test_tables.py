@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import heading_deg, matrix_from_quaternion
-from mirror.ingest.passes import DrivePasses, PoseSlice, find_drive_passes, fingerprint
+from mirror.ingest.passes import DrivePasses, PoseSlice
 from mirror.ingest.tables import assign_frames, build_pose_table, course
-from mirror.ingest.trigger import RoiTrigger
-from mirror.recordings.registry import open_recording
-from mirror.schema.documents import CleaningOptions, Roi, TriggerOptions
-from tests.ingest.recordings import LAT, LON, SCENE, START_NS, street, write_recording
+from mirror.schema.documents import Roi
+from tests.builders.folder import LAT, LON, SCENE, START_NS, locate_on_street, write_recording
+from tests.ingest.passes import passes_of_folder
 
 ROTATION = ("qw", "qx", "qy", "qz")
 PLACE = ("tx_m", "ty_m", "tz_m")
@@ -25,12 +24,7 @@ LOCAL = Roi(scene_id="hall", frame="hall", x_m=0.0, y_m=0.0, radius_m=50.0)
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> DrivePasses:
-    path = write_recording(tmp_path_factory.mktemp("drives"), "d0", cameras=())
-    recording, cleaning = open_recording(path), CleaningOptions()
-    source = fingerprint(recording, "folder", "d0")
-    return find_drive_passes(
-        path, recording, source, RoiTrigger([SCENE], TriggerOptions(), cleaning), [SCENE], cleaning
-    )
+    return passes_of_folder(write_recording(tmp_path_factory.mktemp("drives"), "d0", cameras=()))
 
 
 def made(first: np.ndarray, second: np.ndarray, **values: np.ndarray | None) -> PoseSlice:
@@ -72,7 +66,7 @@ def test_the_world_is_east_north_up_at_the_centre(drive: DrivePasses, with_heigh
     """Against PROJ's topocentric conversion, which shares nothing with ours."""
     roi = SCENE.model_copy(update={"height_m": 500.0})
     offset = np.linspace(-50, 50, 5)
-    lon, lat = street(offset)
+    lon, lat = locate_on_street(offset)
     lat = lat + 1e-4
     height = np.linspace(510, 530, 5)
     rotation = unit_quaternions(5)
@@ -108,7 +102,7 @@ def test_the_course_is_where_the_vehicle_drives() -> None:
     found = heading_deg(course(made(x, y), geodetic=False))
     np.testing.assert_allclose(found[:60], np.degrees(angle), atol=1.0)
     np.testing.assert_allclose(found[60:], found[59], atol=0.5)
-    lon, lat = street(np.linspace(0, 30, 31)[::-1])
+    lon, lat = locate_on_street(np.linspace(0, 30, 31)[::-1])
     np.testing.assert_allclose(heading_deg(course(made(lon, lat), geodetic=True)), 270.0, atol=1e-3)
 
 

@@ -19,7 +19,7 @@ from mirror.ingest.traversal import WriteOptions
 from mirror.integrity import Cost, check
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
-from tests.ingest.recordings import SCENE, START_NS, write_recording
+from tests.builders.folder import SCENE, START_NS, write_recording
 
 KEEP = IngestOptions(write=WriteOptions(videos="video"))
 

@@ -21,7 +21,7 @@ from mirror.errors import MirrorError
 from mirror.schema.documents import DatasetDocument, FileEntry, ImageTotals, Manifest, NovelTraversal, Rig
 from mirror.schema.files import read_json, sha256_bytes, write_bytes, write_json
 from mirror.schema.tables import BOXES, CALIBRATIONS, DEPTH, EGO_POSES, IMAGES, MASKS, PASSES, POINTS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, encode_rows
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, encode_rows
 
 CAMERAS = ("front_wide", "front_left", "front_right")
 SIZE = (48, 32)

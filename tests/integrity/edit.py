@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from mirror.schema.files import write_bytes
-from tests.dataset.builders import SECOND
+from tests.builders.dataset import SECOND
 from tests.integrity.clean import FRAMES, Broken, TableRows
 
 A0, A1, B2 = "a.d0.1700000000000", "a.d1.1700001000000", "b.d2.1700002000000"

@@ -17,7 +17,7 @@ from mirror.dataset.splits import make_split
 from mirror.schema.documents import ByScene
 from mirror.schema.files import write_bytes
 from mirror.schema.road_map import MapArea, RoadMap, encode_road_map
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.integrity.clean import FRAME_NS, FRAMES, Broken
 from tests.integrity.edit import (
     A0,

@@ -12,7 +12,7 @@ from mirror.dataset.layout import MANIFEST
 from mirror.dataset.redaction import current_redaction
 from mirror.schema.files import write_bytes
 from mirror.schema.tables import CALIBRATIONS, IMAGES
-from tests.dataset.builders import EPOCH, SECOND
+from tests.builders.dataset import EPOCH, SECOND
 from tests.integrity.clean import FRAME_NS, FRAMES, SIZE, Broken, TableRows, jpeg, png
 from tests.integrity.edit import (
     A0,

@@ -7,8 +7,8 @@ from pathlib import Path
 from mirror.dataset.dataset import Dataset
 from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.protocols.document import load_protocol
+from tests.builders.folder import tree
 from tests.evaluation.submissions import SPLIT, write_renders
-from tests.ingest.recordings import tree
 from tests.interruptions import MIRROR, SIGNALS, finish, stop_thrice
 
 

@@ -30,7 +30,7 @@ from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES, MASKS
 from mirror.weights.resolve import WeightsUnavailableError
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.killed_after_a_layer import require_resumable
 from tests.other_bytes import give_other_bytes
 

@@ -25,7 +25,7 @@ from mirror.annotation import annotate  # noqa: E402
 from mirror.dataset.index.build import build_index  # noqa: E402
 from mirror.errors import UsageError  # noqa: E402
 from mirror.geometry import Poses  # noqa: E402
-from tests.dataset.builders import Builder, Pass  # noqa: E402
+from tests.builders.dataset import Builder, Pass  # noqa: E402
 from tests.petr import reference  # noqa: E402
 
 SMALL = HeadSettings(classes=3, dim=16, queries=12, layers=2, heads=4, hidden=32, depths=8)

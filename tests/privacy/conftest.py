@@ -15,7 +15,7 @@ from mirror.dataset.index import build_index
 from mirror.privacy.detectors.registry import parse_choice
 from mirror.privacy.options import DeidentifyOptions, Propagation
 from mirror.privacy.run import deidentify
-from tests.dataset.builders import SECOND, Builder, Pass
+from tests.builders.dataset import SECOND, Builder, Pass
 from tests.privacy.images import jpeg, pixels
 
 FACE = (20, 10, 36, 30)

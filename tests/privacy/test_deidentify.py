@@ -26,7 +26,7 @@ from mirror.privacy.operators import Redaction
 from mirror.privacy.regions import covered_share, grown_box
 from mirror.privacy.run import deidentify
 from mirror.privacy.summary import read_examples, summarize_redactions
-from tests.dataset.builders import Builder, write_reconstruction
+from tests.builders.dataset import Builder, write_reconstruction
 from tests.privacy.conftest import FACE, PLATE, make_dataset, options
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import mirror
 from mirror.cli.main import main
-from tests.ingest.recordings import LAT, LON
+from tests.builders.folder import LAT, LON
 from tests.recordings.readers.message_logs.drives import ONE
 from tests.recordings.readers.message_logs.writer import messages, write_mcap
 

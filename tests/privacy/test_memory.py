@@ -11,7 +11,7 @@ from mirror.privacy.regions import region_at
 from mirror.privacy.writing import Configuration, write_layers
 from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 from tests.privacy.images import jpeg, pixels
 
 WIDTH, HEIGHT = 480, 320

@@ -26,7 +26,7 @@ from mirror.privacy.run import deidentify
 from mirror.schema.documents import ImageTotals
 from mirror.schema.files import encode_table, read_table, write_bytes
 from mirror.schema.tables import IMAGES
-from tests.dataset.builders import SECOND, Builder, Pass
+from tests.builders.dataset import SECOND, Builder, Pass
 from tests.killed_after_a_layer import require_resumable
 from tests.privacy.conftest import RED, make_dataset, marked, options
 from tests.privacy.images import jpeg

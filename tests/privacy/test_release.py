@@ -38,7 +38,7 @@ from mirror.schema.documents import NovelTraversal
 from mirror.schema.files import read_json, read_table, write_json
 from mirror.schema.road_map import write_road_map
 from mirror.schema.tables import IMAGES, MASKS
-from tests.dataset.builders import Builder, encode_rows, write_reconstruction
+from tests.builders.dataset import Builder, encode_rows, write_reconstruction
 from tests.metrics.safety.streets import two_way_street
 from tests.privacy.conftest import FACE, RED, marked, write_image
 from tests.privacy.images import jpeg

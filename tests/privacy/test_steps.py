@@ -20,7 +20,7 @@ from mirror.privacy.regions import Region, region_at
 from mirror.privacy.run import deidentify
 from mirror.schema.files import write_bytes
 from mirror.schema.tables import BOXES, MASKS
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass, box, mask_row
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, mask_row
 from tests.privacy.conftest import FACE, RED, marked, options
 from tests.privacy.images import jpeg
 

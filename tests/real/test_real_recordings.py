@@ -19,7 +19,7 @@ from mirror.ingest.request import IngestOptions
 from mirror.ingest.run import ingest_recordings
 from mirror.schema.documents import DriveDocument, Roi
 from mirror.schema.files import read_json
-from tests.ingest.recordings import tree
+from tests.builders.folder import tree
 
 GEOD = pyproj.Geod(ellps="WGS84")
 RSK = IngestOptions(

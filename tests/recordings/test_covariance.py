@@ -23,9 +23,9 @@ from mirror.recordings.readers.folder import FolderRecording
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions, TriggerOptions
 from mirror.schema.tables import CALIBRATIONS
-from tests.ingest.recordings import SCENE
-from tests.ingest.recordings import write_recording as write_drive
-from tests.recordings.layout import CALIBRATION, write_recording
+from tests.builders.folder import SCENE
+from tests.builders.folder import write_recording as write_drive
+from tests.builders.small_folder import CALIBRATION, write_recording
 
 SIGMA = np.array([1e-3, 2e-3, 5e-4, 0.02, 0.01, 0.05])
 

@@ -14,8 +14,8 @@ import pytest
 from mirror.geometry.quaternions import heading_deg
 from mirror.recordings.registry import load_readers, open_recording
 from mirror.recordings.time import TIME_BASES
+from tests.builders.small_folder import write_image
 from tests.conftest import ROOT
-from tests.recordings.layout import write_image
 from tests.recordings.videos import FRAMES, write_video
 
 TEXT = (ROOT / "docs" / "recordings.md").read_text()

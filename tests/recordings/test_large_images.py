@@ -17,7 +17,7 @@ from mirror.errors import RecordingError
 from mirror.protocols.png import encode_png
 from mirror.recordings.raster import MAX_PIXELS, is_decodable
 from mirror.recordings.readers.folder import FolderReader
-from tests.ingest.recordings import write_recording
+from tests.builders.folder import write_recording
 
 SIDE = 30_000
 

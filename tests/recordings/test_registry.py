@@ -10,7 +10,7 @@ import pytest
 from mirror.errors import RecordingError
 from mirror.recordings import registry
 from mirror.recordings.protocol import ENTRY_POINT_GROUP, Recording
-from tests.recordings.layout import write_recording
+from tests.builders.small_folder import write_recording
 from tests.wheels import install_plugins
 
 

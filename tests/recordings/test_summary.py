@@ -8,7 +8,7 @@ import pytest
 
 from mirror.recordings.registry import open_recording
 from mirror.recordings.summary import summarise
-from tests.recordings.layout import START_NS, write_recording
+from tests.builders.small_folder import START_NS, write_recording
 
 
 def test_images_are_summarised_at_mid_exposure(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from mirror.errors import UsageError
 from mirror.schema.folders import FolderKind, find_kind, require_output_file, require_output_folder
-from tests.ingest.recordings import tree
+from tests.builders.folder import tree
 
 DOCUMENTS = {
     FolderKind.DATASET: ("dataset.json", "mirror"),

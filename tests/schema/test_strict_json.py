@@ -16,7 +16,7 @@ from mirror.recordings.readers.folder import FolderReader
 from mirror.schema.documents import DatasetDocument
 from mirror.schema.files import parse_json, read_json
 from mirror.schema.strict_json import JsonError, decode_json
-from tests.ingest.recordings import write_recording
+from tests.builders.folder import write_recording
 
 ROOT = Path(__file__).parents[2]
 VALUES = st.recursive(

@@ -22,8 +22,8 @@ from mirror.schema.files import read_json
 from mirror.schema.road_map import MapLane, read_road_map, write_road_map
 from mirror.schema.rollout import MAP_FILE, read_rollout
 from mirror.schema.scenario import Scenario, write_scenario
+from tests.builders.folder import SCENE, write_recording
 from tests.ingest.maps import east_map
-from tests.ingest.recordings import SCENE, write_recording
 
 HALF_M = 0.5 * VehicleParameters().width_m
 

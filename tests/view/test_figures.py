@@ -17,14 +17,8 @@ from hypothesis import strategies as st
 from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.view.figures import FIGURES, count_coverage, driven_lines
-from tests.export.street import make_street
 
 pytest.importorskip("matplotlib", reason="the extra view is not installed")
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset", ("front_wide", "rear"))
 
 
 def test_a_straight_line_covers_its_cells_once() -> None:

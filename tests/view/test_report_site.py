@@ -15,13 +15,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.view.images import Passage, choose_passages
 from mirror.view.report_site import write_site
-from tests.export.street import make_street
 from tests.leaderboard.browser import Browser, find_browser
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset", ("front_wide", "rear"))
 
 
 @pytest.fixture(scope="module")

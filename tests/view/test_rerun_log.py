@@ -16,14 +16,9 @@ from mirror.dataset.times import solar_time
 from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES
 from mirror.view.rerun_log import RerunOptions, log_scene
-from tests.export.street import make_street
+from tests.builders.street import make_street
 
 rerun_chunk = pytest.importorskip("rerun.chunk", reason="the extra view is not installed")
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset", ("front_wide", "rear"))
 
 
 def test_the_file_has_what_the_dataset_has(street: Dataset, tmp_path: Path) -> None:

@@ -14,14 +14,8 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.view.street_path import StreetPath, blend, by_light, read_path
-from tests.export.street import make_street
 from tests.leaderboard.browser import Browser, find_browser
 from tests.view.flat import COLOURS, DAY, NIGHT, Flat
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return make_street(tmp_path_factory.mktemp("street") / "dataset", ("front_wide", "rear"))
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from mirror.errors import UsageError
 from mirror.view.client_messages import find_problem
 from mirror.view.rerun_program import open_viewer
 from mirror.view.street_path import StreetPath, read_path
-from tests.export.street import make_street
+from tests.builders.street import make_street
 from tests.view.flat import DAY, Flat
 
 viser = pytest.importorskip("viser", reason="the extra view is not installed")

@@ -14,7 +14,7 @@ from mirror.dataset.splits.candidates import read_candidates
 from mirror.dataset.splits.leaks import find_leaks, find_ties, overlapping_scenes
 from mirror.errors import DatasetError, UsageError
 from mirror.schema.documents import ByCondition, ByScene, LightAndWeather, NovelTraversal, Roi
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 
 FIVE = ("d0", "d1", "d2", "d3", "d4")
 IMAGE = {"front_wide": b"one and the same image"}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mirror.cli.main import main
-from tests.dataset.builders import EPOCH, SECOND, Builder, Pass
+from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
 
 
 @pytest.fixture

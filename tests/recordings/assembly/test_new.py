@@ -13,9 +13,9 @@ from mirror.cli.main import main
 from mirror.geometry.cameras import Camera
 from mirror.recordings.lens_files import write_lens
 from mirror.recordings.registry import open_recording
+from tests.builders.small_folder import write_image
 from tests.recordings.assembly.street import START_NS, write_track
 from tests.recordings.assembly.tracks import GPX
-from tests.recordings.layout import write_image
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import numpy as np
 
 from mirror.geometry.poses import Poses
 from mirror.recordings.readers.boreas import BoreasReader
-from tests.ingest.recordings import write_recording
+from tests.builders.folder import write_recording
 from tests.recordings.formats.street import SECOND_NS, StreetDrive, straight_drive
 
 # Places of the drive on the grids of the formats: UTM zones, and Mercator's projection of KITTI-360.

@@ -14,8 +14,8 @@ from mirror.geometry.cameras.camera import Camera
 from mirror.geometry.quaternions import rotate
 from mirror.recordings.readers.boreas import BoreasReader
 from mirror.recordings.registry import open_recording
+from tests.builders.small_folder import write_image
 from tests.recordings.clean_track import clean_track
-from tests.recordings.layout import write_image
 
 SEQUENCES = ("boreas-2021-08-05-13-34", "boreas-2021-09-02-11-42")
 HEADER = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,angvel_z,angvel_y,angvel_x\n"

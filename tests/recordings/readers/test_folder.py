@@ -24,8 +24,8 @@ from mirror.recordings.protocol import Recording, Track
 from mirror.recordings.registry import open_recording
 from mirror.schema.files import conform
 from mirror.schema.tables import BOXES, CALIBRATIONS
+from tests.builders.small_folder import CALIBRATION, POSES, POSES_ONLY, ROWS, START_NS, write_recording
 from tests.recordings.clean_track import clean_track
-from tests.recordings.layout import CALIBRATION, POSES, POSES_ONLY, ROWS, START_NS, write_recording
 
 LON, LAT, HEIGHT = np.array([13.40, 13.41]), np.array([52.50, 52.51]), np.array([40.0, 41.0])
 HEADING, PITCH, ROLL = np.array([30.0, 250.0]), np.array([2.0, -1.0]), np.array([0.5, 3.0])

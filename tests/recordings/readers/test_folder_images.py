@@ -11,7 +11,7 @@ import pytest
 from mirror.errors import RecordingError
 from mirror.recordings.protocol import ImageStream, ReferencedStream
 from mirror.recordings.registry import open_recording
-from tests.recordings.layout import START_NS, write_image, write_recording
+from tests.builders.small_folder import START_NS, write_image, write_recording
 from tests.recordings.videos import FRAMES, decode_all, write_video
 
 

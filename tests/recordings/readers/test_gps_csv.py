@@ -15,8 +15,8 @@ from mirror.recordings.protocol import Recording
 from mirror.recordings.readers.gps_csv import CsvReader, CsvRecording
 from mirror.recordings.registry import open_recording
 from mirror.schema.documents import CleaningOptions
+from tests.builders.small_folder import POSES, POSES_ONLY, START_NS, write_recording
 from tests.recordings.clean_track import clean_track
-from tests.recordings.layout import POSES, POSES_ONLY, START_NS, write_recording
 
 PLAIN = "timestamp,lat,lon\n1628184886,43.78,-79.46\n1628184887,43.79,-79.45\n"
 LOCAL = "Date,Time,LAT,LON,ALT,Weather\n"

@@ -15,7 +15,7 @@ from mirror.geometry.cameras import camera_from_row
 from mirror.recordings.protocol import repeated_stamps
 from mirror.recordings.readers.message_logs.contents import read_contents
 from mirror.recordings.summary import summarise
-from tests.ingest.recordings import LAT, LON
+from tests.builders.folder import LAT, LON
 from tests.recordings.readers.message_logs.drives import ONE, opened
 from tests.recordings.readers.message_logs.films import VIDEO, packets, video_messages
 from tests.recordings.readers.message_logs.writer import TOPICS, Out, messages, write_mcap

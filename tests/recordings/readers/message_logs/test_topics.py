@@ -18,7 +18,7 @@ from mirror.recordings.lens_files import write_lens
 from mirror.recordings.readers.message_logs.container import Topic
 from mirror.recordings.readers.message_logs.topics_file import TopicsFile, propose_topics
 from mirror.recordings.registry import open_recording
-from tests.ingest.recordings import LAT, LON
+from tests.builders.folder import LAT, LON
 from tests.recordings.readers.message_logs.drives import ONE, opened, require_drive
 from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap
 

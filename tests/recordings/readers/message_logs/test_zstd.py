@@ -13,7 +13,7 @@ from mirror.cli.main import main
 from mirror.errors import ExitCode, RecordingError
 from mirror.recordings.readers.message_logs.contents import read_contents
 from mirror.recordings.registry import open_recording
-from tests.ingest.recordings import LAT, LON
+from tests.builders.folder import LAT, LON
 from tests.recordings.readers.message_logs.drives import ONE, opened, require_drive
 from tests.recordings.readers.message_logs.writer import TOPICS, messages, write_mcap, write_rosbag2
 

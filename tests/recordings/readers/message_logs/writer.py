@@ -26,7 +26,7 @@ from mirror.geometry.quaternions import quaternion_multiply
 from mirror.recordings.coordinates import track_from_tangent
 from mirror.recordings.protocol import Track
 from mirror.recordings.readers.message_logs.ros_definitions import definition_of
-from tests.ingest.recordings import LAT, LON, START_NS
+from tests.builders.folder import LAT, LON, START_NS
 
 Encoding = Literal["ros2", "protobuf", "json"]
 FRAME = TangentFrame(LON, LAT, 500.0)

@@ -15,7 +15,7 @@ from mirror.geometry.cameras import Camera
 from mirror.schema.documents import SplitDocument
 from mirror.schema.files import write_json
 from mirror.schema.tables import BOXES, MASKS, POINTS
-from tests.dataset.builders import EPOCH, Builder, Pass, box
+from tests.builders.dataset import EPOCH, Builder, Pass, box
 
 SIZE = (192, 128)
 LENSES = {

@@ -10,6 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tests.builders.folder import folder_document
+
 START_NS = 1_628_184_886_000_000_000
 ROWS = [(START_NS + index * 100_000_000, 13.4 + index * 1e-5, 52.5, 40.0) for index in range(5)]
 POSES = "timestamp_ns,longitude_deg,latitude_deg,height_m\n" + "".join(",".join(map(str, row)) + "\n" for row in ROWS)
@@ -29,18 +31,12 @@ CALIBRATION = {
 def document(**changes: Any) -> dict[str, Any]:
     """A recording.json with one camera."""
     base = {
-        "format": "mirror-folder",
-        "version": "1.0",
-        "drive_id": "drive-1",
         "vehicle_id": "car-7",
-        "vehicle_type": "van",
         "rig_id": "rig-a",
-        "time_base": "unix_ns",
-        "frame": {"kind": "wgs84"},
         "reference_camera": "front_wide",
         "cameras": {"front_wide": {"source_name": "cam0"}},
     }
-    merged = {**base, **changes}
+    merged = folder_document(**{"drive_id": "drive-1", **base, **changes})
     return {key: value for key, value in merged.items() if value is not ...}
 
 

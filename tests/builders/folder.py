@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,8 +20,27 @@ CAMERAS = ("front_wide", "rear")
 _GEOD = pyproj.Geod(ellps="WGS84")
 
 
-def street(offset_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longitude and latitude east of the scene's centre by so many metres."""
+def folder_document(drive_id: str, **more: Any) -> dict[str, Any]:
+    """Return the recording.json of a drive in Unix nanoseconds and, unless ``more`` states another, WGS 84.
+
+    Args:
+        drive_id: the drive.
+        more: other fields of the document, or other values.
+    """
+    return {
+        "format": "mirror-folder",
+        "version": "1.0",
+        "drive_id": drive_id,
+        "vehicle_id": "car",
+        "vehicle_type": "van",
+        "time_base": "unix_ns",
+        "frame": {"kind": "wgs84"},
+        **more,
+    }
+
+
+def locate_on_street(offset_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return longitude and latitude east of the scene's centre by so many metres."""
     ones = np.ones_like(offset_m)
     lon, lat, _ = _GEOD.fwd(LON * ones, LAT * ones, 90.0 * ones, offset_m)
     return lon, lat
@@ -43,7 +63,7 @@ def write_recording(
     (folder / "calibrations").mkdir(parents=True)
     seconds = np.arange(0.0, abs(to_m - from_m) / speed_mps + 1e-9, 0.1)
     stamps = start_ns + np.round(seconds * 1e9).astype(np.int64)
-    lon, lat = street(from_m + np.sign(to_m - from_m) * speed_mps * seconds)
+    lon, lat = locate_on_street(from_m + np.sign(to_m - from_m) * speed_mps * seconds)
     rows = [f"{t},{x:.12f},{y:.12f},520.0,{90.0 if to_m > from_m else 270.0}" for t, x, y in zip(stamps, lon, lat)]
     header = "timestamp_ns,longitude_deg,latitude_deg,height_m,heading_deg\n"
     if parts == 1:
@@ -53,19 +73,15 @@ def write_recording(
         for number, part in enumerate(np.array_split(np.arange(len(rows)), parts)):
             text = header + "\n".join(rows[index] for index in part) + "\n"
             (folder / "poses" / f"part_{number + 1}.csv").write_text(text)
-    document: dict[str, object] = {
-        "format": "mirror-folder",
-        "version": "1.0",
-        "drive_id": drive_id,
-        "vehicle_id": f"car_{seed % 3}",
-        "vehicle_type": "sedan",
-        "rig_id": "two" if cameras else None,
-        "time_base": "unix_ns",
-        "frame": {"kind": "wgs84"},
-        "weather": "clear",
-        "reference_camera": cameras[0] if cameras else None,
-        "cameras": {camera: {} for camera in cameras},
-    }
+    document = folder_document(
+        drive_id,
+        vehicle_id=f"car_{seed % 3}",
+        vehicle_type="sedan",
+        rig_id="two" if cameras else None,
+        weather="clear",
+        reference_camera=cameras[0] if cameras else None,
+        cameras={camera: {} for camera in cameras},
+    )
     (folder / "recording.json").write_text(json.dumps(document))
     calibration = [
         {

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.dataset.images.depth_codec import encode_depth
+from mirror.dataset.index.build import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256, seal
 from mirror.geometry.cameras import Camera
@@ -333,6 +334,22 @@ def calibration(
         "method": None,
         **more,
     }
+
+
+def write_two_drives(root: Path, image: bytes) -> Path:
+    """Write a dataset of two drives of two cameras, with four and three frames, and its index.
+
+    Args:
+        root: its folder.
+        image: encoded bytes of every image, 48x32.
+    """
+    cameras = ("front_wide", "rear")
+    builder = Builder(root, cameras=cameras)
+    builder.scene("a")
+    builder.drive("d0", [Pass("a", frames=4, images=dict.fromkeys(cameras, image))])
+    builder.drive("d1", [Pass("a", frames=3, heading_deg=200.0, images=dict.fromkeys(cameras, image))])
+    build_index(root)
+    return root
 
 
 def box(timestamp_ns: int, track_id: str, **more: object) -> dict[str, object]:

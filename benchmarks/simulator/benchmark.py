@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -27,14 +28,17 @@ from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 from hybridworldsim.simulator.simulation import Simulation, start_simulation
 from hybridworldsim.simulator.street.of_synth import open_synthetic_street
+from hybridworldsim.simulator.street.opening import open_street
 from hybridworldsim.simulator.street.street import Street
 from mirror.command_line import parse_arguments
 from mirror.errors import UsageError
 from mirror.schema.scenario import Scenario
 
 _AGENTS = 20
-_STEPS = 40
-_SLOWEST_STEP_MS = 1000.0 / 6.0
+_STEPS: Final = 40
+_CAST: Final = (19, 40, 60)
+_SLOWEST_CASTING_MS: Final = 250.0
+_SLOWEST_STEP_MS: Final = 1000.0 / 6.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ def main(argv: Sequence[str]) -> int:
     groups = {
         "vehicle": _vehicle(),
         "wire": measure_wire(street),
+        "casting": _casting(),
         "steps": _steps(street, model),
         "masks": _masks(street, model, arguments.places, arguments.seed),
     }
@@ -117,6 +122,17 @@ def _steps(street: Street, model: OpenModel) -> Iterator[Row]:
     yield Row("step, reconstructed (core time)", size, 1e3 * float(np.median(cores)))
     for name, seconds in renderer.seconds.parts().items():
         yield Row(f"- {name} (thread time)", size, 1e3 * seconds / len(times))
+
+
+def _casting() -> Iterator[Row]:
+    """Start of a drive on a street that is open, with more agents than find room."""
+    street = open_street("synth:block")
+    for count in _CAST:
+        asked = {"id": "car", "category": "car", "count": count, "behaviour": {"kind": "idm"}}
+        scenario = Scenario.model_validate({"name": "full", "ego": {"speed_mps": 8.0}, "agents": [asked]})
+        placed = len(start_simulation(street, scenario).now.agents)
+        spent = median_ms(lambda: start_simulation(street, scenario))  # noqa: B023
+        yield Row("casting of agents", f"{count} asked, {placed} placed", spent, bar=_SLOWEST_CASTING_MS)
 
 
 def _drive(simulation: Simulation, renderer: ReconstructedRenderer | None) -> tuple[list[float], list[float]]:

@@ -13,7 +13,7 @@ from hybridworldsim.simulator.ego.vehicle import EgoState
 from hybridworldsim.simulator.renderers.exact import condition_of
 from hybridworldsim.simulator.renderers.protocol import LiveUsers, ego_pose, lens_of, rig_cameras
 from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
-from hybridworldsim.simulator.street.obstacles import corners_of, wall_at
+from hybridworldsim.simulator.street.obstacles import Walls, corners_of
 from hybridworldsim.simulator.street.street import Street
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Float64, Int32
@@ -168,7 +168,7 @@ def _snapshot(
         box = np.array([x, y, yaw, 0.5 * body.size_m[0], 0.5 * body.size_m[1]])
         if hidden and not 0.3 <= _hidden_share(street, fixed, ego, box, body.size_m[2]) <= 0.9:
             continue
-        if not street.is_inside(ring).all() or wall_at(street, ring):
+        if not street.is_inside(ring).all() or Walls.of(street).find(ring):
             continue
         agents.append(Agent(f"agent-{len(agents):02d}", kind, body.size_m, body))
         rows.append((x, y, yaw, reach))

@@ -13,7 +13,7 @@ import pytest
 from hybridworldsim.simulator.renderers.protocol import rig_cameras
 from hybridworldsim.simulator.renderers.registry import RendererFactory
 from hybridworldsim.simulator.rollout.run import RolloutRequest, run_rollout
-from hybridworldsim.simulator.street.obstacles import check_free, wall_at
+from hybridworldsim.simulator.street.obstacles import Walls, check_free
 from hybridworldsim.simulator.street.opening import open_street
 from mirror.errors import UsageError
 from tests.simulator.streets import scenario, straight_street
@@ -47,11 +47,12 @@ def test_the_policy_of_the_page_drives(tmp_path: Path) -> None:
 
 def test_an_agent_inside_a_wall_is_refused() -> None:
     street = open_street("synth:tiny")
+    walls = Walls.of(street)
     places = np.random.default_rng(0).uniform(-55.0, 55.0, (40, 2))
-    inside = [place for place in places if wall_at(street, place[None]) is not None]
+    inside = [place for place in places if walls.find(place[None]) is not None]
     assert 5 < len(inside) < 30
     with pytest.raises(UsageError, match="starts in a building") as caught:
-        check_free(street, "walker", "pedestrian", np.array([*inside[0], 0.0, 0.3, 0.3]))
+        check_free(street, walls, "walker", "pedestrian", np.array([*inside[0], 0.0, 0.3, 0.3]))
     assert "walker" in str(caught.value)
     way = next(iter(street.road_map.lanes_of())).center_m
-    assert wall_at(street, way[:5, :2]) is None
+    assert walls.find(way[:5, :2]) is None

@@ -19,16 +19,17 @@ from hybridworldsim.simulator.agents.replay import ReplayedAgents
 from hybridworldsim.simulator.agents.scripts import Script
 from hybridworldsim.simulator.agents.states import Agent
 from hybridworldsim.simulator.ego.vehicle import EgoState
-from hybridworldsim.simulator.street.obstacles import check_free
+from hybridworldsim.simulator.street.obstacles import Walls, check_free
 from hybridworldsim.simulator.street.route import (
     RoutePlan,
     halts_along,
     onward_lanes,
     pose_on,
+    poses_on,
     way_along,
 )
 from hybridworldsim.simulator.street.street import Street
-from mirror.arrays import Float64
+from mirror.arrays import Bool, Float64
 from mirror.errors import UsageError
 from mirror.metrics.safety import inside_area
 from mirror.schema.behaviours import (
@@ -45,12 +46,13 @@ from mirror.schema.behaviours import (
 )
 from mirror.schema.scenario import Scenario, ScenarioAgent
 from mirror.traffic.following.participants import Manner
-from mirror.traffic.lanes.ways import Piece, Way, build_way
+from mirror.traffic.lanes.ways import STEP_M, Piece, Way, build_way
 
 _FASTEST_MPS: Final = 60.0
 _STANDING_GAP_M: Final = 6.0
 _HALF_LANE_M: Final = 1.6
-_TRIES: Final = 200
+_TRIES: Final = (8, 192)
+"""Places that are drawn for an agent: most agents find room at one of the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,9 @@ def cast_agents(stage: Stage) -> list[AgentGroup]:
         for member in _members(stage, entry, taken):
             taken.append(_box(member))
             on_ways.append(member)
+    walls = Walls.of(stage.street)
     for member in on_ways:
-        check_free(stage.street, member.agent.agent_id, member.agent.category, _box(member))
+        check_free(stage.street, walls, member.agent.agent_id, member.agent.category, _box(member))
     street, step_s = stage.street, 1.0 / stage.scenario.rate_hz
 
     # All halts are asked about at one time.
@@ -181,7 +184,7 @@ def _idm(stage: Stage, agent: Agent, behaviour: Idm, number: int) -> WayAgent:
     gap = behaviour.ahead_m or 0.0
     speed = behaviour.speed_mps
     if speed is None:
-        speed = _pace(stage.route.way, stage.ego_front_m + gap, manner)
+        speed = float(_pace(stage.route.way, np.array(stage.ego_front_m + gap), manner))
     return _on_route(stage, agent, gap, speed, manner=manner)
 
 
@@ -191,17 +194,39 @@ def _drawn(stage: Stage, agent: Agent, behaviour: Idm, taken: list[Float64]) -> 
     rng = np.random.default_rng(int.from_bytes(digest[:8], "little"))
     places = _places(stage, behaviour.radius_m)
     manner = _manner(behaviour)
-    for _ in range(_TRIES if places else 0):
-        lane_id, along = places[int(rng.integers(len(places)))]
-        way, halts = _way_from(stage, onward_lanes(stage.street.road_map, lane_id, rng))
-        front = along + agent.size_m[0]
-        speed = _pace(way, front, manner) if behaviour.speed_mps is None else behaviour.speed_mps
-        member = WayAgent(agent, way, front, speed, 0.0, halts, manner=manner)
-        if front < way.length_m:
-            box = _box(member)
-            if not any(_is_near(box, other, 0.8 * speed) for other in taken):
-                return member
+    others = np.array(taken)
+    for count in _TRIES if places else ():
+        tries = []
+        for _ in range(count):
+            lane_id, along = places[int(rng.integers(len(places)))]
+            tries.append((onward_lanes(stage.street.road_map, lane_id, rng), along + agent.size_m[0]))
+        free = _first_free(stage, agent, behaviour.speed_mps, manner, tries, others)
+        if free is not None:
+            return free
     return None
+
+
+def _first_free(
+    stage: Stage, agent: Agent, speed_mps: float | None, manner: Manner,
+    tries: list[tuple[tuple[str, ...], float]], others: Float64,
+) -> WayAgent | None:  # fmt: skip
+    """The agent at the first of some starts (lanes and length of its front along them) that is on a way and free."""
+    rows_of: dict[tuple[str, ...], list[int]] = {}
+    for row, (names, _) in enumerate(tries):
+        rows_of.setdefault(names, []).append(row)
+    fronts, boxes, speeds = np.array([front for _, front in tries]), np.empty((len(tries), 5)), np.empty(len(tries))
+    is_free = np.empty(len(tries), np.bool_)
+    for names, rows in rows_of.items():
+        way, front = _way_from(stage, names)[0], fronts[rows]
+        boxes[rows] = _boxes(agent, way, front, 0.0)
+        speeds[rows] = _pace(way, front, manner) if speed_mps is None else speed_mps
+        is_free[rows] = front < way.length_m
+    is_free &= ~_is_near(boxes, others, 0.8 * speeds)
+    if not is_free.any():
+        return None
+    first = int(is_free.argmax())
+    way, halts = _way_from(stage, tries[first][0])
+    return WayAgent(agent, way, tries[first][1], float(speeds[first]), 0.0, halts, manner=manner)
 
 
 def _places(stage: Stage, radius_m: float) -> list[tuple[str, float]]:
@@ -224,12 +249,14 @@ def _way_from(stage: Stage, names: tuple[str, ...]) -> tuple[Way, tuple[WayHalt,
     return stage.ways[names]
 
 
-def _is_near(box: Float64, other: Float64, gap_m: float) -> bool:
-    """Return whether another box is in the lane of a box, or touches it nearly, within a gap before or behind it."""
-    cos, sin = math.cos(box[2]), math.sin(box[2])
-    dx, dy = other[0] - box[0], other[1] - box[1]
-    along, aside = abs(cos * dx + sin * dy), abs(cos * dy - sin * dx)
-    return along < gap_m + _STANDING_GAP_M + other[3] and aside < box[4] + max(other[4], _HALF_LANE_M)
+def _is_near(boxes: Float64, others: Float64, gap_m: Float64) -> Bool:
+    """For each box, whether one of the others is in its lane, or touches it nearly, within a gap before or behind."""
+    cos, sin = np.cos(boxes[:, 2, None]), np.sin(boxes[:, 2, None])
+    dx, dy = others[:, 0] - boxes[:, 0, None], others[:, 1] - boxes[:, 1, None]
+    along, aside = np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)
+    near: Bool = along < gap_m[:, None] + _STANDING_GAP_M + others[:, 3]
+    near &= aside < boxes[:, 4, None] + np.maximum(others[:, 4], _HALF_LANE_M)
+    return np.logical_or.reduce(near, axis=1)
 
 
 def _cut_in(stage: Stage, agent: Agent, behaviour: CutIn, number: int) -> WayAgent:
@@ -343,9 +370,8 @@ def _manner(behaviour: Idm) -> Manner:
     )
 
 
-def _pace(way: Way, along_m: float, manner: Manner) -> float:
-    place = 0.5 * np.arange(len(way.points))
-    return manner.eager * float(np.interp(along_m, place, way.pace_mps))
+def _pace(way: Way, along_m: Float64, manner: Manner) -> Float64:
+    return manner.eager * np.interp(along_m, STEP_M * np.arange(len(way.points)), way.pace_mps)
 
 
 def _longest(agent: Agent) -> float:
@@ -354,15 +380,14 @@ def _longest(agent: Agent) -> float:
 
 def _box(member: WayAgent) -> Float64:
     """x, y, yaw, half length and half width of an agent at the start."""
-    middle = member.front_m - 0.5 * member.agent.size_m[0]
-    x, y, yaw = pose_on(member.way, middle)
-    left = member.aside_m
-    return np.array(
-        [
-            x - left * math.sin(yaw), y + left * math.cos(yaw), yaw, 0.5 * member.agent.size_m[0],
-            0.5 * member.agent.size_m[1],
-        ]
-    )  # fmt: skip
+    return _boxes(member.agent, member.way, np.array([member.front_m]), member.aside_m)[0]
+
+
+def _boxes(agent: Agent, way: Way, front_m: Float64, aside_m: float) -> Float64:
+    """(N, 5) boxes of an agent at the lengths (N,) of its front along a way: x, y, yaw, half length, half width."""
+    x, y, yaw = poses_on(way, front_m - 0.5 * agent.size_m[0])
+    half = np.broadcast_to(0.5 * np.array(agent.size_m[:2]), (len(x), 2))
+    return np.column_stack([x - aside_m * np.sin(yaw), y + aside_m * np.cos(yaw), yaw, half])
 
 
 def _ego_box(stage: Stage) -> Float64:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from mirror.arrays import Float64, Records
+from mirror.arrays import Bool, Float64, Records
 from mirror.portable import arrays
 
 NO_OBJECT: Final = -1
@@ -145,9 +145,29 @@ class Model:
 
     def bounds(self) -> tuple[Float64, Float64]:
         """Return the least and greatest coordinates (3,) of all surfaces."""
-        reach = np.sqrt(np.einsum("nij,ni->nj", self.rounds["axes"] ** 2, self.rounds["half"] ** 2))
+        reach = self._reach_of_rounds()
         ends = np.concatenate([self.corners, self.rounds["centre"] - reach, self.rounds["centre"] + reach])
         return ends.min(axis=0), ends.max(axis=0)
+
+    def surface_bounds(self) -> tuple[Float64, Float64]:
+        """Return the least and greatest coordinates (N, 3) of each surface: faces first, then ellipsoids."""
+        first, count = self.faces["first"], self.faces["count"]
+        low = self.corners[first]
+        high = low.copy()
+        for number in range(1, count.max(initial=1)):
+            corner = self.corners[first + np.minimum(number, count - 1)]
+            np.minimum(low, corner, out=low)
+            np.maximum(high, corner, out=high)
+        centre, reach = self.rounds["centre"], self._reach_of_rounds()
+        return np.concatenate([low, centre - reach]), np.concatenate([high, centre + reach])
+
+    def select(self, keep: Bool) -> Model:
+        """Return the surfaces (N,) of a mask in their order; corners stay as they are."""
+        return Model(self.faces[keep[: len(self.faces)]], self.corners, self.rounds[keep[len(self.faces) :]])
+
+    def _reach_of_rounds(self) -> Float64:
+        """Half the size (R, 3) of each ellipsoid along the axes of the frame."""
+        return np.sqrt(np.einsum("nij,ni->nj", self.rounds["axes"] ** 2, self.rounds["half"] ** 2))
 
 
 def join_parts(parts: Sequence[Records]) -> Records:

@@ -125,9 +125,15 @@ def halts_along(lanes: list[MapLane]) -> tuple[WayHalt, ...]:
 
 def pose_on(way: Way, along_m: float) -> tuple[float, float, float]:
     """Return x, y and heading of a way at a length."""
+    x, y, heading = poses_on(way, np.array(along_m))
+    return float(x), float(y), float(heading)
+
+
+def poses_on(way: Way, along_m: Float64) -> tuple[Float64, Float64, Float64]:
+    """Return x, y and heading of a way at lengths, each of the shape of the lengths."""
     place = STEP_M * np.arange(len(way.points))
-    x, y = way.at(along_m).tolist()
-    return x, y, float(np.interp(along_m, place, way.heading_rad))
+    x, y, heading = (np.interp(along_m, place, values) for values in (*way.points.T, way.heading_rad))
+    return x, y, heading
 
 
 def onward_lanes(road_map: RoadMap, first: str, rng: np.random.Generator | None = None) -> tuple[str, ...]:

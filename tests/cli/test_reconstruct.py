@@ -435,7 +435,9 @@ def test_a_run_of_other_settings_is_refused(
 ) -> None:
     words = ("reconstruct", initialised.root, "--split", "novel", "--out", model, "--threads", 1)
     width = () if "--width" in more else ("--width", 48)
+    layers = set(Path(initialised.root).rglob("manifest.json"))
     assert message in said(capsys, *words, *width, *more, code=ExitCode.COULD_NOT_RUN)["problem"]
+    assert set(Path(initialised.root).rglob("manifest.json")) == layers, "a layer of the refused width was made"
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImag
 from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
+from hybridworldsim.training.run.document import RUN
 from hybridworldsim.training.run.folder import RunFolder
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
@@ -77,6 +78,8 @@ class StaticMethod:
         require_own(out, document)
         if task.threads is not None:
             torch.set_num_threads(task.threads)
+        for run in sorted(out.glob(f"*/{RUN}")):
+            RunFolder(run.parent, TrainingOutcome).require_same(Run, self._stated(task))
         scene = prepare_scene(dataset, task, self.block_m, reporter)
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, document)
@@ -188,24 +191,31 @@ class StaticMethod:
     def _settings(self, task: ReconstructionTask) -> Any:
         return override_settings(self.settings(task.seed), task.settings)
 
+    def _stated(self, task: ReconstructionTask) -> dict[str, Any]:
+        """The values of a run's document, as JSON, that follow from the task alone."""
+        settings = settings_document(self._settings(task))
+        return {
+            "method": self.name,
+            "settings": settings,
+            "settings_hash": hash_document(settings),
+            "seed": task.seed,
+            "steps": task.steps,
+            "core_minutes": task.core_minutes,
+            "threads": torch.get_num_threads(),
+            "scene": task.scene,
+            "split": task.split,
+            "width_px": task.protocol.pixels.max_width_px,
+            "half": task.half,
+            "withheld": ["/".join(map(str, image)) for image in sorted(task.withheld)],
+        }
+
     def _run(self, training: BlockTraining, task: ReconstructionTask) -> Run:
         layers = training.layers.dataset.layers
-        settings = settings_document(self._settings(task))
         return Run(
-            method=self.name,
-            settings=settings,
-            settings_hash=hash_document(settings),
-            seed=task.seed,
-            steps=task.steps,
-            core_minutes=task.core_minutes,
-            threads=torch.get_num_threads(),
-            scene=task.scene,
-            split=task.split,
+            **self._stated(task),
             block=training.block.name,
             origin_m=training.block.origin_m,
             radius_m=training.initial.radius_m,
-            width_px=task.protocol.pixels.max_width_px,
-            half=task.half,
             dataset_hash=training.training.plan.dataset_hash,
             plan_hash=training.training.plan.hash,
             depth=training.layers.depth,
@@ -214,7 +224,6 @@ class StaticMethod:
             calibrations=layers.calibrations,
             stage=layers.stage,
             pictures=len(training.views),
-            withheld=tuple("/".join(map(str, image)) for image in sorted(task.withheld)),
             sources=trained_cameras(training.views),
         )
 

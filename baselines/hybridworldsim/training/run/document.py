@@ -31,12 +31,28 @@ def begin_run(path: Path, run: Document, *, finished: bool, untrained: bool) -> 
             raise UsageError("not empty, and not the folder of a run", file=path, remedy="name a new folder")
         write_json(path / RUN, run)
         return
-    before = read_json(path / RUN, type(run)).model_dump(mode="json")
-    current = run.model_dump(mode="json")
-    differing = _differing(before, current | {"threads": before["threads"]} if finished else current)
-    if differing and not untrained:
+    if not untrained:
+        require_same_run(path, type(run), run.model_dump(mode="json"), finished=finished)
+
+
+def require_same_run(path: Path, kind: type[Document], stated: Mapping[str, Any], *, finished: bool) -> None:
+    """Require that the run of a folder has the stated values.
+
+    Args:
+        path: folder of the run.
+        kind: type of its document.
+        stated: values of the document as JSON, with `threads`; others are not compared.
+        finished: whether the run is finished; then its number of threads does not matter.
+
+    Raises:
+        UsageError: a value differs.
+    """
+    before = read_json(path / RUN, kind).model_dump(mode="json")
+    compared = {key: before[key] for key in stated}
+    differing = _differing(compared, {**stated, "threads": before["threads"]} if finished else stated)
+    if differing:
         elsewhere = "name another folder with --out"
-        same = before["threads"] == current["threads"]
+        same = before["threads"] == stated["threads"]
         raise UsageError(
             f"a run of other settings began here: {'; '.join(differing[:4])}", file=path,
             expected="the same dataset, method and settings",

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Generic
+from typing import Any, Final, Generic
 
 from hybridworldsim.training.run.checkpoint import read_checkpoint, write_checkpoint
 from hybridworldsim.training.run.curves import Row, read_curves, write_curves
-from hybridworldsim.training.run.document import RUN, begin_run
+from hybridworldsim.training.run.document import RUN, begin_run, require_same_run
 from hybridworldsim.training.run.position import Position
 from hybridworldsim.training.run.processes import ALONE, Processes
 from hybridworldsim.training.run.training import Ending, OutcomeT, Stateful, Training
@@ -69,6 +69,19 @@ class RunFolder(Generic[OutcomeT]):
         """
         with self.processes.leader_first():
             return self._begin(run)
+
+    def require_same(self, kind: type[Document], stated: Mapping[str, Any]) -> None:
+        """Require that an earlier run that learned something has some values, which are known before its data is read.
+
+        Args:
+            kind: type of the run's document.
+            stated: values of the document as JSON, with `threads`.
+
+        Raises:
+            UsageError: a value differs.
+        """
+        if self._has_learned:
+            require_same_run(self.path, kind, stated, finished=self.outcome is not None)
 
     @contextmanager
     def claim(self, run: Document) -> Iterator[None]:
@@ -155,9 +168,12 @@ class RunFolder(Generic[OutcomeT]):
 
     def _begin(self, run: Document) -> OutcomeT | None:
         outcome = self.outcome
-        learned = self._checkpoint.exists() or self._curves.exists()
-        begin_run(self.path, run, finished=outcome is not None, untrained=outcome is None and not learned)
+        begin_run(self.path, run, finished=outcome is not None, untrained=not self._has_learned)
         return outcome
+
+    @property
+    def _has_learned(self) -> bool:
+        return self.outcome is not None or self._checkpoint.exists() or self._curves.exists()
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from mirror.schema.tables import BOXES
 from tests.builders.folder import LAT, LON, START_NS, locate_on_street, write_recording
 from tests.recordings.formats.argoverse2 import write_argoverse2
 from tests.recordings.formats.colmap import write_colmap
+from tests.recordings.formats.kitti import from_first_camera, write_kitti_odometry
 from tests.recordings.formats.kitti360 import write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
@@ -287,6 +288,15 @@ def kitti360(root: Path) -> Base:
     return Base("kitti360", path, _roi_around(path, "kitti360"))
 
 
+def kitti_odometry(root: Path) -> Base:
+    """One sequence of a stereo pair, two frames a second."""
+    drive = straight_drive()
+    start = int(drive.pose_ns[0])
+    drive = replace(drive, image_ns={"front_wide": start + np.arange(0, 12 * 10**9, 10**9 // 2)})
+    path = write_kitti_odometry(root / "kitti", {"03": from_first_camera(drive, cameras=2)})
+    return Base("kitti_odometry", path, Roi(scene_id="s", frame="kitti_odometry_03", x_m=40.0, y_m=0.0, radius_m=90.0))
+
+
 def ncore(root: Path) -> Base:
     """One sequence in a file, with boxes."""
     from tests.recordings.formats.ncore import write_ncore
@@ -356,4 +366,5 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "ncore": ncore,
     "ncore_folders": ncore_folders,
     "rosbag2": rosbag2,
+    "kitti_odometry": kitti_odometry,
 }

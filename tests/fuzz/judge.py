@@ -65,6 +65,12 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
         "data_2d_raw/": frozenset({POSES, SHOTS, OBJECTS}),
         "data_3d_bboxes/": frozenset({OBJECTS}),
     },
+    "kitti_odometry": {
+        "poses/": frozenset({POSES}),
+        "sequences/03/times": frozenset({POSES, SHOTS}),
+        "sequences/03/calib": frozenset({CAMERAS}),
+        "sequences/03/image_": frozenset({SHOTS, CAMERAS}),
+    },
     "waymo": {
         "vehicle_pose/": frozenset({POSES}),
         "camera_image/": frozenset({POSES, SHOTS, CAMERAS}),
@@ -212,6 +218,7 @@ def pose_files(base: Base) -> list[str]:
         "nuplan": [],
         "waymo": [],
         "kitti360": [],
+        "kitti_odometry": [],
         "ncore": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }

@@ -32,6 +32,7 @@ from tests.recordings.formats.peers import (
     nuplan_input,
     nuscenes_input,
     py123d_input,
+    pykitti_input,
     result,
     waymo_input,
 )
@@ -384,3 +385,32 @@ def test_waymo_open_dataset_reads_the_same(tmp_path: Path) -> None:
             assert away.max(initial=0.0) < 1e-3
             seen += int(inside.sum())
     assert seen == 160
+
+
+def test_pykitti_reads_the_same_odometry(tmp_path: Path) -> None:
+    """The world of pykitti has the axes of the camera; of a projection it takes the baseline along x alone."""
+    recording = open_recording(pykitti_input(tmp_path / "k") / "odometry")
+    theirs = result("pykitti")["odometry"]
+    track = recording.track()
+    assert track.rotation is not None and len(track) == 3
+    assert np.abs(track.timestamp_ns / 1_000 - theirs["times_us"]).max() <= 0.5
+    # x forward, y left, z up in the axes of a camera.
+    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    expected = np.array(theirs["world_SE3_camera"])
+    place = np.column_stack([track.x_m, track.y_m, track.height_m])
+    assert np.abs(place @ turn.T - expected[:, :3, 3]).max() < 1e-9
+    assert np.abs(turn @ matrix_from_quaternion(track.rotation) @ turn.T - expected[:, :3, :3]).max() < 1e-9
+    streams = recording.images()
+    rows = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    assert set(rows) == set(streams) == set(theirs["intrinsics"])
+    lidar = np.array(theirs["camera_SE3_lidar"]["image_0"])
+    for name, row in rows.items():
+        matrix = camera_from_row(row).intrinsic_matrix(first_pixel_centre=0.0)
+        assert np.abs(matrix - theirs["intrinsics"][name]).max() < 1e-9
+        mounting = Poses.from_columns({column: [row[column]] for column in COLUMNS})
+        # The frame of the first camera from this camera's.
+        placed = np.linalg.inv(np.array(theirs["camera_SE3_lidar"][name]) @ np.linalg.inv(lidar))
+        away = turn @ mounting.translation[0] - placed[:3, 3]
+        assert np.abs(away).max() < (1e-9 if name in ("image_0", "image_1") else 3.5e-3)
+        assert np.abs(turn @ matrix_from_quaternion(mounting.rotation)[0] - placed[:3, :3]).max() < 1e-9
+        assert [Path(str(streams[name].path(index))).name for index in range(3)] == theirs["files"][name]

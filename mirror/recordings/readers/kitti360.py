@@ -12,7 +12,6 @@ Facts of the format, from the calibration and conversion scripts that the datase
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,16 +27,22 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import to_calibration_table
 from mirror.recordings.coordinates import FLU_FROM_FRD
-from mirror.recordings.opening import find_file, read_file, require_file
-from mirror.recordings.paths import list_folder, to_identifier
-from mirror.recordings.protocol import CameraInfo, DriveInfo, FileStream, ImageStream, RigInfo, Track
+from mirror.recordings.opening import find_file, require_file
+from mirror.recordings.paths import to_identifier
+from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import choose_drive, one_of
-from mirror.recordings.readers.kitti360_boxes import NO_STAMP, find_boxes, read_boxes
+from mirror.recordings.readers.kitti360_boxes import find_boxes, read_boxes
 from mirror.recordings.readers.kitti360_cameras import CALIBRATION_FILES, CAMERAS, read_calibrations
+from mirror.recordings.readers.kitti_files import (
+    NO_STAMP,
+    list_numbered_images,
+    read_frame_stamps,
+    read_number_rows,
+    to_frame_stream,
+)
 from mirror.recordings.readers.stored_poses import REMEDY, is_no_rigid_motion, mark_matrices, select_poses, to_poses
 from mirror.recordings.registry import refuse_options
 from mirror.recordings.row_faults import RowFaults
-from mirror.recordings.stamps import require_zone
 
 _POSES: Final = "data_poses"
 _IMAGES: Final = "data_2d_raw"
@@ -47,7 +52,6 @@ _STAMPS_OF: Final = {
 }
 _RADIUS_M: Final = 6378137.0
 _ORIGIN: Final = (48.9843445, 8.4295857)
-_STAMP: Final = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,9})?")
 _NUMBERS: Final = 13
 _ROTATION_TOLERANCE: Final = 1e-2
 
@@ -120,8 +124,6 @@ class Kitti360Recording:
 
     def _stamps(self, camera: str) -> tuple[Path, Int64]:
         """The stamp of each frame of a camera; the smallest int64 where a line is none."""
-        import pyarrow.compute as pc
-
         file = find_file(self.root, f"{_IMAGES}/{self.drive}/{camera}/timestamps.txt")
         if file is None:
             raise RecordingError(
@@ -130,19 +132,7 @@ class Kitti360Recording:
                 expected="the stamps of the frames: without them poses and images have no time",
                 remedy=f"download {_STAMPS_OF[camera]}",
             )
-        lines = read_file(file).decode(errors="replace").splitlines()
-        none = np.datetime64("NaT", "ns")
-        values = np.array(
-            [np.datetime64(line.strip().replace(" ", "T"), "ns") if _is_stamp(line) else none for line in lines],
-            "datetime64[ns]",
-        )
-        known = ~np.isnat(values)
-        require_zone(self.tz)
-        local = pa.array(values[known], pa.timestamp("ns"))
-        utc = pc.assume_timezone(local, self.tz, ambiguous="earliest", nonexistent="earliest").cast(pa.int64())
-        stamps = np.full(len(lines), NO_STAMP)
-        stamps[known] = np.asarray(utc)
-        return file, stamps
+        return file, read_frame_stamps(file, self.tz)
 
     @cached_property
     def _files(self) -> dict[str, dict[int, Path]]:
@@ -150,18 +140,9 @@ class Kitti360Recording:
         found: dict[str, dict[int, Path]] = {}
         for camera in self.cameras:
             folder = self.root / _IMAGES / self.drive / camera / CAMERAS[camera]
-            if not folder.is_dir():
-                continue
-            files = {}
-            for name, file in list_folder(self.root, folder).items():
-                stem, _, suffix = name.rpartition(".")
-                if suffix != "png" or not stem.isdecimal() or len(stem) != 10:
-                    raise RecordingError(
-                        "no image of the camera", file=file, expected="ten digits and .png", remedy="move it elsewhere"
-                    )
-                files[int(stem)] = file
+            files = list_numbered_images(self.root, folder, 10, ("png",))
             if files:
-                found[camera] = dict(sorted(files.items()))
+                found[camera] = files
         return found
 
     @cached_property
@@ -189,25 +170,14 @@ class Kitti360Recording:
     @cached_property
     def _poses(self) -> _FramePoses:
         file = require_file(self.root, f"{_POSES}/{self.drive}/poses.txt")
-        rows, torn = [], []
-        for number, line in enumerate(read_file(file).decode(errors="replace").splitlines(), 1):
-            words = line.split()
-            try:
-                if len(words) != _NUMBERS:
-                    raise ValueError(f"{len(words)} numbers")
-                rows.append([float(word) for word in words])
-            except ValueError as problem:
-                expected = "a frame and a 3x4 matrix"
-                place = f"line {number}"
-                fault = RecordingError(str(problem), file=file, place=place, expected=expected, remedy=REMEDY)
-                torn.append((len(rows), fault))
-        values = np.array(rows, np.float64).reshape(-1, _NUMBERS)
+        rows = read_number_rows(file, _NUMBERS, "a frame and a 3x4 matrix")
+        values = rows.values
         _, by_frame = self._stamps(_RECTIFIED[0])
         frame = values[:, 0]
         known = (frame >= 0) & (frame < len(by_frame)) & (frame == np.floor(frame))
         stamps: Int64 = np.where(known, by_frame[np.where(known, frame, 0).astype(np.int64)] if len(by_frame) else 0, 0)
         known &= stamps != NO_STAMP
-        return _FramePoses(file, frame, stamps, known, values[:, 1:].reshape(-1, 3, 4), torn)
+        return _FramePoses(file, frame, stamps, known, values[:, 1:].reshape(-1, 3, 4), rows.torn)
 
     def track(self) -> Track:
         """Return the IMU's poses, on WGS 84, with axes x forward, y left, z up."""
@@ -258,18 +228,8 @@ class Kitti360Recording:
         streams: dict[str, ImageStream] = {}
         for camera, files in self._files.items():
             place, by_frame = self._stamps(camera)
-            frames = np.fromiter(files, np.int64, len(files))
-            inside = frames < len(by_frame)
-            stamps: Int64 = np.where(inside, by_frame[np.where(inside, frames, 0)] if len(by_frame) else 0, 0)
-            missing = ~inside | (stamps == NO_STAMP)
-            if missing.any():
-                raise RecordingError(
-                    "the frame has no stamp",
-                    file=files[int(frames[np.argmax(missing)])],
-                    expected=f"a line with its number in {place.name}",
-                    remedy=f"download {_STAMPS_OF[camera]} again",
-                )
-            streams[camera] = FileStream(camera, "png", stamps, stamps, tuple(files.values()))
+            remedy = f"download {_STAMPS_OF[camera]} again"
+            streams[camera] = to_frame_stream(camera, files, by_frame, place, remedy)
         return streams
 
     def boxes(self) -> pa.Table | None:
@@ -301,16 +261,6 @@ def _to_flu(world_SE3_imu: Poses) -> Poses:
     """Turn poses of the IMU, y right and z down, to those of the vehicle, y left and z up."""
     rotation = quaternion_multiply(world_SE3_imu.rotation, quaternion_inverse(FLU_FROM_FRD))
     return Poses(rotation, world_SE3_imu.translation)
-
-
-def _is_stamp(line: str) -> bool:
-    if not _STAMP.fullmatch(line.strip()):
-        return False
-    try:
-        np.datetime64(line.strip().replace(" ", "T"), "ns")
-    except ValueError:
-        return False
-    return True
 
 
 def _to_degrees(x_m: Float64, y_m: Float64) -> tuple[Float64, Float64]:

@@ -22,13 +22,11 @@ from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_from_matrix
 from mirror.recordings.opening import find_file, unreadable_error
 from mirror.recordings.readers.box_rows import make_box_table, velocity_columns
+from mirror.recordings.readers.kitti_files import NO_STAMP
 from mirror.recordings.readers.stored_poses import REMEDY
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
-
-NO_STAMP: Final = np.iinfo(np.int64).min
-"""In a list of stamps by frame: the frame has none."""
 
 RANGE_M: Final = 80.0
 """Largest distance of a static object from the vehicle in the frames in which it has a box."""

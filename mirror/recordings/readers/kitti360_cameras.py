@@ -22,8 +22,9 @@ from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration
 from mirror.recordings.coordinates import FLU_FROM_FRD
-from mirror.recordings.opening import read_file, require_file
+from mirror.recordings.opening import require_file
 from mirror.recordings.readers.f_theta_fit import fit_f_theta, sample_directions
+from mirror.recordings.readers.kitti_files import read_named_values, to_numbers
 
 CAMERAS: Final = {"image_00": "data_rect", "image_01": "data_rect", "image_02": "data_rgb", "image_03": "data_rgb"}
 """Folders of the images by camera; the first two are rectified, the others fisheyes."""
@@ -49,11 +50,13 @@ def read_calibrations(root: Path, cameras: Sequence[str]) -> list[tuple[Stage, C
     if not cameras:
         return []
     file = require_file(root, "calibration/calib_cam_to_pose.txt")
-    mountings = _read_values(file)
+    mountings = read_named_values(file)
     return [
         (
             "factory",
-            (_rectified if folder == "data_rect" else _fisheye)(root, camera, _values(mountings, camera, (3, 4), file)),
+            (_rectified if folder == "data_rect" else _fisheye)(
+                root, camera, to_numbers(mountings, camera, (3, 4), file)
+            ),
         )
         for camera in cameras
         for folder in (CAMERAS[camera],)
@@ -62,11 +65,11 @@ def read_calibrations(root: Path, cameras: Sequence[str]) -> list[tuple[Stage, C
 
 def _rectified(root: Path, camera: str, mounting: Float64) -> Calibration:
     file = require_file(root, "calibration/perspective.txt")
-    lenses, digits = _read_values(file), camera[-2:]
-    projection = _values(lenses, f"P_rect_{digits}", (3, 4), file)
-    width, height = _values(lenses, f"S_rect_{digits}", (2,), file)
+    lenses, digits = read_named_values(file), camera[-2:]
+    projection = to_numbers(lenses, f"P_rect_{digits}", (3, 4), file)
+    width, height = to_numbers(lenses, f"S_rect_{digits}", (2,), file)
     turn = np.eye(4)
-    turn[:3, :3] = _values(lenses, f"R_rect_{digits}", (3, 3), file).T
+    turn[:3, :3] = to_numbers(lenses, f"R_rect_{digits}", (3, 3), file).T
     return make_calibration(
         file,
         camera,
@@ -84,8 +87,8 @@ def _rectified(root: Path, camera: str, mounting: Float64) -> Calibration:
 
 def _fisheye(root: Path, camera: str, mounting: Float64) -> Calibration:
     file = require_file(root, f"calibration/{camera}.yaml")
-    lines = _read_values(file)
-    numbers = {name: float(_values(lines, name, (1,), file)[0]) for name in _MEI}
+    lines = read_named_values(file)
+    numbers = {name: float(to_numbers(lines, name, (1,), file)[0]) for name in _MEI}
     width, height = int(numbers["image_width"]), int(numbers["image_height"])
     if not (0 < width < 2**15 and 0 < height < 2**15 and min(numbers["gamma1"], numbers["gamma2"]) > 0.0):
         raise RecordingError(
@@ -134,22 +137,3 @@ def _in_ego(imu_SE3_camera: Float64, camera_SE3_rectified: Float64) -> tuple[flo
     flu = Poses(FLU_FROM_FRD[None], np.zeros((1, 3)))
     pose = flu @ Poses.from_matrix(matrix) @ Poses.from_matrix(camera_SE3_rectified)
     return to_pose_numbers(pose)
-
-
-def _read_values(file: Path) -> dict[str, list[str]]:
-    """The words of each line ``name: values``."""
-    lines = read_file(file).decode(errors="replace").splitlines()
-    return {name.strip(): values.split() for name, found, values in (line.partition(":") for line in lines) if found}
-
-
-def _values(lines: Mapping[str, list[str]], name: str, shape: tuple[int, ...], file: Path) -> Float64:
-    try:
-        return np.array([float(word) for word in lines[name]], np.float64).reshape(shape)
-    except (KeyError, ValueError) as error:
-        raise RecordingError(
-            "the line is missing" if isinstance(error, KeyError) else f"values that cannot be used ({error})",
-            file=file,
-            place=name,
-            expected=f"numbers of shape {shape}",
-            remedy="download the calibration again",
-        ) from error

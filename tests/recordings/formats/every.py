@@ -288,6 +288,12 @@ def _kitti360(root: Path) -> Path:
     return write_kitti360(root, [drive.with_cameras((camera,)).placed((100.0, 100.0, 0.0))]) / drive.name
 
 
+def _kitti_odometry(root: Path) -> Path:
+    from tests.recordings.formats.kitti import from_first_camera, write_kitti_odometry
+
+    return write_kitti_odometry(root, {"03": from_first_camera(street_drive(), cameras=2)}) / "03"
+
+
 def _ncore(root: Path) -> Path:
     from mirror.recordings.discovery import find_recordings
     from tests.recordings.formats.ncore import write_ncore
@@ -312,6 +318,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "nuplan": _nuplan,
     "waymo": _waymo,
     "kitti360": _kitti360,
+    "kitti_odometry": _kitti_odometry,
     "ncore": _ncore,
 }
 """Writes the drive into a folder and returns the recording's path, by the name of the reader."""

@@ -14,6 +14,7 @@ import numpy as np
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
 from tests.recordings.formats.argoverse2 import write_argoverse2
+from tests.recordings.formats.kitti import from_first_camera, write_kitti_odometry
 from tests.recordings.formats.kitti360 import CAMERAS as RECTIFIED
 from tests.recordings.formats.kitti360 import FISHEYES, write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
@@ -95,12 +96,22 @@ def nuplan_input(folder: Path) -> Path:
     return write_nuplan(folder, peer_drive((664_400.0, 3_998_300.0, 605.0)).upright())
 
 
+def pykitti_input(folder: Path) -> Path:
+    """A folder with a sequence of KITTI odometry of four cameras and three frames."""
+    shutil.rmtree(folder, ignore_errors=True)
+    drive = synth_drives()[0].with_cameras(("front_wide",))
+    drive = replace(drive, image_ns={"front_wide": drive.image_ns["front_wide"][4:13:4]})
+    write_kitti_odometry(folder / "odometry", {"03": from_first_camera(drive)})
+    return folder
+
+
 INPUTS: dict[str, Callable[[Path], Path]] = {
     "nuscenes": nuscenes_input,
     "argoverse2": argoverse2_input,
     "kitti360": kitti360_input,
     "nuplan": nuplan_input,
     "py123d": py123d_input,
+    "pykitti": pykitti_input,
     "waymo": waymo_input,
 }
 

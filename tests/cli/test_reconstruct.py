@@ -314,7 +314,9 @@ def test_blocks_are_shared_out(
     for name in whole["blocks"]:
         model = f"{name}/model.safetensors"
         assert (shared / model).read_bytes() == (at_once / model).read_bytes()
-    problem = said(capsys, *reconstruct(dataset, shared, "--blocks", "block_9"), code=ExitCode.COULD_NOT_RUN)
+    problem = said(
+        capsys, *reconstruct(dataset, shared, "--steps", 3, "--blocks", "block_9"), code=ExitCode.COULD_NOT_RUN
+    )
     assert "no block block_9" in problem["problem"] and first in problem["expected"]
 
 

@@ -71,6 +71,8 @@ if TYPE_CHECKING:
     from mirror.metrics.images.ssim import ssim_map as ssim_map
     from mirror.metrics.images.ssim_map import SsimSettings as SsimSettings
     from mirror.metrics.images.structure import ms_structure as ms_structure
+    from mirror.metrics.ranks import RankIntervals as RankIntervals
+    from mirror.metrics.ranks import rank_intervals as rank_intervals
     from mirror.metrics.score import Score as Score
 
 __all__ = [
@@ -95,6 +97,7 @@ __all__ = [
     "PerceptualDistance",
     "Psnr",
     "PsnrSummary",
+    "RankIntervals",
     "RegionIou",
     "Score",
     "Ssim",
@@ -130,6 +133,7 @@ __all__ = [
     "psnr_affine",
     "psnr_cc",
     "psnr_invariant",
+    "rank_intervals",
     "ssim",
     "ssim_map",
     "st_lpips",
@@ -161,6 +165,7 @@ __getattr__, __dir__ = lazy_names(
         "PerceptualDistance": "mirror.metrics.features.perceptual",
         "Psnr": "mirror.metrics.images.psnr",
         "PsnrSummary": "mirror.metrics.images.psnr",
+        "RankIntervals": "mirror.metrics.ranks",
         "RegionIou": "mirror.metrics.boxes.iou_2d",
         "Score": "mirror.metrics.score",
         "Ssim": "mirror.metrics.images.ssim",
@@ -196,6 +201,7 @@ __getattr__, __dir__ = lazy_names(
         "psnr_affine": "mirror.metrics.images.affine",
         "psnr_cc": "mirror.metrics.images.colour_correction",
         "psnr_invariant": "mirror.metrics.images.invariant",
+        "rank_intervals": "mirror.metrics.ranks",
         "ssim": "mirror.metrics.images.ssim",
         "ssim_map": "mirror.metrics.images.ssim",
         "st_lpips": "mirror.metrics.features.st_lpips",

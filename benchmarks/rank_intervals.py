@@ -71,14 +71,14 @@ KINDS: Final[Mapping[str, tuple[Draw, Float64]]] = {
 
 @dataclass(frozen=True)
 class Count:
-    """What was found on boards of one kind.
+    """Counts of boards of one kind.
 
     Attributes:
         kind: name of the kind.
         boards: number of boards.
         covered: boards whose intervals all hold their true ranks.
         places: mean number of places in an interval.
-        told_apart: share of the truly different pairs that are told apart.
+        separated: share of the truly different pairs that are separated.
         covered_by_pairs: the same as ``covered`` if each pair is judged by its own interval.
         ms: mean time of a board.
     """
@@ -87,7 +87,7 @@ class Count:
     boards: int
     covered: int
     places: float
-    told_apart: float
+    separated: float
     covered_by_pairs: int
     ms: float
 
@@ -103,7 +103,7 @@ def main(argv: list[str]) -> int:
         f"confidence {CONFIDENCE:.0%}; clusters {', '.join(map(str, CLUSTERS))}, {DRIVES} drives in each"
     )
     print(
-        f"{'boards':28} {'n':>4} {'covered':>8} {'error':>6} {'places':>7} {'told apart':>10} {'by pairs':>9} {'ms':>6}"
+        f"{'boards':28} {'n':>4} {'covered':>8} {'error':>6} {'places':>7} {'separated':>10} {'by pairs':>9} {'ms':>6}"
     )
     names = list(KINDS)
     counts = []
@@ -121,7 +121,7 @@ def main(argv: list[str]) -> int:
 def measure(kind: str, boards: Sequence[int], seed: int, resamples: int) -> Count:
     """Draw boards of one kind by their numbers, and count those whose intervals hold all true ranks."""
     draw, means = KINDS[kind]
-    covered, by_pairs, places, told_apart, spent = 0, 0, 0.0, [], 0.0
+    covered, by_pairs, places, separated, spent = 0, 0, 0.0, [], 0.0
     best, worst = true_ranks(means)
     different = means[:, None] > means
     for number in boards:
@@ -133,9 +133,9 @@ def measure(kind: str, boards: Sequence[int], seed: int, resamples: int) -> Coun
         spent += time.process_time() - begin
         covered += _holds(found.low, found.high, best[order], worst[order])
         places += float(np.mean(found.high - found.low + 1))
-        told_apart.extend(found.is_better[different[np.ix_(order, order)]].tolist())
+        separated.extend(found.is_better[different[np.ix_(order, order)]].tolist())
         by_pairs += _holds(*_judge_pairs(scores.mean(axis=2)), best, worst)
-    share = float(np.mean(told_apart)) if told_apart else math.nan
+    share = float(np.mean(separated)) if separated else math.nan
     n = len(boards)
     return Count(kind, n, covered, places / n, share, by_pairs, 1e3 * spent / n)
 
@@ -166,8 +166,8 @@ def _add(counts: Sequence[Count]) -> Count:
     def mean(name: str) -> float:
         return float(np.nansum([getattr(one, name) * one.boards for one in counts])) / boards
 
-    told = [one for one in counts if not math.isnan(one.told_apart)]
-    share = sum(one.told_apart * one.boards for one in told) / sum(one.boards for one in told)
+    known = [one for one in counts if not math.isnan(one.separated)]
+    share = sum(one.separated * one.boards for one in known) / sum(one.boards for one in known)
     covered, by_pairs = (sum(getattr(one, name) for one in counts) for name in ("covered", "covered_by_pairs"))
     return Count("all", boards, covered, mean("places"), share, by_pairs, mean("ms"))
 
@@ -177,7 +177,7 @@ def _print(one: Count) -> None:
     # The error of a share as expected, which is not 0 where all are covered.
     error = math.sqrt(CONFIDENCE * (1.0 - CONFIDENCE) / one.boards)
     print(
-        f"{one.kind:28} {one.boards:4d} {share:8.1%} {error:6.1%} {one.places:7.2f} {one.told_apart:10.1%} "
+        f"{one.kind:28} {one.boards:4d} {share:8.1%} {error:6.1%} {one.places:7.2f} {one.separated:10.1%} "
         f"{one.covered_by_pairs / one.boards:9.1%} {one.ms:6.1f}",
         flush=True,
     )

@@ -1,7 +1,7 @@
 """How sure a rank is: simultaneous confidence intervals of the ranks of several methods on the same clusters.
 
 A cluster is what differs from one repetition of the benchmark to the next as a whole: a scene, or a scenario on a
-street. Ranks follow from differences: a method is ranked behind those that are told apart from it as better. All
+street. Ranks follow from differences: a method is ranked behind those that are separated from it as better. All
 differences are judged at once (Mogstad, Romano, Shaikh, Wilhelm: Inference for ranks, 2024), by the largest
 studentised difference of any two methods under resampling of clusters (max-t), stepwise (Romano, Wolf 2005): with the
 stated confidence no difference is judged the wrong way round and no tie is broken, so that all intervals hold all true
@@ -33,15 +33,15 @@ class RankIntervals:
     """Ranks of M methods with their confidence intervals; 1 is the best.
 
     Attributes:
-        ranks: (M,) ranks. Methods that follow each other in the order of their means, no two of which are told apart,
+        ranks: (M,) ranks. Methods that follow each other in the order of their means, no two of which are separated,
             share the first place of them; so do methods of equal means. Without intervals: places, shared by equal
             means alone.
-        low: (M,) best rank that a method can have: one more than the methods that are told apart from it as better.
-        high: (M,) worst rank that it can have: M less the methods that are told apart from it as worse.
-        is_better: (M, M) whether the method of the row is told apart from that of the column as better.
+        low: (M,) best rank that a method can have: one more than the methods that are separated from it as better.
+        high: (M,) worst rank that it can have: M less the methods that are separated from it as worse.
+        is_better: (M, M) whether the method of the row is separated from that of the column as better.
         n_clusters: clusters with a finite score of every method.
         n_dropped: clusters without.
-        reason: why no method is told apart from another; None: they were compared.
+        reason: why no method is separated from another; None: they were compared.
     """
 
     ranks: Int64
@@ -182,14 +182,14 @@ def _studentise(values: Float64, counts: Float64, tolerance: float) -> Float64:
     variances = (counts @ values**2 / clusters - means**2) * (clusters / (clusters - 1))
     errors = np.sqrt(np.maximum(variances, 0.0) / clusters)
     is_zero = np.abs(means) <= tolerance
-    # Draws of equal values have no error: as far from 0 as can be, so that they tell nothing apart.
+    # Draws of equal values have no error: as far from 0 as can be, so that they separate nothing.
     constant = errors <= np.maximum(tolerance, _ROUNDING * np.abs(means))
     t = np.where(constant, np.copysign(np.inf, means), means / np.where(constant, 1.0, errors))
     return np.where(is_zero, 0.0, t)
 
 
 def _share_ranks(totals: Float64, is_better: Bool, tolerance: float, *, alone: bool) -> Int64:
-    """Return the ranks (M,): each method joins those before it if it is told apart from none of them."""
+    """Return the ranks (M,): each method joins those before it if it is separated from none of them."""
     order = np.argsort(-totals, kind="stable")
     ties = np.split(order, 1 + np.flatnonzero(totals[order][:-1] - totals[order][1:] > tolerance))
     ranks = np.zeros(len(totals), np.int64)

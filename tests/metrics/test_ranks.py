@@ -39,11 +39,11 @@ def test_the_largest_difference_of_independent_methods_has_tukey_s_quantile(meth
     critical = stats.studentized_range.ppf(0.95, methods, clusters * (methods - 1)) / math.sqrt(2.0)
     step = math.sqrt(2.0 / clusters)
     lead = np.zeros((methods, 1))
-    for factor, told_apart in ((0.93, 0), (1.07, methods - 1)):
+    for factor, separated in ((0.93, 0), (1.07, methods - 1)):
         lead[0] = factor * critical * step
         found = rank_intervals(scores + lead, resamples=5000)
-        assert found.is_better[0].sum() == told_apart
-        assert found.is_better.sum() == told_apart
+        assert found.is_better[0].sum() == separated
+        assert found.is_better.sum() == separated
 
 
 def test_decisions_of_few_clusters_are_those_of_all_resamplings() -> None:
@@ -78,8 +78,8 @@ def test_decisions_of_few_clusters_are_those_of_all_resamplings() -> None:
     assert decided >= 4
 
 
-def test_ranks_are_shared_by_runs_of_methods_that_are_not_told_apart() -> None:
-    # Differences of 0.039 are told apart: the third is told apart from the first, and not from the second.
+def test_ranks_are_shared_by_runs_of_methods_that_are_not_separated() -> None:
+    # Differences of 0.039 are separated: the third is separated from the first, and not from the second.
     scores = white(5, 100) * 0.1 + np.array([1.0, 0.98, 0.955, 0.5, 0.48])[:, None]
     expected = ["1 (1-2)", "1 (1-3)", "3 (2-3)", "4 (4-5)", "4 (4-5)"]
     assert shown(rank_intervals(scores)) == expected

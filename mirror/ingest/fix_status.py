@@ -25,8 +25,8 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float64, Int64, UInt8
-from mirror.compiled import inner_njit
-from mirror.ingest.metric import scales, unwrap
+from mirror.compiled import compiled_above, inner_njit
+from mirror.ingest.metric import PLAIN_ELEMENTS, scales, unwrap
 
 _MIN_TRACK_FIXES = 3
 # The status of a fix. `status <= RESTART` selects the kept ones; RESTART is kept as the first fix of a new track.
@@ -63,7 +63,7 @@ class CleaningLimits(NamedTuple):
     min_step: float
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def count_status(status: UInt8) -> Int64:
     """Return the number (6,) of fixes of each status."""
     counts = np.zeros(6, np.int64)
@@ -72,7 +72,7 @@ def count_status(status: UInt8) -> Int64:
     return counts
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def count_backward(stamps: Int64) -> tuple[int, int]:
     """Count stamps earlier than one before them; return also the row of the first such stamp (-1: none)."""
     latest = stamps[0]
@@ -115,7 +115,7 @@ def _find_next_fix(index: int, fixes: Fixes) -> int:
     return len(fixes.stamps_ns)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def set_status(fixes: Fixes, limits: CleaningLimits) -> None:
     """Fill ``fixes.status`` by the rules of this module."""
     stamps, lon_or_x, lat_or_y, status, geodetic = fixes
@@ -211,7 +211,7 @@ def set_status(fixes: Fixes, limits: CleaningLimits) -> None:
         _keep_repetitions(last, run_end, status)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def set_status_without_motion(fixes: Fixes) -> None:
     """Fill ``fixes.status`` where stamps only number the fixes: usable ones are kept, the first of each stamp."""
     stamps, lon_or_x, lat_or_y, status, geodetic = fixes

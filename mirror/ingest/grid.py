@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import compiled_above
 from mirror.ingest.fix_status import RESTART, Fixes
-from mirror.ingest.metric import plane_error, scales, unwrap
+from mirror.ingest.metric import PLAIN_ELEMENTS, plane_error, scales, unwrap
 
 _CELLS = 32
 _NOWHERE = np.iinfo(np.int64).min
@@ -95,18 +95,18 @@ def build_grid(circles: Circles, geodetic: bool) -> Grid:
     return Grid(origin, (1.0 / cell[0], 1.0 / cell[1]), columns, keys, begin, end, np.array(members, np.int64))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled_above(PLAIN_ELEMENTS, inline="always")
 def _key(column: int, line: int) -> int:
     return ((column & 0x7FFFFFFF) << 31) | (line & 0x7FFFFFFF)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled_above(PLAIN_ELEMENTS, inline="always")
 def _slot(key: int, slots: int) -> int:
     mixed = (key ^ (key >> 29)) * 0x9E3779B1
     return (mixed ^ (mixed >> 15)) & (slots - 1)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def candidate_stretches(fixes: Fixes, circles: Circles, grid: Grid) -> Int64:
     """Find the stretches of kept fixes within circles.
 
@@ -128,7 +128,8 @@ def candidate_stretches(fixes: Fixes, circles: Circles, grid: Grid) -> Int64:
         scale[roi, 0], scale[roi, 1] = scales(centre_lat_or_y[roi], geodetic)
     reach2 = np.empty(rois)
     for roi in range(rois):
-        reach2[roi] = (reach_m[roi] * (1.0 + plane_error(centre_lat_or_y[roi], reach_m[roi], geodetic))) ** 2
+        reach = reach_m[roi] * (1.0 + plane_error(centre_lat_or_y[roi], reach_m[roi], geodetic))
+        reach2[roi] = reach * reach
     begun, reached, last_ordinal = np.empty(rois, np.int64), np.empty(rois, np.int64), np.full(rois, -2, np.int64)
     stretches = np.empty((256, 3), np.int64)
     count = 0

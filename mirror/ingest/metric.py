@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 from mirror.geometry.geodesy import ECCENTRICITY_SQUARED, SEMI_MAJOR_M
 
 _RAD_PER_DEG = math.pi / 180.0
 _EARTH_M = 6_371_000.0
+PLAIN_ELEMENTS = 100_000
+"""Elements of arrays below which the functions of the trigger run as plain Python: some ten thousand fixes, which take
+about as long as the compilation of a function."""
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
     """Return metres per unit of longitude (or x) and of latitude (or y) at a latitude: the exact first derivatives."""
     if not geodetic:
@@ -29,7 +30,7 @@ def scales(lat_or_y: float, geodetic: bool) -> tuple[float, float]:
     return normal * math.cos(lat_or_y * _RAD_PER_DEG) * _RAD_PER_DEG, north_m * _RAD_PER_DEG
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def unwrap(difference: float, geodetic: bool) -> float:
     """Take a difference of longitudes the short way round the globe; leave a difference of x as it is."""
     if geodetic:
@@ -40,7 +41,7 @@ def unwrap(difference: float, geodetic: bool) -> float:
     return difference
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def step_m(lon_or_x0: float, lat_or_y0: float, lon_or_x1: float, lat_or_y1: float, geodetic: bool) -> float:
     """Return the length of a step in metres, with the scales at its middle latitude.
 
@@ -52,7 +53,7 @@ def step_m(lon_or_x0: float, lat_or_y0: float, lon_or_x1: float, lat_or_y1: floa
     return math.sqrt(dx * dx + dy * dy)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: float, geodetic: bool) -> float:
     """Return the geodesic distance in metres between nearby places.
 
@@ -61,16 +62,18 @@ def distance_m(lon_or_x: float, lat_or_y: float, lon_or_x0: float, lat_or_y0: fl
     from differences of sines, which keeps its precision when the places are close.
     """
     if not geodetic:
-        return math.sqrt((lon_or_x - lon_or_x0) ** 2 + (lat_or_y - lat_or_y0) ** 2)
+        dx, dy = lon_or_x - lon_or_x0, lat_or_y - lat_or_y0
+        return math.sqrt(dx * dx + dy * dy)
     lat, lat0 = lat_or_y * _RAD_PER_DEG, lat_or_y0 * _RAD_PER_DEG
     half_dlon = 0.5 * unwrap(lon_or_x - lon_or_x0, True) * _RAD_PER_DEG
     sin_lat, cos_lat, sin_lat0, cos_lat0 = math.sin(lat), math.cos(lat), math.sin(lat0), math.cos(lat0)
-    inner, inner0 = 1.0 - ECCENTRICITY_SQUARED * sin_lat**2, 1.0 - ECCENTRICITY_SQUARED * sin_lat0**2
+    inner, inner0 = 1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat, 1.0 - ECCENTRICITY_SQUARED * sin_lat0 * sin_lat0
     normal, normal0 = SEMI_MAJOR_M / math.sqrt(inner), SEMI_MAJOR_M / math.sqrt(inner0)
     # p = N cos(lat) is the distance from the axis: chord^2 = (p - p0)^2 + 4 p p0 sin^2(dlon / 2) + (z - z0)^2
     axis_m, axis_m0 = normal * cos_lat, normal0 * cos_lat0
     dz = (1.0 - ECCENTRICITY_SQUARED) * (normal * sin_lat - normal0 * sin_lat0)
-    chord2 = (axis_m - axis_m0) ** 2 + 4.0 * axis_m * axis_m0 * math.sin(half_dlon) ** 2 + dz * dz
+    d_axis_m, sin_half = axis_m - axis_m0, math.sin(half_dlon)
+    chord2 = d_axis_m * d_axis_m + 4.0 * axis_m * axis_m0 * (sin_half * sin_half) + dz * dz
     radius = SEMI_MAJOR_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED) / inner0
     return 2.0 * radius * math.asin(min(math.sqrt(chord2) / (2.0 * radius), 1.0))
 

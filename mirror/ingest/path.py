@@ -12,12 +12,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64, Int64, Records
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 from mirror.ingest.fix_status import RESTART, Fixes
-from mirror.ingest.metric import scales, step_m, unwrap
+from mirror.ingest.metric import PLAIN_ELEMENTS, scales, step_m, unwrap
 from mirror.ingest.visits import CROSSING, STANDSTILL, dtype_of_rows
 
 # Excursions whose lengths or times differ by less than this count as equal: the choice does not depend on rounding.
@@ -153,7 +152,7 @@ def _course_deg(a: Float64, b: Float64, index: int, geodetic: bool) -> float:
     return math.degrees(math.atan2(dx, dy)) % 360.0
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def measure_passes(
     fixes: Fixes, rule: StepRule, candidates: Records, begin: Int64, end: Int64, visits: Records, out: Records
 ) -> None:
@@ -228,7 +227,7 @@ def _find_cut(away_m: Float64, away_ns: Int64) -> int:
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def cut_standstills(fixes: Fixes, rule: StepRule, visits: Records, limit_ns: int, out: Records) -> int:
     """Cut standstills that are longer than a limit out of visits; the remaining parts are visits themselves.
 

@@ -10,13 +10,12 @@ import math
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Int64, Records
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 from mirror.ingest.fix_status import RESTART, Fixes
 from mirror.ingest.grid import Circles
-from mirror.ingest.metric import distance_m, plane_error, scales, unwrap
+from mirror.ingest.metric import PLAIN_ELEMENTS, distance_m, plane_error, scales, unwrap
 
 CROSSING, RECORDING_EDGE, GAP, STANDSTILL = range(4)
 _TOLERANCE_M = 1e-6
@@ -120,7 +119,7 @@ def _solve(
     return middle
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def find_visits(fixes: Fixes, circles: Circles, stretches: Int64, max_gap_ns: int, out: Records) -> int:
     """Find the visits in the given stretches, in their order.
 
@@ -144,8 +143,8 @@ def find_visits(fixes: Fixes, circles: Circles, stretches: Int64, max_gap_ns: in
         scale_x, scale_y = scales(c2, geodetic)
         scale_slope = _scale_slope(c2, geodetic)
         error = plane_error(c2, radius, geodetic)
-        sure_inside = (radius * max(0.0, 1.0 - error)) ** 2
-        sure_outside = (radius * (1.0 + error)) ** 2
+        sure_inside, sure_outside = radius * max(0.0, 1.0 - error), radius * (1.0 + error)
+        sure_inside, sure_outside = sure_inside * sure_inside, sure_outside * sure_outside
         is_open = False
         entry_ns, entry_1, entry_2, entry_kind, entry_at = 0, 0.0, 0.0, 0, 0
         closest2, closest_1, closest_2 = np.inf, 0.0, 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from mirror.arrays import Float32, Float64, Int32, Int64, UInt8
-from mirror.compiled import per_pixel
+from mirror.compiled import bits_float, float_bits, per_pixel
 from mirror.portable import scalars
 from mirror.synth.render.lens import TILE_PX
 
@@ -76,7 +76,7 @@ def compute_coverage(
     sx, sy, sz = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     inverse, inside, found = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
     surfaces, sums = np.empty(samples, np.int32), np.empty((samples, 3), np.float32)
-    differs, bits, pattern = np.empty(_AREA, np.int32), inverse.view(np.int32), np.empty(1, np.int32)
+    differs = np.empty(_AREA, np.int32)
     room = height * width // 2 + count
     which, share = np.empty((room, 2), np.int32), np.empty((room, 3), np.float32)
     centre = np.full((height, width), SKY, np.int32)
@@ -110,11 +110,10 @@ def compute_coverage(
                 _try_round(rows, first, sx, sy, sz, inverse, found, place)
             if (at - begins[tile]) & 3 == 0:
                 # Positive floats have the order of their bits, and the compiler vectorises the minimum of integers.
-                least = bits[0]
+                least = float_bits(inverse[0])
                 for i in range(count):
-                    least = min(least, bits[i])
-                pattern[0] = least
-                farthest = pattern.view(np.float32)[0]
+                    least = min(least, float_bits(inverse[i]))
+                farthest = bits_float(least)
         for pixel in range(_AREA):
             differs[pixel] = 0
         for sample in range(1, samples):

@@ -258,8 +258,13 @@ def _filled(part: ast.expr, module: Module, depth: int) -> list[str]:
     return [FILLED]
 
 
-def messages() -> Iterator[tuple[str, str, str]]:
+@cache
+def messages() -> tuple[tuple[str, str, str], ...]:
     """File, place and text of each text of the source that is no documentation: messages, notes, warnings, headings."""
+    return tuple(_messages())
+
+
+def _messages() -> Iterator[tuple[str, str, str]]:
     for module in modules():
         left_out = module.documentation()
         inner = {part for node in ast.walk(module.tree) if isinstance(node, ast.JoinedStr) for part in node.values}

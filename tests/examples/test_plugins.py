@@ -1,4 +1,4 @@
-"""The examples, each run in another folder as a user runs them, and plug-ins with faults."""
+"""The examples, each run in another folder as a user runs it, and plug-ins with faults."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -26,21 +28,43 @@ from tests.conftest import ROOT
 PLUGINS = ("annotator", "method", "metric", "policy", "reader")
 
 
-def run(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
-    """Run Python in a folder that has nothing of this repository but copies of the examples."""
+def copy_examples(folder: Path) -> None:
+    """Copy the examples to a folder, but for those that it has."""
     for name in PLUGINS:
         if not (folder / f"{name}.py").exists():
             shutil.copy(ROOT / "examples" / f"{name}.py", folder)
+
+
+def run(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder that has nothing of this repository but copies of the examples."""
+    copy_examples(folder)
     return subprocess.run(
         [sys.executable, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False, timeout=300
     )
 
 
 def mirror(folder: Path, *words: object, code: int = ExitCode.DONE) -> str:
+    """Run `mirror` in a process of its own and return what it prints."""
     done = run(folder, "-m", "mirror", *words)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run `mirror` in this process, in the test's folder with copies of the examples; returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_here(*words: object, code: int = ExitCode.DONE) -> str:
+        copy_examples(tmp_path)
+        done = main([*map(str, words)])
+        said = capsys.readouterr()
+        assert done == code, said.err
+        assert "Traceback" not in said.err
+        return said.out + said.err
+
+    return run_here
 
 
 @pytest.mark.parametrize("name", PLUGINS)
@@ -82,41 +106,27 @@ class Exporting(MeanColour):
 
 METHOD = Exporting()
 """
-OPENING = """
-import sys
-
-import gymnasium
-
-from mirror.cli.main import main
-
-dataset, method = sys.argv[1], ("--method", "method.py:METHOD")
-drive = ("--scenario", "free-traffic", "--policy", "policy.py:Careful", "--duration", "0.2", "--width", "32")
-for words in (
-    ("view", dataset, "model", "--measure", "1", *method),
-    ("export-ply", dataset, "model", "--out", "street.ply", *method),
-    ("simulate", dataset, "model", *drive, "--no-video", "--out", "rollout", *method),
-):
-    assert main(list(words)) == 0, words
-env = gymnasium.make(
-    "hybridworldsim.gym:mirror/Street-v0", street=dataset, model="model", method="method.py:METHOD",
-    cameras=("front_wide",), width_px=32,
-)
-seen, _ = env.reset()
-print("sky", *seen["cameras"]["front_wide"][0, 0].tolist())
-"""
 
 
-def test_a_model_of_a_method_in_a_file_is_opened_by_every_verb(tiny_dataset: Dataset, tmp_path: Path) -> None:
+def test_a_model_of_a_method_in_a_file_is_opened_by_every_verb(
+    tiny_dataset: Dataset, tmp_path: Path, here: Callable[..., str]
+) -> None:
     dataset, method = tiny_dataset.root, ("--method", "method.py:METHOD")
     (tmp_path / "method.py").write_text((ROOT / "examples" / "method.py").read_text() + EXPORTING)
-    (tmp_path / "opening.py").write_text(OPENING)
-    mirror(tmp_path, "reconstruct", dataset, "--split", "novel", *method, "--out", "model")
-    done = run(tmp_path, "opening.py", dataset)
-    assert done.returncode == 0, done.stderr
+    here("reconstruct", dataset, "--split", "novel", *method, "--out", "model")
+    here("view", dataset, "model", "--measure", "1", *method)
+    here("export-ply", dataset, "model", "--out", "street.ply", *method)
+    drive = ("--scenario", "free-traffic", "--policy", "policy.py:Careful", "--duration", "0.2", "--width", "32")
+    here("simulate", dataset, "model", *drive, "--no-video", "--out", "rollout", *method)
+    env = gymnasium.make(
+        "hybridworldsim.gym:mirror/Street-v0", street=dataset, model="model", method="method.py:METHOD",
+        cameras=("front_wide",), width_px=32,
+    )  # fmt: skip
+    seen, _ = env.reset()
     with np.load(tmp_path / "model" / "colours.npz") as colours:
         expected = np.floor(colours["front_wide"])
     # The environment's sky is the method's colour: its model was opened by the file, and rendered.
-    assert np.array(done.stdout.split("sky ")[1].split(), int) == pytest.approx(expected, abs=1)
+    assert seen["cameras"]["front_wide"][0, 0].tolist() == pytest.approx(expected, abs=1)
     assert (tmp_path / "street.ply").read_bytes().startswith(b"ply of ")
     # The rollout states which model it shows, though that has no safetensors.
     assert json.loads((tmp_path / "rollout" / "run.json").read_text())["model_hash"] != sha256(b"").hexdigest()
@@ -157,12 +167,12 @@ def test_a_policy_in_a_file_stays_on_the_road(tmp_path: Path) -> None:
     assert said["safety"]["drivable_margin"] > 0.0
 
 
-def test_a_fault_of_a_policy_is_named_with_its_file_and_line(tmp_path: Path) -> None:
+def test_a_fault_of_a_policy_is_named_with_its_file_and_line(tmp_path: Path, here: Callable[..., str]) -> None:
     text = (ROOT / "examples" / "policy.py").read_text().replace("observation.route[4]", "observation.road[4]")
     (tmp_path / "policy.py").write_text(text)
     line = 1 + text[: text.index("observation.road")].count("\n")
     drive = ("simulate", "synth:tiny", "--scenario", "free-traffic", "--duration", "1", "--no-video", "--width", "64")
-    said = mirror(tmp_path, *drive, "--policy", "policy.py:Careful", "--out", "rollout", code=ExitCode.FINDINGS)
+    said = here(*drive, "--policy", "policy.py:Careful", "--out", "rollout", code=ExitCode.FINDINGS)
     assert f"line {line}, in act" in said and "policy.py" in said and "AttributeError" in said
 
 
@@ -194,11 +204,11 @@ def test_an_annotator_in_a_file(tiny_dataset: Dataset, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_fault_of_a_method_is_named_with_its_file_and_line(
-    tiny_dataset: Dataset, tmp_path: Path, text: str, named: str
+    tiny_dataset: Dataset, tmp_path: Path, here: Callable[..., str], text: str, named: str
 ) -> None:
     (tmp_path / "faulty.py").write_text(text)
     words = ("--split", "novel", "--method", "faulty.py:METHOD", "--out", "model")
-    said = mirror(tmp_path, "reconstruct", tiny_dataset.root, *words, code=ExitCode.COULD_NOT_RUN)
+    said = here("reconstruct", tiny_dataset.root, *words, code=ExitCode.COULD_NOT_RUN)
     assert "faulty.py: " in said or "faulty.py:METHOD" in said
     assert named in said
     assert not (tmp_path / "model").exists()

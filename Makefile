@@ -5,7 +5,7 @@ STAMP := $(VENV)/.installed
 # Without bytecode each of the hundreds of processes of the tests compiles every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test fuzz peers processors lint mutants wheel clean
+.PHONY: demo test pytest fuzz peers processors lint mutants wheel clean
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
@@ -16,11 +16,15 @@ $(STAMP): pyproject.toml constraints.txt
 demo: $(STAMP)
 	$(BIN)/mirror demo --out demo $(DEMO)
 
+# The checks of types occupy one core for a minute: the tests run beside them, and either fails the target.
+test: $(STAMP)
+	$(MAKE) --no-print-directory -j 2 lint pytest
+
 # Each worker begins with one half of the files, so that few of them are set up in both.
-test: lint
+pytest: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-# Five hundred damaged recordings of every reader, for which `make test` has fifty, and what came of them.
+# Five hundred damaged recordings of every reader, for which `make test` has thirty, and what came of them.
 fuzz: $(STAMP)
 	MIRROR_FUZZ=500 $(BIN)/python -m pytest -n 2 -rP tests/fuzz
 

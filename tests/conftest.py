@@ -23,6 +23,7 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from mirror.dataset.dataset import Dataset
     from mirror.synth import SynthReport
+    from tests.leaderboard.browser import Browser
 
 # A shell ignores Ctrl-C for what it starts in the background; tests of interruptions need what Python does with it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -63,6 +64,27 @@ def one_thread_of_torch() -> Iterator[None]:
     torch = sys.modules.get("torch")
     if torch is not None and torch.get_num_threads() != 1:
         torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def started_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A headless browser that starts once; tests use `browser`."""
+    from tests.leaderboard.browser import NAMES, Browser, find_browser
+
+    program = find_browser()
+    if program is None:
+        pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
+    started = Browser(program, tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()
+
+
+@pytest.fixture
+def browser(started_browser: Browser) -> Browser:
+    """A headless browser with an empty page of its own size."""
+    started_browser.call("Emulation.clearDeviceMetricsOverride")
+    started_browser.call("Page.navigate", url="about:blank")
+    return started_browser
 
 
 @pytest.fixture(scope="session")

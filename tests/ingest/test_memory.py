@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.ingest.long_drives import RADIUS_M, peak_bytes, write_drives
 
-FEW, MANY, POSES = 6, 26, 36_000
+FEW, MANY, POSES = 4, 20, 36_000
 
 
 def test_peak_memory_does_not_grow_with_the_number_of_drives(tmp_path: Path) -> None:

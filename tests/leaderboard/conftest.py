@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -18,7 +17,6 @@ from mirror_leaderboard.command import PAPERS
 from mirror_leaderboard.entry import IMAGE_FOLDER, Figure, Measured, Pair
 from mirror_leaderboard.signing import new_key
 from mirror_leaderboard.trust import sign_entries
-from tests.leaderboard.browser import NAMES, Browser, find_browser
 
 REPOSITORY = Path(__file__).parents[2]
 MEASURED = REPOSITORY / "leaderboard" / "entries"
@@ -82,16 +80,6 @@ def board(tmp_path: Path) -> Path:
     new_key(tmp_path / "organiser.key")
     sign_entries(folder, tmp_path / "organiser.key")
     return folder
-
-
-@pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    program = find_browser()
-    if program is None:
-        pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
-    instance = Browser(program, tmp_path_factory.mktemp("profile"))
-    yield instance
-    instance.close()
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("torch")
 
+import mirror
 from hybridworldsim.petr.tiny.annotator import ANNOTATOR, SHIPPED, SHIPPED_SHA256
 from hybridworldsim.petr.tiny.familiarity import (
     NAME,
@@ -74,9 +75,9 @@ def test_inputs_of_another_model_are_refused(streets: np.ndarray, tmp_path: Path
 
 
 def test_output_layer_and_report_state_the_training_data(
-    tiny_dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    one_drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root = Path(shutil.copytree(tiny_dataset.layout.root, tmp_path / "dataset"))
+    root = one_drive
     verb = ["annotate", str(root), "--annotator", "petr-tiny"]
     assert main(verb) == 0
     assert "petr-tiny was trained on synthetic streets" in capsys.readouterr().out
@@ -94,7 +95,7 @@ def test_output_layer_and_report_state_the_training_data(
     capsys.readouterr()
     assert main([*verb, *words]) == 0
     out = capsys.readouterr().out
-    frames = len(tiny_dataset.frames())
+    frames = len(mirror.open(root).frames())
     assert f"trained on noise; {frames} of {frames} frames do not look like that" in out
     assert "mirror annotate train" in out
     page = tmp_path / "boxes.html"

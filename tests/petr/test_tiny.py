@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+import mirror  # noqa: E402
 from hybridworldsim.petr.boxes import DecodedBoxes  # noqa: E402
 from hybridworldsim.petr.tiny.annotator import ANNOTATOR, SHIPPED, TinyAnnotator  # noqa: E402
 from hybridworldsim.petr.tiny.dense import LOG_SIZE, DenseOutput, decode_cells, ray_pitch  # noqa: E402
@@ -308,15 +308,15 @@ def test_wrong_training_settings_are_refused(given: dict[str, str], message: str
 
 
 def test_train_then_annotate_by_the_command_line(
-    tiny_dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    one_drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root = Path(shutil.copytree(tiny_dataset.layout.root, tmp_path / "dataset"))
+    root = one_drive
     run = tmp_path / "run"
     words = ["annotate", "train", str(root), "--annotator", "petr-tiny", "--steps", "2", "--out", str(run)]
     assert main([*words, "--set", "batch=2", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["steps"] == 2
-    assert report["frames"] == len(tiny_dataset.frames())
+    assert report["frames"] == len(mirror.open(root).frames())
     assert {"run.json", "outcome.json", "curves.csv", "model.safetensors"} <= {path.name for path in run.iterdir()}
     # A finished run with other options is not changed.
     others = [{"2": "3"}.get(word, word) for word in words]

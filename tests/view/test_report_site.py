@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,22 +14,12 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.view.images import Passage, choose_passages
 from mirror.view.report_site import write_site
-from tests.leaderboard.browser import Browser, find_browser
+from tests.leaderboard.browser import Browser
 
 
 @pytest.fixture(scope="module")
 def site(street: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_site(street, tmp_path_factory.mktemp("site") / "out", "A </script><b>title").parent
-
-
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Browser]:
-    program = find_browser()
-    if program is None:
-        pytest.skip("no Chromium here: apt-get install chromium")
-    opened = Browser(program, tmp_path / "profile")
-    yield opened
-    opened.close()
 
 
 def test_pages_hold_the_rows_of_the_tables_and_need_no_network(street: Dataset, site: Path) -> None:

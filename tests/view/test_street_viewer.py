@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,7 +13,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.view.street_path import StreetPath, blend, by_light, read_path
-from tests.leaderboard.browser import Browser, find_browser
+from tests.leaderboard.browser import Browser
 from tests.view.flat import COLOURS, DAY, NIGHT, Flat
 
 
@@ -48,21 +47,11 @@ def test_appearances_go_from_day_to_night() -> None:
     assert blend(ordered[:1], 0.5) == {DAY: 1.0}
 
 
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Browser]:
-    program = find_browser()
-    if program is None:
-        pytest.skip("no Chromium here: apt-get install chromium")
-    opened = Browser(program, tmp_path / "profile")
-    yield opened
-    opened.close()
-
-
 def middle_colour(browser: Browser, file: Path) -> np.ndarray:
     browser.screenshot(file, whole=False)
     pixels = cv2.imread(str(file))[..., ::-1]
     height = pixels.shape[0]
-    return np.median(pixels[height // 3 : 2 * height // 3, 320:640].reshape(-1, 3), axis=0)
+    return np.median(pixels[height // 3 : 2 * height // 3, 160:320].reshape(-1, 3), axis=0)
 
 
 def wait_for(browser: Browser, file: Path, colour: tuple[float, ...], seconds: float = 60.0) -> None:
@@ -79,7 +68,7 @@ def test_a_browser_shows_images_and_follows_the_sliders(path: StreetPath, browse
     renderer = Flat()
     viewer = StreetViewer(renderer, path, ViewerOptions(port=0))
     try:
-        browser.call("Emulation.setDeviceMetricsOverride", width=1280, height=720, deviceScaleFactor=1, mobile=False)
+        browser.call("Emulation.setDeviceMetricsOverride", width=640, height=360, deviceScaleFactor=1, mobile=False)
         browser.call("Page.navigate", url=viewer.url)
         while browser.script("document.readyState") != "complete" or browser.script("location.href") == "about:blank":
             time.sleep(0.1)

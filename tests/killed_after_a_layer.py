@@ -1,4 +1,4 @@
-"""Commands that are killed, or interrupted, right after they wrote a layer: the same command goes on."""
+"""Commands that are interrupted, then killed, right after they wrote a layer: the same command goes on."""
 
 from __future__ import annotations
 
@@ -9,49 +9,25 @@ import pytest
 
 import mirror
 from mirror.cli.main import main
-from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import DatasetError
 from mirror.integrity import check
+from tests.interruption import interrupt_before, kill_command_before
 
 
-class Killed(BaseException):
-    """Ends a process at once."""
-
-
-def require_resumable(root: Path, words: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Interrupt a command after its first layer, then kill it after the next; it finishes all the same.
+def require_resumable(root: Path, words: Sequence[str]) -> None:
+    """Interrupt a command after its first layer, then kill it after all of them; it finishes all the same.
 
     Args:
         root: the dataset; the command writes at least two layers into it.
         words: the command.
-        monkeypatch: changes what is written.
     """
-    finish = LayerWriter.finish
-
-    def interrupted(*given: object) -> None:
-        finish(*given)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(LayerWriter, "finish", interrupted)
+    with interrupt_before("layers/*/*", 2):
         assert main(list(words)) == 130
     # The next verbs find a valid index, with the layer.
     layers = [name for row in mirror.open(root).table("traversals", ["layers"]).to_pylist() for name in row["layers"]]
     assert len(layers) == len(list(root.glob("traversals/*/layers/*/*/manifest.json")))
-
-    def killed(*given: object) -> None:
-        raise Killed
-
-    def finish_and_die(*given: object) -> None:
-        finish(*given)
-        patched.setattr("mirror.dataset.writing.build_index", killed)
-        raise Killed
-
-    with monkeypatch.context() as patched:
-        patched.setattr(LayerWriter, "finish", finish_and_die)
-        with pytest.raises(Killed):
-            main(list(words))
-    with pytest.raises(DatasetError, match="index is stale"):
+    kill_command_before("index/*", 1, words)
+    with pytest.raises(DatasetError, match="stale"):
         mirror.open(root)
     assert main(list(words)) == 0
     assert main(list(words)) == 0

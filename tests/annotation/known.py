@@ -27,12 +27,10 @@ class Known:
 
     name, version, fingerprint = "known", "1", "known"
 
-    def __init__(self, failing: tuple[int, ...] = (), interrupt_at: int | None = None) -> None:
-        self.calls, self.failing, self.interrupt_at = 0, failing, interrupt_at
+    def __init__(self, failing: tuple[int, ...] = ()) -> None:
+        self.calls, self.failing = 0, failing
 
     def annotate(self, frame: Frame) -> Detections:
-        if self.calls == self.interrupt_at:
-            raise KeyboardInterrupt
         self.calls += 1
         if frame.frame_index in self.failing:
             raise AnnotationError("no result", place=f"frame {frame.frame_index}")

@@ -20,10 +20,10 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.dataset.index.build import build_index
-from mirror.dataset.layer_writer import LayerWriter
 from mirror.errors import DatasetError, UsageError
 from tests.annotation.known import Known, truth
 from tests.builders.dataset import Builder, Pass
+from tests.interruption import interrupt_before, interrupting
 
 
 def assert_truth(dataset: Dataset, layer: str) -> None:
@@ -57,7 +57,7 @@ def test_a_layer_is_written_once_and_read_back(root: Path) -> None:
 
 def test_failed_frames_and_interruptions_lose_nothing(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), Known(interrupt_at=5))
+        annotate(mirror.open(root), interrupting(Known(), "annotate", 6))
     failing = Known(failing=(2,))
     report = annotate(mirror.open(root), failing)
     # d0 was finished before; of d1, one frame was.
@@ -149,18 +149,9 @@ def test_a_traversal_without_images_has_layers_without_boxes(
     assert len(json.loads(file.read_text())["results"]) == 7
 
 
-def test_interrupted_tracking_continues(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_tracking_continues(root: Path) -> None:
     annotate(mirror.open(root), Known())
-    finish, calls = LayerWriter.finish, []
-
-    def interrupted(self: LayerWriter, *given: object) -> None:
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        finish(self, *given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(LayerWriter, "finish", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupt_before("layers/*/*", 2):
         track_layer(mirror.open(root))
     report = track_layer(mirror.open(root), "known@1")
     assert (len(report.kept), len(report.written)) == (1, 1)

@@ -25,6 +25,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
 from mirror.errors import DatasetError, UsageError
 from tests.annotation.known import Known
+from tests.interruption import interrupting
 
 PROGRAM = textwrap.dedent(
     """
@@ -61,16 +62,11 @@ def test_words_that_are_unknown_are_refused() -> None:
 
 
 class Counting:
-    """Counts its calls, and can be interrupted."""
+    """Counts its calls."""
 
-    fingerprint = "counting"
-
-    def __init__(self, interrupt_at: int | None = None) -> None:
-        self.calls, self.interrupt_at = 0, interrupt_at
+    fingerprint, calls = "counting", 0
 
     def describe(self, frame: Frame) -> Description:
-        if self.calls == self.interrupt_at:
-            raise KeyboardInterrupt
         self.calls += 1
         return Description(f"{frame.traversal_id} {frame.frame_index}", "day", None)
 
@@ -82,7 +78,7 @@ def test_an_interrupted_run_continues_with_the_same_file(root: Path, tmp_path: P
     dataset, whole, parts = mirror.open(root), tmp_path / "whole", tmp_path / "parts"
     describe_frames(dataset, Counting(), whole)
     with pytest.raises(KeyboardInterrupt):
-        describe_frames(dataset, Counting(3), parts)
+        describe_frames(dataset, interrupting(Counting(), "describe", 4), parts)
     with parts.open("a") as file:
         file.write('{"traversal_id": "half a li')
     second = Counting()

@@ -23,6 +23,7 @@ from mirror.schema.files import read_table
 from mirror.schema.tables import BOXES, CALIBRATIONS
 from tests.annotation.known import Known
 from tests.builders.dataset import write_two_drives
+from tests.interruption import interrupting
 from tests.other_bytes import give_other_bytes
 
 
@@ -36,8 +37,8 @@ def root(tmp_path: Path) -> Path:
 class FrameList(Known):
     """Notes the frames that it is asked for."""
 
-    def __init__(self, interrupt_at: int | None = None) -> None:
-        super().__init__(interrupt_at=interrupt_at)
+    def __init__(self) -> None:
+        super().__init__()
         self.asked: list[int] = []
 
     def annotate(self, frame: Frame):
@@ -51,13 +52,7 @@ class Seeing:
 
     fingerprint = "seeing"
 
-    def __init__(self, interrupt_at: int | None = None) -> None:
-        self.calls, self.interrupt_at = 0, interrupt_at
-
     def describe(self, frame: Frame) -> Description:
-        if self.calls == self.interrupt_at:
-            raise KeyboardInterrupt
-        self.calls += 1
         return Description(str(round(float(np.median(frame.images["front_wide"].decode())))), None, None)
 
     def close(self) -> None:
@@ -66,7 +61,7 @@ class Seeing:
 
 def test_a_frame_with_other_images_is_annotated_again(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), FrameList(interrupt_at=3))
+        annotate(mirror.open(root), interrupting(FrameList(), "annotate", 4))
     frames = list(mirror.open(root).frames())
     give_other_bytes(root, frames[1].images["rear"])
     second = FrameList()
@@ -77,7 +72,7 @@ def test_a_frame_with_other_images_is_annotated_again(root: Path) -> None:
 
 def test_a_frame_with_another_calibration_is_annotated_again(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), FrameList(interrupt_at=3))
+        annotate(mirror.open(root), interrupting(FrameList(), "annotate", 4))
     layout = Layout(root)
     name = mirror.open(root).traversals()[0]
     writer = LayerWriter(layout, name, "calibrations", "other", "1")
@@ -91,7 +86,7 @@ def test_an_annotator_that_opens_no_image_reads_none(root: Path) -> None:
         reads_images = False
 
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), Blind(interrupt_at=3))
+        annotate(mirror.open(root), interrupting(Blind(), "annotate", 4))
     for frame in mirror.open(root).frames():
         (root / frame.images["rear"].uri).unlink()
     assert annotate(mirror.open(root), Blind()).resumed == 3
@@ -100,7 +95,7 @@ def test_an_annotator_that_opens_no_image_reads_none(root: Path) -> None:
 def test_a_frame_with_other_images_is_described_again(root: Path, tmp_path: Path) -> None:
     out = tmp_path / "descriptions"
     with pytest.raises(KeyboardInterrupt):
-        describe_frames(mirror.open(root), Seeing(interrupt_at=3), out)
+        describe_frames(mirror.open(root), interrupting(Seeing(), "describe", 4), out)
     frame = mirror.open(root).frames()[1]
     give_other_bytes(root, frame.images["front_wide"], 200)
     report = describe_frames(mirror.open(root), Seeing(), out)
@@ -140,7 +135,7 @@ def test_boxes_of_other_recorded_images_are_not_called_done(root: Path) -> None:
 
 def test_a_journal_of_an_earlier_version_is_made_again(root: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        annotate(mirror.open(root), Known(interrupt_at=3))
+        annotate(mirror.open(root), interrupting(Known(), "annotate", 4))
     (journal,) = root.glob(".annotate/*/*.jsonl")
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     journal.write_text("".join(json.dumps({"timestamp_ns": int(one["item"]), "boxes": []}) + "\n" for one in lines))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import signal
 import subprocess
@@ -20,14 +19,12 @@ import pytest
 import torch
 
 import mirror
-from hybridworldsim.methods.layers import Layers, layer_source, layers_for
-from hybridworldsim.methods.street import StreetRenderer
+from hybridworldsim.methods.layers import layer_source, layers_for
 from hybridworldsim.model.blocks import Block, divide, select_views
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.training.data_loader import TrainingImageCache
 from hybridworldsim.training.run.folder import lock_run
 from hybridworldsim.training.views import training_views
-from mirror.arrays import UInt8
 from mirror.cli.main import main
 from mirror.dataset import Dataset
 from mirror.dataset.index import build_index
@@ -54,6 +51,7 @@ from tests.baselines.conftest import (
     initialise,
     made_street,  # noqa: F401 - a fixture
 )
+from tests.interruption import interrupt_before
 
 STEPS = 40
 
@@ -578,7 +576,7 @@ def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Datase
 
 @pytest.mark.parametrize("where", ["split", "trajectory"])
 def test_an_interrupted_rendering_goes_on_and_ends_the_same(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, where: str
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], where: str
 ) -> None:
     model, out, whole = tmp_path / "model", tmp_path / "out", tmp_path / "whole"
     said(capsys, *reconstruct(dataset, model, "--steps", 3))
@@ -587,24 +585,17 @@ def test_an_interrupted_rendering_goes_on_and_ends_the_same(
         asked = ("--trajectory", "forward:1", "--width", 48, "--hz", 5)
     words = ("render", dataset.root, model, *asked)
     said(capsys, *words, "--out", whole)
-    drawn = []
-
-    def interrupted(opened: StreetRenderer, view: RenderView) -> UInt8:
-        drawn.append(view.path)
-        if len(drawn) == 6:
-            raise KeyboardInterrupt
-        return usual(opened, view)
-
-    usual = StreetRenderer.__call__
-    monkeypatch.setattr(StreetRenderer, "__call__", interrupted)
-    assert main([str(word) for word in (*words, "--out", out)]) == 130
+    with interrupt_before("*.png", 6):
+        assert main([str(word) for word in (*words, "--out", out)]) == 130
+    kept = {path: path.stat().st_mtime_ns for path in out.rglob("*.png")}
     assert "run the same command again" in capsys.readouterr().err and not (out / "manifest.json").exists()
     other = said(capsys, *words, "--appearance", "mean", "--out", out, code=ExitCode.COULD_NOT_RUN)
     assert "an interrupted run with other settings" in other["problem"]
     said(capsys, *words, "--out", out)
     files = {path.relative_to(whole): path.read_bytes() for path in whole.rglob("*.png")}
     assert {path.relative_to(out): path.read_bytes() for path in out.rglob("*.png")} == files
-    assert len(drawn) == len(files) + 1 and not (out / ".rendering").exists()
+    assert len(kept) == 5 and {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert not (out / ".rendering").exists()
     # Done is done: nothing goes on there.
     done = "it holds a submission already" if where == "split" else "a folder with other files"
     assert done in said(capsys, *words, "--out", out, code=ExitCode.COULD_NOT_RUN)["problem"]
@@ -780,15 +771,11 @@ def test_while_another_run_writes_it_the_dataset_is_read_as_it_was_before(datase
 
 
 def test_a_scheduler_ends_it_as_ctrl_c_does(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def ended(*_: object) -> Layers:
-        os.kill(os.getpid(), signal.SIGTERM)
-        raise AssertionError("it went on")
-
     before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr("hybridworldsim.methods.scene_preparation.layers_for", ended)
-    assert main([str(word) for word in reconstruct(dataset, tmp_path / "model")]) == 130
+    with interrupt_before("*", number=signal.SIGTERM):
+        assert main([str(word) for word in reconstruct(dataset, tmp_path / "model")]) == 130
     assert "run the same command again" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before
 

@@ -15,13 +15,14 @@ import pytest
 import shapely
 
 import mirror
-from mirror.dataset.index import build, build_index
+from mirror.dataset.index import build_index
 from mirror.errors import DatasetError, SchemaError
 from mirror.geometry.geodesy import TangentFrame
 from mirror.schema.files import read_table, write_table
 from mirror.schema.index_tables import INDEX_BY_SCENE, INDEX_GLOBAL
 from mirror.schema.tables import BOXES, IMAGES, MASKS
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass, box, mask_row, write_reconstruction
+from tests.interruption import interrupt_before
 
 GEOD = pyproj.Geod(ellps="WGS84")
 
@@ -183,16 +184,11 @@ def test_a_damaged_index_is_made_again(tmp_path: Path, damage: str) -> None:
     assert index_bytes(tmp_path) == expected
 
 
-def test_a_run_killed_before_the_manifest_is_made_good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_killed_before_the_manifest_is_made_good(tmp_path: Path) -> None:
     builder = two_scenes(tmp_path)
     build_index(tmp_path)
     builder.drive("d4", [Pass("b", EPOCH + 900 * SECOND)])
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(build, "write_json", killed)
+    with interrupt_before("index/manifest.json"):
         build_index(tmp_path)
     with pytest.raises(DatasetError, match="stale"):
         mirror.open(tmp_path)

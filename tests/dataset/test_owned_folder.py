@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import signal
 import time
 from pathlib import Path
 
@@ -11,16 +10,22 @@ import pytest
 
 from mirror.dataset import owned_folder
 from mirror.dataset.owned_folder import LEFT_OVER_AGE_S, OwnedFolder, abandoned_folders
+from tests.interruption import NEVER_S, Running
+
+
+def own_a_folder(parent: str) -> None:
+    own = OwnedFolder(Path(parent), "run")
+    print(own.path, flush=True)
+    time.sleep(NEVER_S)
 
 
 def test_a_dead_process_leaves_its_folder_to_the_next(tmp_path: Path) -> None:
-    script = (
-        "import sys, os, signal; from pathlib import Path; from mirror.dataset.owned_folder import OwnedFolder;"
-        "own = OwnedFolder(Path(sys.argv[1]), 'run'); print(own.path, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
-    )
-    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
+    with Running(own_a_folder, tmp_path) as running:
+        dead = running.stdout.readline().decode().strip()
+        running.send(signal.SIGKILL)
+        assert running.wait() == -signal.SIGKILL
     alive = OwnedFolder(tmp_path, "run")
-    assert [str(path) for path in abandoned_folders(tmp_path, "run")] == [done.stdout.strip()]
+    assert [str(path) for path in abandoned_folders(tmp_path, "run")] == [dead]
     assert alive.path.exists()
 
 

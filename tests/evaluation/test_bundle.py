@@ -25,12 +25,12 @@ from mirror.evaluation.submission.manifest import Appearance, SubmittedMethod
 from mirror.evaluation.submission.template import make_manifest, write_manifest
 from mirror.export.fetch import fetch
 from mirror.export.publish import PublishOptions, PublishReport, publish
-from mirror.progress import NullProgress
 from mirror.protocols.png import encode_png
 from mirror.protocols.views import plan_views
 from mirror.schema.bundle import PUBLISHING, Bundle
 from tests.conftest import ROOT
 from tests.evaluation.submissions import SPLIT, small, write_renders
+from tests.interruption import InterruptingProgress
 
 BROKEN: set[str] = set()
 REQUESTED: list[str] = []
@@ -191,13 +191,9 @@ def test_bytes_that_differ_from_the_hash_are_refused(bundle: Path, tmp_path: Pat
 
 
 def test_an_interrupted_call_continues_and_a_stricter_one_removes(root: Path, tmp_path: Path) -> None:
-    class Interrupted(NullProgress):
-        def advance(self, count: int = 1) -> None:
-            raise KeyboardInterrupt
-
     out = tmp_path / "bundle"
     with pytest.raises(KeyboardInterrupt):
-        publish(root, str(out), options(protocols=()), progress=Interrupted())
+        publish(root, str(out), options(protocols=()), progress=InterruptingProgress(1))
     assert not (out / "bundle.json").exists()
     # A killed process leaves its unfinished files, also beside the folders of the dataset.
     killed = [out / f".{name}.12345.tmp" for name in ("dataset.json", "README.md")]

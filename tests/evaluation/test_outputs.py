@@ -13,6 +13,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from tests.builders.folder import tree
 from tests.evaluation.submissions import small, small_text, write_renders
+from tests.interruption import interrupt_before
 
 FOLDERS = {
     "evaluate": "evaluate {data} {here}/submission --protocol {here}/small.toml --out {out}",
@@ -101,12 +102,8 @@ def test_plots_and_sites_are_replaced(root: Path, tmp_path: Path, capsys: pytest
 
 
 def test_interrupted_commands_continue(
-    dataset: Dataset, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dataset: Dataset, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import mirror.evaluation.submission.template as template
-    import mirror.evaluation.submission.writing as writing
-    import mirror.synth.hidden_truth as hidden
-
     (tmp_path / "small.toml").write_text(small_text())
     lines = 'task = "reconstruction"', 'name = "novel"\nroles = ["held_out"]'
     moved = small_text(every=10, metrics='[[metrics]]\nmetric = "psnr"\n').replace(
@@ -114,36 +111,19 @@ def test_interrupted_commands_continue(
     )
     (tmp_path / "moved.toml").write_text(moved)
     asked = ["--split", "novel", "--protocol"]
-    commands = {
-        template: ["submission", "new", str(root), *asked, str(tmp_path / "small.toml")],
-        writing: ["baseline", str(root), "--method", "nearest_frame", *asked, str(tmp_path / "small.toml")],
-        hidden: [
-            "submission",
-            "hidden",
-            str(root),
-            "--recordings",
-            str(root.parent / "tiny"),
-            *asked,
-            str(tmp_path / "moved.toml"),
-        ],
-    }
-    for module, words in commands.items():
+    recordings = ["--recordings", str(root.parent / "tiny")]
+    for words in (
+        ["submission", "new", str(root), *asked, str(tmp_path / "small.toml")],
+        ["baseline", str(root), "--method", "nearest_frame", *asked, str(tmp_path / "small.toml")],
+        ["submission", "hidden", str(root), *recordings, *asked, str(tmp_path / "moved.toml")],
+    ):
         assert main([*words, "--out", str(tmp_path / "whole")]) == 0
-        written = iter(range(3))
-        real = module.encode_png
-
-        def encode(pixels, written=written, real=real):
-            if next(written, None) is None:
-                raise KeyboardInterrupt
-            return real(pixels)
-
-        with monkeypatch.context() as patched:
-            patched.setattr(module, "encode_png", encode)
+        with interrupt_before("*.png", 4):
             assert main([*words, "--out", str(tmp_path / "stopped")]) == 130
         half = tree(tmp_path / "stopped")
         assert main([*words, "--out", str(tmp_path / "stopped")]) == 0
         whole, stopped = tree(tmp_path / "whole"), tree(tmp_path / "stopped")
-        if module is writing:
+        if words[0] == "baseline":
             # The manifest states the number of images per second.
             for made in (whole, stopped):
                 del made["manifest.json"]

@@ -6,7 +6,6 @@ import json
 import tarfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -28,6 +27,7 @@ from mirror.geometry.quaternions import quaternion_exp
 from mirror.progress import NullProgress
 from tests.builders.dataset import Builder, Pass
 from tests.builders.street import LENSES
+from tests.interruption import interrupt_before
 
 
 def members(path: Path) -> dict[str, bytes]:
@@ -78,18 +78,7 @@ def test_shards_end_at_their_size_and_a_call_continues(
     once = export(street, "webdataset", tmp_path / "once")
     shards = sorted(path.name for path in (tmp_path / "once").glob("*.tar"))
     assert len(shards) > 2 and shards[0] == "all-000000.tar"
-    calls = 0
-
-    def stop(*arguments: Any) -> bytes:
-        nonlocal calls
-        calls += 1
-        if calls == 20:
-            raise KeyboardInterrupt
-        return real(*arguments)
-
-    real = webdataset.image_bytes
-    monkeypatch.setattr(webdataset, "image_bytes", stop)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupt_before("*.tar", 2):
         export(street, "webdataset", tmp_path / "twice")
     done = list((tmp_path / "twice").glob("*.tar"))
     assert 0 < len(done) < len(shards) and not list((tmp_path / "twice").glob("*.tmp"))

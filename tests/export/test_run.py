@@ -25,6 +25,7 @@ from mirror.protocols.document import load_protocol
 from mirror.schema.tables import IMAGES
 from tests.builders.dataset import Builder
 from tests.builders.street import encoded, make_street
+from tests.interruption import InterruptingProgress
 
 pytest.importorskip("pycolmap")
 CAMERAS = ("front_wide", "front_narrow")
@@ -37,23 +38,6 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def files_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
-class Interrupted:
-    """Progress that ends an export after some steps."""
-
-    def __init__(self, steps: int) -> None:
-        self.left = steps
-
-    def start(self, phase: str, total: int) -> None: ...
-    def expect(self, steps: int) -> None: ...
-    def status(self, text: str) -> None: ...
-    def report(self, text: str) -> None: ...
-    def message(self, text: str) -> None: ...
-    def advance(self, steps: int) -> None:
-        self.left -= steps
-        if self.left < 0:
-            raise KeyboardInterrupt
 
 
 def test_images_are_links_and_the_dataset_stays_as_it_was(street: Dataset, tmp_path: Path) -> None:
@@ -78,7 +62,7 @@ def test_an_interrupted_export_continues(street: Dataset, tmp_path: Path, steps:
     options = ExportOptions(split="novel", undistort=True)
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        export(street, "nerfstudio", out, options, progress=Interrupted(steps))
+        export(street, "nerfstudio", out, options, progress=InterruptingProgress(steps + 1))
     assert not (out / MANIFEST).exists()
     assert (out / UNFINISHED).is_file()
     with pytest.raises(UsageError, match="another split"):

@@ -30,8 +30,8 @@ from mirror.errors import DatasetError, ExitCode, UsageError
 from mirror.progress import NullProgress
 from tests.generation.builders import make_network
 from tests.generation.clips import make_clip, write_clips
-from tests.generation.interrupting import InterruptingProgress
 from tests.generation.trained import NETWORK
+from tests.interruption import InterruptingProgress
 
 STEPS, SEGMENTS = 16, 4
 

@@ -52,6 +52,7 @@ from mirror.schema.tables import BOXES, CALIBRATIONS
 from tests.generation.builders import make_network
 from tests.generation.clips import make_clip
 from tests.generation.trained import CODEC, NETWORK, T
+from tests.interruption import interrupt_before
 
 SIZE = (16, 24)
 CAMERAS = ("front_wide", "front_left")
@@ -271,18 +272,8 @@ def test_an_interrupted_run_continues_bit_for_bit(
         # Measured 4 grey levels: the video is compressed.
         assert found and np.abs(image.astype(int) - row).mean() < 10.0
     assert not played.read()[0]
-    write, calls = run_module.encode_png, []
-
-    def fail(image: np.ndarray) -> bytes:
-        calls.append(1)
-        if len(calls) > 7:
-            raise KeyboardInterrupt
-        return write(image)
-
-    monkeypatch.setattr(run_module, "encode_png", fail)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupt_before("*.png", 8):
         generate_scene(tiny_dataset, wanted, tmp_path / "part")
-    monkeypatch.setattr(run_module, "encode_png", write)
     again = generate_scene(tiny_dataset, wanted, tmp_path / "part")
     assert digest(tmp_path / "part") == digest(tmp_path / "whole")
     assert (again.generated_views, again.kept_views) == (document.generated_views, document.kept_views)
@@ -291,10 +282,9 @@ def test_an_interrupted_run_continues_bit_for_bit(
 
 
 def test_another_request_is_refused_in_an_interrupted_folder(
-    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(run_module, "encode_png", lambda image: (_ for _ in ()).throw(KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
+    with interrupt_before("*.png"):
         generate_scene(tiny_dataset, request(models, tiny_dataset, traversal), tmp_path / "out")
     with pytest.raises(UsageError, match="other settings"):
         generate_scene(tiny_dataset, request(models, tiny_dataset, traversal, hz=0.25), tmp_path / "out")

@@ -23,8 +23,8 @@ from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
 from mirror.errors import UsageError
 from mirror.progress import NullProgress
 from tests.generation.clips import FRAMES, make_clip, write_clips
-from tests.generation.interrupting import InterruptingProgress
 from tests.generation.trained import CODEC, NETWORK, T
+from tests.interruption import InterruptingProgress
 
 AS_FRAMES = replace(
     NETWORK, reference_channels=0, temporal_layers=(1,), causal=True, layout=AdapterConfig(4, 8, scales=(1,))

@@ -27,6 +27,7 @@ from mirror.dataset.frames import Frame
 from mirror.dataset.index.build import build_index
 from tests.annotation.known import Known
 from tests.builders.dataset import Builder, Pass
+from tests.interruption import interrupting
 
 DATASET: Final = Path(__file__).with_name("half_done.zip")
 RECORD: Final = Path(__file__).with_name("half_done.json")
@@ -34,15 +35,12 @@ RECORD: Final = Path(__file__).with_name("half_done.json")
 
 @dataclass
 class Words:
-    """Describes frames, and is interrupted at one of them."""
+    """Describes frames."""
 
-    interrupt_at: int | None = None
     calls: int = 0
     fingerprint: str = field(default="words 1", init=False)
 
     def describe(self, frame: Frame) -> Description:
-        if self.calls == self.interrupt_at:
-            raise KeyboardInterrupt
         self.calls += 1
         return Description(f"{frame.traversal_id} {frame.frame_index}", "day", None)
 
@@ -114,9 +112,9 @@ def _write(root: Path) -> None:
         shutil.rmtree(second / "layers" / layer)
     build_index(root)
     with suppress(KeyboardInterrupt):
-        annotate(mirror.open(root), Known(interrupt_at=5))
+        annotate(mirror.open(root), interrupting(Known(), "annotate", 6))
     with suppress(KeyboardInterrupt):
-        describe_frames(mirror.open(root), Words(interrupt_at=3), root.parent / "words.jsonl")
+        describe_frames(mirror.open(root), interrupting(Words(), "describe", 4), root.parent / "words.jsonl")
 
 
 if __name__ == "__main__":

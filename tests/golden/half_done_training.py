@@ -6,7 +6,6 @@ Today's code must continue each at its step.
 
 from __future__ import annotations
 
-import signal
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -30,10 +29,11 @@ from hybridworldsim.petr.tiny.run import train_on_samples
 from hybridworldsim.petr.tiny.samples import CameraInput, Sample, TargetBoxes
 from hybridworldsim.petr.tiny.settings import NetworkSettings, TrainingSettings
 from mirror.annotation.protocol import TrainingTask
-from mirror.progress import NullProgress, ProgressReporter
+from mirror.progress import ProgressReporter
 from tests.generation.builders import make_network
 from tests.generation.clips import write_clips
 from tests.generation.trained import CODEC, NETWORK, T
+from tests.interruption import InterruptingProgress
 from tests.training.short_run import run
 from tests.training.street import Painted
 
@@ -47,18 +47,6 @@ _SMALL: Final = NetworkSettings(
     width_px=64, height_px=32, channels=(4, 8, 8, 8), dim=16, hidden=16, depths=4, queries=5, proposals=4
 )
 _SETTINGS: Final = GeneratorSettings(NETWORK, T, batch=4, warmup=2, context_noise=0.3, drop_layout=0.5)
-
-
-class Stopping(NullProgress):
-    """Sends Ctrl-C when a number of steps is done."""
-
-    def __init__(self, after: int) -> None:
-        self._left = after
-
-    def advance(self, steps: int) -> None:
-        self._left -= 1 if steps else 0
-        if not self._left:
-            signal.raise_signal(signal.SIGINT)
 
 
 def train_street(root: Path, progress: ProgressReporter) -> None:
@@ -118,7 +106,7 @@ def write_half_done(root: Path) -> None:
     write_generator(root / "made" / "generator.safetensors", make_network(NETWORK).float(), T)
     for name, train in TRAININGS.items():
         with suppress(KeyboardInterrupt):
-            train(root, Stopping(DONE[name]))
+            train(root, InterruptingProgress(DONE[name]))
 
 
 def unpack(folder: Path) -> None:

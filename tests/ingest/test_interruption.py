@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -19,8 +18,17 @@ from mirror.ingest.rois import write_rois
 from mirror.ingest.run import ingest_recordings
 from mirror.ingest.traversal import WriteOptions
 from tests.builders.folder import SCENE, START_NS, tree, write_recording
+from tests.interruption import SIGNALS, Running, interrupt, interrupt_before, kill_command_before
 
 HOUR_NS = 3_600_000_000_000
+KILLS = (
+    ("*", 1),
+    ("*.jpg", 30),
+    ("recorded/manifest.json", 2),
+    ("killed/traversals/*", 3),
+    ("killed/drives/*", 2),
+    ("index/manifest.json", 1),
+)
 SCENES = [SCENE, SCENE.model_copy(update={"scene_id": "wide", "radius_m": 80.0})]
 
 
@@ -54,23 +62,13 @@ def words(fleet: Path, out: Path) -> list[str]:
     return ["ingest", *recordings, "--rois", str(fleet / "rois.geojson"), "--out", str(out), "--copy"]
 
 
-def command(fleet: Path, out: Path) -> list[str]:
-    return [sys.executable, "-m", "mirror.cli.main", *words(fleet, out)]
-
-
-def test_killed_at_any_instant_and_run_again_it_ends_with_the_same_bytes(
+def test_killed_at_each_kind_of_write_and_run_again_it_ends_with_the_same_bytes(
     fleet: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    interrupted = 0
-    for files in (1, 60, 200, 400):
-        running = subprocess.Popen(command(fleet, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        while running.poll() is None and _files(out) < files:
-            time.sleep(0.01)
-        interrupted += running.poll() is None
-        running.kill()
-        running.wait()
-    assert interrupted >= 2
+    # From the first file of a work folder to the last of the index; each run continues the one before.
+    for pattern, count in KILLS:
+        kill_command_before(pattern, count, [*words(fleet, out), "--workers", "1"])
     assert main(words(fleet, out)) == 0
     assert tree(out) == tree(whole)
 
@@ -79,19 +77,23 @@ def _files(root: Path) -> int:
     return sum(len(names) for _, _, names in os.walk(root))
 
 
+def run_on_a_full_disk(*words: str) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500))
+    # The signal that would end the process becomes the error that a full disk gives.
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    sys.exit(main(words))
+
+
 def test_a_full_disk_is_an_error_with_a_remedy_and_the_next_run_goes_on(fleet: Path, tmp_path: Path) -> None:
     out = tmp_path / "d"
     first = sorted(fleet.glob("drive_*"))[:1]
     ingest_recordings(first, SCENES, out)
     before = tree(out)
-    limit = "import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500));"
-    # The signal that would end the process becomes the error that a full disk gives.
-    limit += "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-    limit += "sys.argv = ['mirror', *sys.argv[1:]]; runpy.run_module('mirror.cli.main', run_name='__main__')"
-    run = subprocess.run([sys.executable, "-c", limit, *words(fleet, out)], capture_output=True, text=True, check=False)
-    assert run.returncode == 2
-    assert "cannot be written" in run.stderr
-    assert "free space or choose another place with --out" in " ".join(run.stderr.split())
+    with Running(run_on_a_full_disk, *words(fleet, out)) as running, running.reading() as said:
+        error = said()[1]
+        assert running.wait() == 2
+    assert "cannot be written" in error
+    assert "free space or choose another place with --out" in " ".join(error.split())
     kept = {name: digest for name, digest in tree(out).items() if name in before}
     assert kept == before
     assert main(words(fleet, out)) == 0
@@ -106,26 +108,24 @@ def test_an_unwritable_place_is_an_error(fleet: Path, tmp_path: Path, capsys: py
     assert "cannot be written" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("share", [0.05, 0.4, 0.8])
-def test_ctrl_c_ends_it_at_once_and_the_same_command_goes_on(
-    fleet: Path, whole: Path, tmp_path: Path, share: float
-) -> None:
-    out = tmp_path / "stopped"
-    files = int(share * _files(whole))
-    running = subprocess.Popen(command(fleet, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    while running.poll() is None and _files(out) < files:
-        time.sleep(0.002)
-    running.send_signal(signal.SIGINT)
-    start = time.monotonic()
-    _, error = running.communicate(timeout=30)
-    if running.returncode != 0:
-        assert running.returncode == 130
-        assert time.monotonic() - start < 5.0
-        assert "Traceback" not in error
-        assert "run the same command again" in error
-    assert not (out / ".lock").exists()
+def test_ctrl_c_ends_it_at_once_and_the_same_command_goes_on(fleet: Path, whole: Path, tmp_path: Path) -> None:
+    out, hits = tmp_path / "stopped", 0
+    for share, (number, group) in zip((0.05, 0.4, 0.8), SIGNALS):
+        files = int(share * _files(whole))
+        ended = interrupt(words(fleet, out), 0.0, number, group=group, once=lambda files=files: _files(out) >= files)
+        hits += ended.hit
+        if ended.hit:
+            ended.require_stopped()
+        assert not (out / ".lock").exists()
+    assert hits
     assert main(words(fleet, out)) == 0
     assert tree(out) == tree(whole)
+
+
+def test_a_proposal_of_regions_stops(fleet: Path) -> None:
+    ended = interrupt(["rois", "propose", *sorted(fleet.glob("drive_*"))], 0.0)
+    if ended.hit:
+        ended.require_stopped()
 
 
 def test_a_failed_ingest_leaves_nothing_at_all(tmp_path: Path) -> None:
@@ -159,12 +159,7 @@ def test_what_a_killed_run_made_of_other_bytes_is_made_again(fleet: Path, tmp_pa
     """The files have equal sizes and times, as copies that keep times have."""
     drive = Path(shutil.copytree(fleet / "drive_0", tmp_path / "drive_0"))
     out = tmp_path / "out"
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr("mirror.ingest.staging.Staging.publish", stop)
+    with interrupt_before("out/traversals/*"):
         ingest_recordings([drive], SCENES, out, IngestOptions(write=WriteOptions(transfer="copy")))
     assert list((out / ".staging").glob("*/traversals/*/recorded/manifest.json"))
     images = sorted((drive / "images" / "rear").glob("*.jpg"))

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at random instants of `mirror leaderboard add`, which scores renders in several processes."""
+"""Ctrl-C and SIGTERM at three instants of `mirror leaderboard add`, which scores renders in several processes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ from mirror.evaluation.run import EvaluationOptions, evaluate
 from mirror.protocols.document import load_protocol
 from tests.builders.folder import tree
 from tests.evaluation.submissions import SPLIT, write_renders
-from tests.interruptions import MIRROR, SIGNALS, finish, stop_thrice
+from tests.interruption import SIGNALS, finish, interrupt
 
 
 def test_add_stops_and_continues(dataset: Dataset, root: Path, tmp_path: Path) -> None:
     protocol, submission = load_protocol("static-reconstruction-omnire"), tmp_path / "submission"
     write_renders(dataset, protocol, submission)
     assert evaluate(submission, root, protocol, SPLIT, tmp_path / "out", EvaluationOptions(workers=1)).result
-    words = [*MIRROR, "leaderboard", "add", tmp_path / "out" / "result.json", root, "--submission", submission]
+    words = ["leaderboard", "add", tmp_path / "out" / "result.json", root, "--submission", submission]
     words += ["--dataset-name", "street", "--board"]
     whole_s = finish([*words, tmp_path / "whole"])
-    hits = stop_thrice([*words, tmp_path / "stopped"], 0.5 * whole_s, seed=8)
-    # A run that was complete before its signal, because the first one was slow, has written its entry.
-    assert hits < len(SIGNALS) or not list((tmp_path / "stopped").rglob("*.json"))
-    finish([*words, tmp_path / "stopped"])
-    assert tree(tmp_path / "stopped") == tree(tmp_path / "whole")
+    stopped: list[Path] = []
+    for share, (number, group) in zip((0.0, 0.2, 0.4), SIGNALS):
+        board = tmp_path / f"stopped at {share}"
+        ended = interrupt([*words, board], share * whole_s, number, group=group)
+        if ended.hit:
+            ended.require_stopped()
+            assert not list(board.rglob("*.json"))
+            stopped.append(board)
+    finish([*words, stopped[-1]])
+    assert tree(stopped[-1]) == tree(tmp_path / "whole")
     assert len(list((tmp_path / "whole" / "entries").iterdir())) == 1

@@ -16,7 +16,6 @@ from hybridworldsim.mvs.estimator import DepthMap, StereoImage
 from hybridworldsim.mvs.methods import make_estimator
 from hybridworldsim.mvs.options import InitialisationOptions
 from hybridworldsim.mvs.run import InitialisationReport, initialise
-from hybridworldsim.mvs.writing.scene import SceneInitialisation
 from mirror.dataset.index import build_index
 from mirror.dataset.layer_writer import LayerWriter
 from mirror.dataset.layout import Layout, manifest_sha256
@@ -31,6 +30,7 @@ from mirror.schema.files import read_table
 from mirror.schema.tables import IMAGES, MASKS
 from mirror.weights.resolve import WeightsUnavailableError
 from tests.builders.dataset import EPOCH, SECOND, Builder, Pass
+from tests.interruption import interrupt_before, interrupting
 from tests.killed_after_a_layer import require_resumable
 from tests.other_bytes import give_other_bytes
 
@@ -40,16 +40,16 @@ CAMERAS = ("front_wide", "front_left")
 class LevelRoad:
     """Returns the depth of a level road for each pixel below the horizon, without sources."""
 
-    def __init__(self, fails_at: int | None = None) -> None:
-        self.calls, self._fails_at = 0, fails_at
+    calls = 0
 
     def __repr__(self) -> str:
         return "LevelRoad()"
 
     def __call__(self, reference: StereoImage, sources: object, near_m: float, far_m: float) -> DepthMap:
+        return self.estimate(reference, near_m, far_m)
+
+    def estimate(self, reference: StereoImage, near_m: float, far_m: float) -> DepthMap:
         self.calls += 1
-        if self.calls == self._fails_at:
-            raise KeyboardInterrupt
         height, width = reference.valid.shape
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(reference.K).T
@@ -142,7 +142,9 @@ def test_images_of_a_stationary_vehicle_are_not_matched(dataset: Path) -> None:
 
 def test_complete_layers_are_kept_and_an_interrupted_run_continues(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+        initialise(
+            mirror.open(dataset), "s", method="road", estimator=interrupting(LevelRoad(), "estimate", 8), width_px=48
+        )
     assert files(dataset) == {}
     estimator = LevelRoad()
     initialise(mirror.open(dataset), "s", method="road", estimator=estimator, width_px=48)
@@ -191,14 +193,9 @@ def test_layers_from_other_masks_are_refused(layered: Path) -> None:
         initialise(mirror.open(layered), "s", method="road", estimator=LevelRoad(), width_px=48)
 
 
-def test_dataset_opens_after_an_interrupted_write(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(scene: SceneInitialisation, clouds: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(SceneInitialisation, "write_points", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+def test_dataset_opens_after_an_interrupted_write(dataset: Path) -> None:
+    with interrupt_before("layers/points/*"):
         initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(), width_px=48)
-    monkeypatch.undo()
     begun = files(dataset)
     assert begun and not any("points" in name for name in begun)
     estimator = LevelRoad()
@@ -246,7 +243,9 @@ def test_learned_estimator_loads_its_weights(
 
 def test_depth_of_other_bytes_is_estimated_again(dataset: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+        initialise(
+            mirror.open(dataset), "s", method="road", estimator=interrupting(LevelRoad(), "estimate", 8), width_px=48
+        )
     image = mirror.open(dataset).where(split="s", role="train").frames()[0].images["front_wide"]
     give_other_bytes(dataset, image)
     estimator = LevelRoad()
@@ -258,7 +257,9 @@ def test_depth_of_other_bytes_is_estimated_again(dataset: Path) -> None:
 
 def test_depth_of_images_before_their_redaction_is_not_used(dataset: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        initialise(mirror.open(dataset), "s", method="road", estimator=LevelRoad(fails_at=8), width_px=48)
+        initialise(
+            mirror.open(dataset), "s", method="road", estimator=interrupting(LevelRoad(), "estimate", 8), width_px=48
+        )
     layout = Layout(dataset)
     for name in mirror.open(dataset).where(split="s", role="train").traversals():
         rows = read_table(layout.recorded(name) / "images.parquet", IMAGES).to_pylist()
@@ -272,5 +273,5 @@ def test_depth_of_images_before_their_redaction_is_not_used(dataset: Path) -> No
     assert estimator.calls == 20
 
 
-def test_depth_continues_after_a_kill(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    require_resumable(dataset, ["depth", str(dataset), "--split", "s", "--method", "sparse"], monkeypatch)
+def test_depth_continues_after_a_kill(dataset: Path) -> None:
+    require_resumable(dataset, ["depth", str(dataset), "--split", "s", "--method", "sparse"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +11,8 @@ from typing import get_args
 
 import numpy as np
 import pytest
+
+from tests.interruption import InterruptingProgress
 
 torch = pytest.importorskip("torch")
 
@@ -179,23 +180,12 @@ def test_training_lowers_the_loss_and_finds_what_it_has_seen(samples: list[Sampl
     assert float((away < 2.0).float().mean()) > 0.6
 
 
-def test_an_interrupted_run_continues_bit_for_bit(
-    samples: list[Sample], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_continues_bit_for_bit(samples: list[Sample], tmp_path: Path) -> None:
     settings = TrainingSettings(batch=2)
     whole = train_on_samples(samples, settings, task(5), tmp_path / "whole", NullProgress())
-    step = TinyTrainer.step
-
-    def stop_at_three(self: TinyTrainer, number: int, progress: float) -> dict[str, float]:
-        if number == 3:
-            signal.raise_signal(signal.SIGINT)
-        return step(self, number, progress)
-
-    monkeypatch.setattr(TinyTrainer, "step", stop_at_three)
     with pytest.raises(KeyboardInterrupt):
-        train_on_samples(samples, settings, task(5), tmp_path / "parts", NullProgress())
+        train_on_samples(samples, settings, task(5), tmp_path / "parts", InterruptingProgress(3))
     assert (tmp_path / "parts" / "checkpoint.safetensors").exists()
-    monkeypatch.setattr(TinyTrainer, "step", step)
     parts = train_on_samples(samples, settings, task(5), tmp_path / "parts", NullProgress())
     assert parts.sha256 == whole.sha256
     assert parts.loss == whole.loss

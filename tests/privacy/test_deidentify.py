@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +23,7 @@ from mirror.privacy.regions import covered_share, grown_box
 from mirror.privacy.run import deidentify
 from mirror.privacy.summary import read_examples, summarize_redactions
 from tests.builders.dataset import Builder, write_reconstruction
+from tests.interruption import interrupt
 from tests.privacy.conftest import FACE, PLATE, make_dataset, options
 
 
@@ -144,16 +141,11 @@ def test_a_run_that_was_killed_is_resumed_to_the_same_bytes(tmp_path: Path, deid
     root = tmp_path / "dataset"
     make_dataset(root)
     words = ["--detector", "faces", "--detector", "plates", "--plate-region", "XX", "--workers", "2", "--no-cameras"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, os.environ.get("PYTHONPATH", "")])}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "mirror.cli.main", "deidentify", str(root), *words], env=environment
-    )
-    logs = root / ".deidentify"
-    end = time.monotonic() + 60
-    while time.monotonic() < end and not any(path.stat().st_size for path in logs.rglob("*.jsonl")):
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    killed = interrupt(
+        ["deidentify", root, *words], 0.0, signal.SIGKILL, group=False,
+        once=lambda: any(path.stat().st_size for path in root.glob(".deidentify/**/*.jsonl")),
+    )  # fmt: skip
+    assert killed.code == -signal.SIGKILL
     assert deidentify(root, options()).exit_code() == 0
     layers = {name: value for name, value in tree(root).items() if "/layers/" in name}
     assert layers == {name: value for name, value in tree(deidentified).items() if "/layers/" in name}

@@ -19,7 +19,6 @@ from mirror.dataset.index import build_index
 from mirror.dataset.layout import Layout, read_manifest, seal
 from mirror.errors import DatasetError
 from mirror.integrity import check
-from mirror.privacy import run
 from mirror.privacy.log import encode_log, read_log
 from mirror.privacy.release.check import check_release
 from mirror.privacy.run import deidentify
@@ -27,6 +26,7 @@ from mirror.schema.documents import ImageTotals
 from mirror.schema.files import encode_table, read_table, write_bytes
 from mirror.schema.tables import IMAGES
 from tests.builders.dataset import SECOND, Builder, Pass
+from tests.interruption import interrupt_before
 from tests.killed_after_a_layer import require_resumable
 from tests.privacy.conftest import RED, make_dataset, marked, options
 from tests.privacy.images import jpeg
@@ -47,24 +47,16 @@ def record(root: Path, box: tuple[int, int, int, int]) -> None:
     build_index(root)
 
 
-def interrupt_at(monkeypatch: pytest.MonkeyPatch, name: str, root: Path) -> None:
-    def stop(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(run, name, stop)
-        deidentify(root, options())
-
-
 def shows_face(data: bytes, box: tuple[int, int, int, int]) -> bool:
     left, top, right, bottom = box
     return bool((np.abs(np.diff(decode_rgb(data, "jpeg")[top:bottom, left:right].astype(int), axis=1)) > 40).any())
 
 
-def test_detections_of_other_bytes_are_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_detections_of_other_bytes_are_not_used(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     record(root, BEFORE)
-    interrupt_at(monkeypatch, "write_layers", root)
+    with interrupt_before("layers/*/*"):
+        deidentify(root, options())
     assert list((root / ".deidentify").rglob("*.jsonl"))
     record(root, AFTER)
     assert deidentify(root, options()).exit_code() == 0
@@ -80,7 +72,8 @@ def test_detections_of_other_bytes_are_not_used(tmp_path: Path, monkeypatch: pyt
 def test_detections_of_the_same_bytes_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = tmp_path / "dataset"
     record(root, BEFORE)
-    interrupt_at(monkeypatch, "write_layers", root)
+    with interrupt_before("layers/*/*"):
+        deidentify(root, options())
     searched: list[int] = []
 
     def counted(self: object, tasks: list[object]) -> object:
@@ -93,13 +86,14 @@ def test_detections_of_the_same_bytes_are_used(tmp_path: Path, monkeypatch: pyte
     assert set(searched) == {0}
 
 
-def test_images_without_a_recorded_hash_are_hashed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_images_without_a_recorded_hash_are_hashed(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     for box, stop in ((BEFORE, True), (AFTER, False)):
         record(root, box)
         forget_hashes(root)
         if stop:
-            interrupt_at(monkeypatch, "write_layers", root)
+            with interrupt_before("layers/*/*"):
+                deidentify(root, options())
     assert deidentify(root, options()).exit_code() == 0
     assert not any(shows_face(frame.images["front_wide"].read(), AFTER) for frame in mirror.open(root).frames())
 
@@ -127,13 +121,10 @@ def forget_hashes(root: Path) -> None:
     build_index(root)
 
 
-def test_masks_of_an_interrupted_run_on_other_bytes_are_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_masks_of_an_interrupted_run_on_other_bytes_are_written_again(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     record(root, BEFORE)
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr("mirror.privacy.writing.encode_log", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+    with interrupt_before("layers/redaction/*"):
         deidentify(root, options())
     masks = Layout(root).layer(ONLY, "masks", "deidentify", "1")
     assert read_manifest(masks) is not None
@@ -198,9 +189,7 @@ def test_a_release_has_no_hash_of_originals(dataset: Path, tmp_path: Path) -> No
     assert "REL005" in {one.rule_id for one in check_release(release).findings}
 
 
-def test_deidentify_continues_after_a_kill_and_leaves_a_valid_index(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_deidentify_continues_after_a_kill_and_leaves_a_valid_index(tmp_path: Path) -> None:
     make_dataset(tmp_path / "dataset", frames=1)
     words = ["deidentify", str(tmp_path / "dataset"), "--detector", "faces", "--detector", "plates"]
-    require_resumable(tmp_path / "dataset", [*words, "--plate-region", "XX", "--workers", "1"], monkeypatch)
+    require_resumable(tmp_path / "dataset", [*words, "--plate-region", "XX", "--workers", "1"])

@@ -1,16 +1,17 @@
-"""Ctrl-C and SIGTERM at random instants of the verbs that search images in several processes."""
+"""Ctrl-C and SIGTERM at several instants of the verbs that search images in several processes."""
 
 from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from mirror.cli.main import main
 from mirror.privacy.run import deidentify
-from tests.interruptions import MIRROR, finish, stop_thrice
+from tests.interruption import SIGNALS, finish, interrupt
 from tests.privacy.conftest import make_dataset, options
 
 FRAMES = 12
@@ -32,12 +33,23 @@ def test_deidentify_stops_and_continues(tmp_path: Path) -> None:
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     for root in (whole, stopped):
         make_dataset(root, frames=FRAMES)
-    words = [*MIRROR, "deidentify", "--plate-region", "XX", *SEARCH]
-    whole_s = finish([*words, whole])
-    stop_thrice([*words, stopped], 0.6 * whole_s, seed=5)
+    words = ["deidentify", "--plate-region", "XX", *SEARCH]
+    assert main([*words, "--workers", "1", str(whole)]) == 0
+    hits = 0
+    # While the workers start, after the first images, and after a part of them.
+    for lines, (number, group) in zip((0, 1, 10), SIGNALS):
+        ended = interrupt([*words, stopped], 0.0, number, group=group, once=partial(are_searched, stopped, lines))
+        hits += ended.hit
+        if ended.hit:
+            ended.require_stopped()
+    assert hits
     finish([*words, stopped])
     assert layers(stopped) == layers(whole) and layers(whole)
     assert not (stopped / ".deidentify").exists()
+
+
+def are_searched(root: Path, images: int) -> bool:
+    return sum(path.read_bytes().count(b"\n") for path in root.glob(".deidentify/**/*.jsonl")) >= images
 
 
 def test_a_check_of_a_release_stops(tmp_path: Path) -> None:
@@ -46,5 +58,10 @@ def test_a_check_of_a_release_stops(tmp_path: Path) -> None:
     assert deidentify(dataset, options()).exit_code() == 0
     build = ["--name", "marks", "--licence", "CC0-1.0", "--contact", "a@example.org", "--sample", "0"]
     assert main(["release", "build", dataset, *build, "--out", release]) == 0
-    words = [*MIRROR, "release", "check", release, *SEARCH]
-    stop_thrice(words, 0.6 * finish(words), seed=6)
+    hits = 0
+    for after_s, (number, group) in zip((0.0, 0.3, 0.6), SIGNALS):
+        ended = interrupt(["release", "check", release, *SEARCH], after_s, number, group=group)
+        hits += ended.hit
+        if ended.hit:
+            ended.require_stopped()
+    assert hits

@@ -25,6 +25,7 @@ from mirror.schema.files import write_json
 from mirror.schema.road_map import read_road_map
 from mirror.schema.rollout import STATES_FILE, read_rollout
 from mirror.schema.scenario import Scenario, read_scenario, write_scenario
+from tests.interruption import interrupt_at_call
 from tests.simulator.requests import BRAKE, STREET, request
 from tests.simulator.streets import scenario
 
@@ -135,11 +136,7 @@ def test_a_policy_that_fails_ends_the_rollout_with_its_name_and_a_complete_log(
 
 
 def test_an_interrupted_rollout_leaves_its_log_and_is_driven_again(tmp_path: Path) -> None:
-    def interrupt(step: int) -> Controls:
-        if step == 12:
-            raise KeyboardInterrupt
-        return Controls(0.0, 0.0)
-
+    interrupt = interrupt_at_call(lambda step: Controls(0.0, 0.0), 13)
     with pytest.raises(KeyboardInterrupt):
         run_rollout(request(Scripted(interrupt)), tmp_path / "run")
     assert len(read_state_log(tmp_path / "run" / STATES_FILE).stamps_ns) == 13

@@ -12,7 +12,7 @@ import pytest
 from mirror.dataset.dataset import Dataset
 from mirror.metrics.safety import read_state_log
 from mirror.schema.rollout import ROLLOUT, STATES_FILE
-from tests.interruptions import MIRROR, interrupt
+from tests.interruption import interrupt
 
 
 @pytest.mark.parametrize(("number", "after_s"), [(signal.SIGINT, 0.5), (signal.SIGTERM, 1.0)])
@@ -20,7 +20,7 @@ def test_a_rollout_that_is_stopped_has_the_states_up_to_there(
     tiny_dataset: Dataset, tmp_path: Path, number: int, after_s: float
 ) -> None:
     run = tmp_path / "run"
-    words = [*MIRROR, "simulate", tiny_dataset.root, "--scenario", "cut-in", "--policy", "idm", "--duration", "120"]
+    words = ["simulate", tiny_dataset.root, "--scenario", "cut-in", "--policy", "idm", "--duration", "120"]
     # The video's temporary file is written once the rollout is driven.
     ended = interrupt(
         [*words, "--renderer", "boxes", "--out", run], after_s, number, once=lambda: any(run.glob(".video*"))
@@ -42,6 +42,6 @@ def test_a_server_ends_with_ctrl_c() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    ended = interrupt([*MIRROR, "serve", "synth:tiny", "--port", str(port)], 0.5, once=lambda: listens(port))
+    ended = interrupt(["serve", "synth:tiny", "--port", str(port)], 0.5, once=lambda: listens(port))
     ended.require_stopped("mirror serve: stopped")
     assert "SensorsimService at 127.0.0.1:" in ended.stdout

@@ -26,6 +26,7 @@ from mirror.synth.truth import Truth
 from mirror.synth.writing.journal import open_journal
 from mirror.synth.writing.poses import write_poses
 from mirror.synth.writing.truth import TRUTH_KINDS
+from tests.interruption import InterruptingProgress
 
 Recorded = tuple[Path, SynthDrive]
 
@@ -268,25 +269,10 @@ def test_normals_agree_with_the_distances(first: Recorded) -> None:
     assert np.nanmedian(cosine) > 0.999
 
 
-class _Interrupted:
-    """A progress reporter that raises KeyboardInterrupt at an image of a recording."""
-
-    def __init__(self, recording: int, image: int) -> None:
-        self._recording, self._image = recording, image
-
-    def start(self, what: str, total: int) -> None:
-        self._recording -= 1
-
-    def advance(self, steps: int) -> None:
-        self._image -= steps * (self._recording == 0)
-        if self._image < 0:
-            raise KeyboardInterrupt
-
-
 def test_an_interrupted_run_resumes_and_keeps_complete_recordings(tiny: SynthReport, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        mirror.synth.write_recordings(out, workers=2, progress=_Interrupted(2, 5))
+        mirror.synth.write_recordings(out, workers=2, progress=InterruptingProgress(6, phases=1))
     kept = out / tiny.recordings[0].name / "recording.json"
     before, half = kept.stat().st_mtime_ns, out / tiny.recordings[1].name
     assert half.exists() and not (half / "recording.json").exists()

@@ -21,24 +21,11 @@ from mirror.synth.fleet.drives import make_drives
 from mirror.synth.seeds import draw_secret_seed, pack_secret_seed
 from mirror.synth.writing.secret import SECRET, read_secret, write_secret
 from tests.evaluation.submissions import small_text
+from tests.interruption import InterruptingProgress
 from tests.synth.secrets import find_secrets, spellings
 
 DRIVES = ("guangzhou-urban-01", "guangzhou-urban-02")
 LANES = 'name = "novel"\nroles = ["held_out"]'
-
-
-class _Interrupted:
-    """A progress reporter that raises KeyboardInterrupt in the second recording."""
-
-    recordings = 0
-
-    def start(self, what: str, total: int) -> None:
-        self.recordings += 1
-        if self.recordings == 2:
-            raise KeyboardInterrupt
-
-    def advance(self, steps: int) -> None:
-        pass
 
 
 @dataclass(frozen=True)
@@ -74,7 +61,8 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Board:
     """The whole way: recordings, dataset, published part, template, hidden truth, submission, result, row, page."""
     here = tmp_path_factory.mktemp("secret")
     with pytest.raises(KeyboardInterrupt):
-        mirror.synth.write_recordings(here / "recordings", secret=True, workers=2, progress=_Interrupted())
+        second = InterruptingProgress(0, phases=1)
+        mirror.synth.write_recordings(here / "recordings", secret=True, workers=2, progress=second)
     seed = read_secret(here / "recordings")
     shifted = LANES + "\nego_shift_m = 1.0"
     text = small_text(every=12, groups=f"[[groups]]\n{shifted}\n", metrics='[[metrics]]\nmetric = "psnr"\n')

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,7 +32,7 @@ from hybridworldsim.training.run.document import is_occupied
 from hybridworldsim.training.run.loop import REPORTS
 from mirror.errors import DatasetError, SchemaError, UsageError
 from mirror.schema.files import TEMPORARY
-from tests.conftest import ROOT
+from tests.interruption import interrupt_at_call, kill_before
 from tests.training.short_run import RUN, block_folder, run
 from tests.training.street import SETTINGS, Painted, initial, trainer, view, views
 
@@ -146,58 +142,17 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
-# Each process that trains is a fork of one that has imported the libraries and computed nothing.
-_FORKS = """
-import os, sys, time, torch
-from pathlib import Path
-from tests.training.short_run import run
-from tests.training.street import Painted
-from hybridworldsim.training.block_training import Options
-class Stuck(Painted):
-    def __call__(self, one):
-        if self.opened == 60:
-            time.sleep(600)  # The test kills the process here.
-        return super().__call__(one)
-for line in sys.stdin:
-    threads, _, folder = line.strip().partition(" ")
-    child = os.fork()
-    if child == 0:
-        torch.set_num_threads(int(threads))
-        run(Path(folder), 80, images=Stuck(), options=Options(checkpoint_s=0.1))
-        os._exit(0)
-    print(child, flush=True)
-    print(os.wait()[1], flush=True)
-"""
-
-
-@pytest.fixture(scope="module")
-def forks() -> Iterator[subprocess.Popen[str]]:
-    """A process that trains in a fork for each line of its input; prints its id and, in the end, how it ended."""
-    environment = {**os.environ, "OMP_WAIT_POLICY": "passive", "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'baselines'}"}
-    words = [sys.executable, "-c", _FORKS]
-    with subprocess.Popen(
-        words, env=environment, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        yield process
+def train_with_checkpoints(folder: str, threads: str) -> None:
+    torch.set_num_threads(int(threads))
+    run(Path(folder), 80, options=Options(checkpoint_s=0.1))
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_killed_and_resumed_training_gives_the_same_model(
-    tmp_path: Path, forks: subprocess.Popen[str], threads: int
-) -> None:
+def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, threads: int) -> None:
     torch.set_num_threads(threads)
-    assert forks.stdin is not None and forks.stdout is not None
-    print(threads, tmp_path / "killed", file=forks.stdin, flush=True)
-    child = int(forks.stdout.readline())
-    checkpoint = tmp_path / "killed" / "checkpoint.safetensors"
-    waiting = time.monotonic()
-    while not checkpoint.exists() and time.monotonic() - waiting < 300:
-        time.sleep(0.01)
-        os.kill(child, 0)  # It lives.
-    time.sleep(0.05)
-    os.kill(child, signal.SIGKILL)
-    assert int(forks.stdout.readline()) == signal.SIGKILL
-    assert checkpoint.exists() and not (tmp_path / "killed" / "outcome.json").exists()
+    kill_before("checkpoint.safetensors", 2, train_with_checkpoints, tmp_path / "killed", str(threads))
+    assert (tmp_path / "killed" / "checkpoint.safetensors").exists()
+    assert not (tmp_path / "killed" / "outcome.json").exists()
     run(tmp_path / "killed", 80)
     run(tmp_path / "whole", 80)
     ours, theirs = (load_file(tmp_path / name / "checkpoint.safetensors") for name in ("killed", "whole"))
@@ -213,15 +168,9 @@ def test_killed_and_resumed_training_gives_the_same_model(
 
 
 def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
-    class Interrupting(Painted):
-        def __call__(self, one):
-            if self.opened == 25:
-                os.kill(os.getpid(), signal.SIGINT)
-            return super().__call__(one)
-
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "run", images=Interrupting())
+        run(tmp_path / "run", images=stopping_at(25))
     assert signal.getsignal(signal.SIGINT) is before
     run(tmp_path / "run")
     run(tmp_path / "whole")
@@ -290,13 +239,7 @@ def test_images_that_are_not_finite_are_refused_and_the_checkpoint_stays(tmp_pat
 
 
 def stopping_at(count: int) -> Painted:
-    class Stopping(Painted):
-        def __call__(self, one):
-            if self.opened == count:
-                os.kill(os.getpid(), signal.SIGINT)
-            return super().__call__(one)
-
-    return Stopping()
+    return Painted(interrupt_at_call(lambda image: image, count + 1))
 
 
 def test_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:

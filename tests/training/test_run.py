@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json
+from tests.interruption import interrupt_at_call
 
 
 class Run(Document):
@@ -36,13 +36,11 @@ class Outcome(Document):
 class Sum:
     """Adds up the numbers of its steps; its state is the sum."""
 
-    def __init__(self, interrupt_at: int | None = None, broken_at: int | None = None) -> None:
+    def __init__(self, broken_at: int | None = None) -> None:
         self.value, self.numbers = torch.zeros((), dtype=torch.float64), list[int]()
-        self._interrupt_at, self._broken_at = interrupt_at, broken_at
+        self._broken_at = broken_at
 
     def __call__(self, position: Position, progress: float) -> Step:
-        if position.steps == self._interrupt_at:
-            signal.raise_signal(signal.SIGINT)
         self.numbers.append(position.steps)
         self.value += position.steps * (1.0 - progress)
         if position.steps == self._broken_at:
@@ -72,16 +70,16 @@ class Bar(NullProgress):
         self.lines.append(text)
 
 
-def go(path: Path, trained: Sum, budget: Budget, bar: Bar | None = None, checkpoint_s: float = 60.0) -> Outcome:
+def go(path: Path, trained: Sum, budget: Budget, bar: Bar | None = None, interrupt_at: int = -1) -> Outcome:
     def write(file: Path) -> int:
         return file.write_text(str(float(trained.value)))
 
     folder = RunFolder(path, Outcome)
     training = Training(
-        phase="sum", budget=budget, trained=trained, step=trained, learned=lambda: trained.state().items(),
-        describe=lambda row: f"loss {row['loss']:.3f}", write=write,
+        phase="sum", budget=budget, trained=trained, step=interrupt_at_call(trained, interrupt_at + 1),
+        learned=lambda: trained.state().items(), describe=lambda row: f"loss {row['loss']:.3f}", write=write,
         outcome=lambda ending: Outcome(steps=ending.position.steps, value=float(trained.value)),
-        remedy="take other numbers", checkpoint_s=checkpoint_s,
+        remedy="take other numbers",
     )  # fmt: skip
     folder.begin(Run())
     with folder.claim(Run()):
@@ -89,9 +87,9 @@ def go(path: Path, trained: Sum, budget: Budget, bar: Bar | None = None, checkpo
 
 
 def test_a_run_that_was_interrupted_makes_each_step_once(tmp_path: Path) -> None:
-    first, second, bar = Sum(interrupt_at=33), Sum(), Bar()
+    first, second, bar = Sum(), Sum(), Bar()
     with pytest.raises(KeyboardInterrupt):
-        go(tmp_path / "run", first, Budget(steps=100))
+        go(tmp_path / "run", first, Budget(steps=100), interrupt_at=33)
     done = go(tmp_path / "run", second, Budget(steps=100), bar)
     # The step in which Ctrl-C came is finished.
     assert (first.numbers, second.numbers) == (list(range(34)), list(range(34, 100)))
@@ -123,7 +121,7 @@ def test_a_budget_of_time_is_counted_in_thousandths(tmp_path: Path) -> None:
 
 def test_numbers_that_are_not_finite_leave_the_last_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        go(tmp_path / "run", Sum(interrupt_at=10), Budget(steps=100))
+        go(tmp_path / "run", Sum(), Budget(steps=100), interrupt_at=10)
     before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
     with pytest.raises(DatasetError, match=r"value holds numbers that are not finite at step 2\d.*take other numbers"):
         go(tmp_path / "run", Sum(broken_at=20), Budget(steps=100))

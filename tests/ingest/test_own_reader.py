@@ -9,7 +9,7 @@ import pytest
 
 from mirror.cli.main import main
 from mirror.errors import ExitCode
-from tests.ingest.recordings import LAT, LON, write_recording
+from tests.builders.folder import LAT, LON, write_recording
 
 READER = """
 from dataclasses import replace

@@ -25,7 +25,7 @@ from mirror.schema.tables import BOXES
 from tests.builders.folder import LAT, LON, START_NS, locate_on_street, write_recording
 from tests.recordings.formats.argoverse2 import write_argoverse2
 from tests.recordings.formats.colmap import write_colmap
-from tests.recordings.formats.kitti import from_first_camera, write_kitti_odometry
+from tests.recordings.formats.kitti import as_raw, from_first_camera, write_kitti_odometry, write_kitti_raw
 from tests.recordings.formats.kitti360 import write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
@@ -297,6 +297,17 @@ def kitti_odometry(root: Path) -> Base:
     return Base("kitti_odometry", path, Roi(scene_id="s", frame="kitti_odometry_03", x_m=40.0, y_m=0.0, radius_m=90.0))
 
 
+def kitti_raw(root: Path) -> Base:
+    """One drive of a camera, with a parked car."""
+    drive = straight_drive()
+    stamps = drive.pose_ns[::2]
+    rows = np.searchsorted(drive.box_ns, stamps, side="right") - 1
+    objects = tuple(replace(one, world_SE3_box=one.world_SE3_box[rows]) for one in drive.objects)
+    drive = as_raw(replace(drive, box_ns=stamps, objects=objects))
+    path = write_kitti_raw(root, drive.with_cameras(("image_00",)))
+    return Base("kitti_raw", path.parent, _roi_around(path, "kitti_raw"), path.name)
+
+
 def ncore(root: Path) -> Base:
     """One sequence in a file, with boxes."""
     from tests.recordings.formats.ncore import write_ncore
@@ -367,4 +378,5 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "ncore_folders": ncore_folders,
     "rosbag2": rosbag2,
     "kitti_odometry": kitti_odometry,
+    "kitti_raw": kitti_raw,
 }

@@ -71,6 +71,14 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
         "sequences/03/calib": frozenset({CAMERAS}),
         "sequences/03/image_": frozenset({SHOTS, CAMERAS}),
     },
+    "kitti_raw": {
+        "calib_imu_to_velo": frozenset({CAMERAS, OBJECTS}),
+        "calib_": frozenset({CAMERAS}),
+        "2011_09_26_drive_0009_sync/oxts/": frozenset({POSES}),
+        "2011_09_26_drive_0009_sync/image_00/timestamps": frozenset({SHOTS, OBJECTS}),
+        "2011_09_26_drive_0009_sync/image_00/data": frozenset({SHOTS}),
+        "2011_09_26_drive_0009_sync/tracklet": frozenset({OBJECTS}),
+    },
     "waymo": {
         "vehicle_pose/": frozenset({POSES}),
         "camera_image/": frozenset({POSES, SHOTS, CAMERAS}),
@@ -219,6 +227,7 @@ def pose_files(base: Base) -> list[str]:
         "waymo": [],
         "kitti360": [],
         "kitti_odometry": [],
+        "kitti_raw": [],
         "ncore": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }

@@ -414,3 +414,39 @@ def test_pykitti_reads_the_same_odometry(tmp_path: Path) -> None:
         assert np.abs(away).max() < (1e-9 if name in ("image_0", "image_1") else 3.5e-3)
         assert np.abs(turn @ matrix_from_quaternion(mounting.rotation)[0] - placed[:3, :3]).max() < 1e-9
         assert [Path(str(streams[name].path(index))).name for index in range(3)] == theirs["files"][name]
+
+
+def test_pykitti_reads_the_same_raw_drive(tmp_path: Path) -> None:
+    """The world of pykitti is Mercator's sphere around the first fix; of a projection it takes the shift along x."""
+    recording = open_recording(pykitti_input(tmp_path / "k") / "raw" / "2011_09_26" / "2011_09_26_drive_0009_sync")
+    theirs = result("pykitti")["raw"]
+    track = recording.track()
+    assert track.rotation is not None and track.sigma_m is not None and len(track) == 3
+    degrees = np.column_stack([track.longitude_deg, track.latitude_deg])
+    assert np.abs(degrees - theirs["degrees"]).max() < 1e-13
+    assert np.abs(track.height_m - theirs["height_m"]).max() == 0.0 and track.sigma_m.tolist() == theirs["sigma_m"]
+    stamps = np.array(theirs["times"], "datetime64[ns]").astype(np.int64)
+    assert np.abs(track.timestamp_ns - stamps).max() < 1_000
+    expected = np.array(theirs["world_SE3_receiver"])
+    assert np.abs(matrix_from_quaternion(track.rotation) - expected[:, :3, :3]).max() < 1e-11
+    radians = np.radians(degrees)
+    sphere = np.column_stack([radians[:, 0], np.log(np.tan(np.pi / 4 + radians[:, 1] / 2))])
+    place = 6378137.0 * np.cos(radians[0, 1]) * (sphere - sphere[0])
+    assert np.abs(place - expected[:, :2, 3]).max() < 1e-6
+    streams = recording.images()
+    rows = {row["camera"]: row for row in recording.calibrations().to_pylist()}
+    assert set(rows) == set(streams) == set(theirs["intrinsics"])
+    for name, row in rows.items():
+        matrix = camera_from_row(row).intrinsic_matrix(first_pixel_centre=0.0)
+        assert np.abs(matrix - theirs["intrinsics"][name]).max() < 1e-9
+        mounting = Poses.from_columns({column: [row[column]] for column in COLUMNS})
+        away = mounting.inverse().matrix()[0] - theirs["camera_SE3_receiver"][name]
+        assert np.abs(away[:3, :3]).max() < 1e-10
+        assert np.abs(away[:3, 3]).max() < (1e-9 if name in ("image_00", "image_01") else 3.5e-3)
+        assert [Path(str(streams[name].path(index))).name for index in range(3)] == theirs["files"][name]
+    # Tracklets turn about the z of the lidar alone.
+    boxes, lidar = recording.boxes(), Poses.from_matrix(theirs["lidar_SE3_receiver"])
+    assert boxes is not None
+    table = boxes.to_pandas()
+    upright = lidar @ Poses.from_columns(table)
+    assert np.abs(rotate(upright.rotation, (0.0, 0.0, 1.0)) - (0.0, 0.0, 1.0)).max() < 1e-9

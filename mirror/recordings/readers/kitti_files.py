@@ -24,6 +24,8 @@ NO_STAMP: Final = np.iinfo(np.int64).min
 """In a list of stamps by frame: the frame has none."""
 
 _STAMP: Final = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,9})?")
+# Beyond it a number of a calibration is none, and its products leave float64.
+_LARGEST: Final = 1e30
 _AGAIN: Final = "download the calibration again"
 
 
@@ -83,7 +85,10 @@ def to_numbers(lines: Mapping[str, list[str]], name: str, shape: tuple[int, ...]
         RecordingError: the line is missing, or has other values; it is named.
     """
     try:
-        return np.array([float(word) for word in lines[name]], np.float64).reshape(shape)
+        values = np.array([float(word) for word in lines[name]], np.float64).reshape(shape)
+        if not (np.abs(values) < _LARGEST).all():
+            raise ValueError("not finite, or too large")
+        return values
     except (KeyError, ValueError) as error:
         raise RecordingError(
             "the line is missing" if isinstance(error, KeyError) else f"values that cannot be used ({error!s:.80})",
@@ -191,9 +196,26 @@ def to_frame_stream(camera: str, files: Mapping[int, Path], by_frame: Int64, pla
     return FileStream(camera, codec_of_name(paths[0]), stamps, stamps, paths)
 
 
-def camera_centre(projection: Float64) -> Float64:
-    """Return the place (3,) of a rectified camera in the frame of its projection (3, 4), ``K [I | t]``, in metres."""
-    with np.errstate(all="ignore"):
-        along = projection[2, 3]
-        across = (projection[:2, 3] - projection[:2, 2] * along) / projection[[0, 1], [0, 1]]
+def camera_centre(projection: Float64, name: str, file: Path) -> Float64:
+    """Return the place of a rectified camera in the frame of its projection ``K [I | t]``.
+
+    Args:
+        projection: (3, 4).
+        name: the name of its line, for the message.
+        file: the file, for the message.
+
+    Returns:
+        (3,) metres.
+
+    Raises:
+        RecordingError: a focal length is not positive.
+    """
+    focal = projection[[0, 1], [0, 1]]
+    if not (focal > 0.0).all():
+        raise RecordingError(
+            f"focal lengths {focal.tolist()}", file=file, place=name, expected="positive numbers", remedy=_AGAIN
+        )
+    along = projection[2, 3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        across = (projection[:2, 3] - projection[:2, 2] * along) / focal
     return -np.array([*across, along])

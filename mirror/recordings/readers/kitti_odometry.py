@@ -227,7 +227,9 @@ class KittiOdometryRecording:
         lines = read_named_values(file)
         calibrations: list[tuple[Stage, Calibration]] = []
         for camera, files in self._files.items():
-            projection = to_numbers(lines, f"P{camera[-1]}", (3, 4), file)
+            name = f"P{camera[-1]}"
+            projection = to_numbers(lines, name, (3, 4), file)
+            centre = rotate(FLU_FROM_CAMERA[None], camera_centre(projection, name, file)[None])[0]
             image = next(iter(files.values()))
             width, height = read_raster_size(read_file_start(image, _HEADER_BYTES)[0], image)
             calibration = make_calibration(
@@ -240,10 +242,7 @@ class KittiOdometryRecording:
                 fy_px=projection[1, 1],
                 cx_px=projection[0, 2] + 0.5,
                 cy_px=projection[1, 2] + 0.5,
-                ego_SE3_camera=(
-                    *FLU_FROM_CAMERA.tolist(),
-                    *rotate(FLU_FROM_CAMERA[None], camera_centre(projection)[None])[0].tolist(),
-                ),
+                ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), *centre.tolist()),
                 method="KITTI calib.txt, images rectified",
             )
             calibrations.append(("factory", calibration))

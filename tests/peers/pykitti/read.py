@@ -21,4 +21,16 @@ odometry = {
     "camera_SE3_lidar": {f"image_{n}": rounded(getattr(read.calib, f"T_cam{n}_velo")) for n in range(4)},
     "files": {f"image_{n}": [Path(file).name for file in getattr(read, f"cam{n}_files")] for n in range(4)},
 }
-Path(out).write_text(json.dumps({"odometry": odometry}, indent=0) + "\n")
+read = pykitti.raw(str(Path(root) / "raw"), "2011_09_26", "0009")
+raw = {
+    "degrees": [[fix.packet.lon, fix.packet.lat] for fix in read.oxts],
+    "height_m": [fix.packet.alt for fix in read.oxts],
+    "sigma_m": [fix.packet.pos_accuracy for fix in read.oxts],
+    "world_SE3_receiver": rounded([fix.T_w_imu for fix in read.oxts]),
+    "times": [time.isoformat() for time in read.timestamps],
+    "intrinsics": {f"image_{n:02d}": rounded(getattr(read.calib, f"K_cam{n}")) for n in range(4)},
+    "camera_SE3_receiver": {f"image_{n:02d}": rounded(getattr(read.calib, f"T_cam{n}_imu")) for n in range(4)},
+    "lidar_SE3_receiver": rounded(read.calib.T_velo_imu),
+    "files": {f"image_{n:02d}": [Path(file).name for file in getattr(read, f"cam{n}_files")] for n in range(4)},
+}
+Path(out).write_text(json.dumps({"odometry": odometry, "raw": raw}, indent=0) + "\n")

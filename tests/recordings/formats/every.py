@@ -294,6 +294,13 @@ def _kitti_odometry(root: Path) -> Path:
     return write_kitti_odometry(root, {"03": from_first_camera(street_drive(), cameras=2)}) / "03"
 
 
+def _kitti_raw(root: Path) -> Path:
+    from tests.recordings.formats.kitti import as_raw, write_kitti_raw
+
+    drive = street_drive()
+    return write_kitti_raw(root, as_raw(replace(drive, box_ns=drive.image_ns["front_wide"], objects=())))
+
+
 def _ncore(root: Path) -> Path:
     from mirror.recordings.discovery import find_recordings
     from tests.recordings.formats.ncore import write_ncore
@@ -319,6 +326,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "waymo": _waymo,
     "kitti360": _kitti360,
     "kitti_odometry": _kitti_odometry,
+    "kitti_raw": _kitti_raw,
     "ncore": _ncore,
 }
 """Writes the drive into a folder and returns the recording's path, by the name of the reader."""

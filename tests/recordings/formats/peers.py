@@ -14,7 +14,7 @@ import numpy as np
 from mirror.geometry.poses import Poses
 from mirror.geometry.quaternions import quaternion_exp
 from tests.recordings.formats.argoverse2 import write_argoverse2
-from tests.recordings.formats.kitti import from_first_camera, write_kitti_odometry
+from tests.recordings.formats.kitti import as_raw, from_first_camera, write_kitti_odometry, write_kitti_raw
 from tests.recordings.formats.kitti360 import CAMERAS as RECTIFIED
 from tests.recordings.formats.kitti360 import FISHEYES, write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
@@ -97,11 +97,14 @@ def nuplan_input(folder: Path) -> Path:
 
 
 def pykitti_input(folder: Path) -> Path:
-    """A folder with a sequence of KITTI odometry of four cameras and three frames."""
+    """A folder with a sequence of KITTI odometry and a drive of KITTI raw, of four cameras and three frames each."""
     shutil.rmtree(folder, ignore_errors=True)
     drive = synth_drives()[0].with_cameras(("front_wide",))
     drive = replace(drive, image_ns={"front_wide": drive.image_ns["front_wide"][4:13:4]})
     write_kitti_odometry(folder / "odometry", {"03": from_first_camera(drive)})
+    drive = synth_drives()[0]
+    objects = tuple(replace(one, world_SE3_box=one.world_SE3_box[4:13:4]) for one in drive.objects)
+    write_kitti_raw(folder / "raw", as_raw(replace(drive, box_ns=drive.box_ns[4:13:4], objects=objects)))
     return folder
 
 

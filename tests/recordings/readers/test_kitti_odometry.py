@@ -126,16 +126,21 @@ def test_a_lost_line_is_refused_because_it_moves_the_others(folder: Path) -> Non
 def test_broken_calibrations_are_named(folder: Path) -> None:
     file = folder / "sequences" / "00" / "calib.txt"
     text = file.read_text()
-    for old, new, problem in (("P1:", "P9:", "the line is missing"), ("P1: ", "P1: 1 ", "cannot be used")):
+    first_of_second = text.splitlines()[1].split()[1]
+    for old, new, problem in (
+        ("P1:", "P9:", "the line is missing"),
+        ("P1: ", "P1: 1 ", "cannot be used"),
+        (f"P1: {first_of_second}", "P1: nan", "not finite"),
+    ):
         file.write_text(text.replace(old, new))
         with pytest.raises(RecordingError, match=problem) as caught:
             open_recording(folder / "00").calibrations()
         assert caught.value.place == "P1" and caught.value.file == str(file)
     first = text.split()[1]
     file.write_text(text.replace(first, "0.0", 1))
-    with pytest.raises(RecordingError) as caught:
+    with pytest.raises(RecordingError, match="focal lengths") as caught:
         open_recording(folder / "00").calibrations()
-    assert "camera image_0" in str(caught.value.place) and caught.value.file == str(file)
+    assert caught.value.place == "P0" and caught.value.file == str(file)
     file.write_text(text)
     image = folder / "sequences" / "00" / "image_0" / "000000.png"
     image.write_bytes(b"")

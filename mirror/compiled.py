@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import gc
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, SimpleNamespace
 from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
@@ -17,6 +18,8 @@ from numba.extending import intrinsic
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _always: Final[list[bool]] = []
+# Python's hypot is not that of the C library, which compiled code and numpy call: their last bits differ.
+_MATH: Final = SimpleNamespace(**(vars(math) | {"hypot": np.hypot}))
 
 inner_njit: Final[Any] = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)  # type: ignore[call-overload]
 """As ``njit(cache=True, nogil=True)``, for functions that Python does not call: the wrappers that such a call needs are
@@ -133,6 +136,8 @@ def _plain(dispatcher: Any, done: dict[int, FunctionType]) -> FunctionType:
     for name in _names(function.__code__):
         if isinstance(names.get(name), Dispatcher):
             names[name] = _plain(names[name], done)
+        elif names.get(name) is math:
+            names[name] = _MATH
     return plain
 
 

@@ -14,10 +14,15 @@ from numba.core.dispatcher import Dispatcher
 from mirror.compiled import machine_code_only, run_plain, runs_small_inputs_plainly
 
 
-def compare_forms(patch: pytest.MonkeyPatch, *modules: ModuleType) -> dict[str, int]:
-    """Let each call of a function that is compiled above a size, that these modules import, run in both forms.
+def compare_forms(patch: pytest.MonkeyPatch, *modules: ModuleType, own: bool = False) -> dict[str, int]:
+    """Let each call of a function that is compiled above a size, of these modules, run in both forms.
 
     A call fails if results or arguments differ in a bit.
+
+    Args:
+        patch: puts both forms in place.
+        modules: modules that import the functions.
+        own: these modules have the functions themselves, and no other compiled function there calls them.
 
     Returns:
         The number of calls by name of the function, which the calls fill.
@@ -26,8 +31,8 @@ def compare_forms(patch: pytest.MonkeyPatch, *modules: ModuleType) -> dict[str, 
     for module in modules:
         for name, value in vars(module).copy().items():
             # In its own module another compiled function may call it.
-            is_imported = isinstance(value, Dispatcher) and value.py_func.__module__ != module.__name__
-            if is_imported and runs_small_inputs_plainly(value):
+            is_meant = isinstance(value, Dispatcher) and (value.py_func.__module__ == module.__name__) == own
+            if is_meant and runs_small_inputs_plainly(value):
                 patch.setattr(module, name, _both(value, name, calls))
     return calls
 

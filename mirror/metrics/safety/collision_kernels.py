@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Bool, Float64
-from mirror.compiled import inner_njit
-from mirror.metrics.safety.rectangle_kernels import signed_gap
+from mirror.compiled import compiled_above, inner_njit
+from mirror.metrics.safety.rectangle_kernels import PLAIN_ELEMENTS, signed_gap
 
 # A contact that lasts less than this may be missed; the time of any other is found to a nanosecond.
 _SHORTEST_CONTACT_S = 1e-4
@@ -60,7 +59,7 @@ def _contact_in_step(ego: Float64, agent: Float64, halves: Float64, row: int, ot
     return math.inf
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def first_contacts(times_s: Float64, states: Float64, halves: Float64, present: Bool) -> Float64:
     """Return the times (N,) in seconds at which each agent first touches the ego.
 

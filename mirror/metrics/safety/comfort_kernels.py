@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64
+from mirror.compiled import compiled_above
+from mirror.metrics.safety.rectangle_kernels import PLAIN_ELEMENTS
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def local_derivatives(times: Float64, values: Float64, window: int, degree: int, order: int, scale: float) -> Float64:
     """Return the derivatives (T, C) in units of ``scale`` of polynomials fitted to the samples around each time.
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 
 # Segments in one bounding box: a box that is farther than the nearest segment so far is passed over whole.
 _GROUP = 16
+_PLAIN_ELEMENTS: Final = 20_000
+"""Elements of arrays below which the functions run as plain Python: a drive of ten seconds."""
 
 
 @inner_njit
@@ -57,7 +59,7 @@ def _square_from_origin(ax: float, ay: float, bx: float, by: float) -> tuple[flo
     return nearest_x * nearest_x + nearest_y * nearest_y, share
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def signed_distances(points: Float64, begins: Float64, ends: Float64) -> Float64:
     """Return the distances (P,) of points (P, 2) from segments (S, 2) to (S, 2).
 
@@ -123,7 +125,7 @@ def _farthest(path: Float64, bounds: Float64, begins: Float64, ends: Float64) ->
     return math.sqrt(least)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def least_margin(
     states: Float64, corners: Float64, margins: Float64, begins: Float64, ends: Float64, tolerance: float
 ) -> tuple[float, int, float]:

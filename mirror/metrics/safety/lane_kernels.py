@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64, Int64
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 
 # Segments in one bounding box; points outside it are farther from them than half of the lane's width.
 _GROUP = 16
+_PLAIN_ELEMENTS: Final = 100_000
+"""Elements of arrays below which the functions run as plain Python: ten drives of ten seconds."""
 
 
 @inner_njit
@@ -26,7 +28,7 @@ def _bounds(line: Float64, reach: float) -> Float64:
     return bounds
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64) -> tuple[Float64, Float64, Float64]:
     """Return the offsets, lengths and directions (P, L) of points on lanes; NaN where a point is not in a lane.
 
@@ -75,7 +77,8 @@ def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64
                         least, nearest, share = distance, k, at
             if nearest < 0 or share < 0.0 or share > 1.0:
                 continue
-            if least > ((1.0 - share) * half[nearest] + share * half[nearest + 1]) ** 2:
+            width = (1.0 - share) * half[nearest] + share * half[nearest + 1]
+            if least > width * width:
                 continue
             ux = line[nearest + 1, 0] - line[nearest, 0]
             uy = line[nearest + 1, 1] - line[nearest, 1]
@@ -86,7 +89,7 @@ def project_on_lanes(points: Float64, line: Float64, half: Float64, first: Int64
     return offset, along, direction
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def project_on_line(points: Float64, line: Float64) -> tuple[Float64, Float64]:
     """Return the lengths and signed offsets (P,) of the feet of points (P, 2) on a line (K, 3) of x, y and length.
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Bool, Float64, Int64
-from mirror.compiled import inner_njit
-from mirror.metrics.safety.rectangle_kernels import contact_time, signed_gap
+from mirror.compiled import compiled_above, inner_njit
+from mirror.metrics.safety.rectangle_kernels import PLAIN_ELEMENTS, contact_time, signed_gap
 
 
 @inner_njit
@@ -23,7 +22,7 @@ def _overlap(ego: Float64, agent: Float64, halves: Float64, other: int) -> bool:
     return bool(gap <= 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def overlaps_at_stamps(states: Float64, halves: Float64, present: Bool) -> Bool:
     """Mark which of N actors touch the ego at each of T stamps: (N, T), False for the ego."""
     found = np.zeros(present.shape, np.bool_)
@@ -34,7 +33,7 @@ def overlaps_at_stamps(states: Float64, halves: Float64, present: Bool) -> Bool:
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def bearings(states: Float64, rear_axle_to_center: float) -> Float64:
     """Return angles (N, T), 0 to pi, between the ego's heading and the direction from its rear axle to each agent."""
     found = np.zeros(states.shape[:2])
@@ -47,7 +46,7 @@ def bearings(states: Float64, rear_axle_to_center: float) -> Float64:
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def forward_speed(states: Float64) -> Float64:
     """Return the magnitude (T,) of the ego's velocity along its heading: the speed of its rear axle."""
     found = np.empty(states.shape[1])
@@ -57,7 +56,7 @@ def forward_speed(states: Float64) -> Float64:
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def nuplan_steps(
     states: Float64, halves: Float64, considered: Bool, speed: Float64, stopped: float, step: float, steps: int
 ) -> tuple[Int64, Int64]:
@@ -109,7 +108,7 @@ def nuplan_steps(
     return found, who
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def navsim_violation(
     times: Float64,
     states: Float64,

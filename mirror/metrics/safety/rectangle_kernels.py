@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
-from numba import njit
-
-from mirror.compiled import inner_njit
+from mirror.compiled import compiled_above, inner_njit
 
 NEVER = math.inf
 
 
-@njit(cache=True, nogil=True)
+PLAIN_ELEMENTS: Final = 10_000
+"""Elements of arrays below which figures of road users are computed as plain Python: ten seconds among twenty."""
+
+
+@compiled_above(PLAIN_ELEMENTS)
 def signed_gap(
     dx: float, dy: float, yaw_a: float, yaw_b: float, length_a: float, width_a: float, length_b: float, width_b: float
 ) -> float:

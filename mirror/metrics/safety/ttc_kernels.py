@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Bool, Float64
-from mirror.compiled import inner_njit
-from mirror.metrics.safety.rectangle_kernels import contact_time
+from mirror.compiled import compiled_above, inner_njit
+from mirror.metrics.safety.rectangle_kernels import PLAIN_ELEMENTS, contact_time
 
 # Longest distance between samples. Between samples the least value is refined by bisection and golden section.
 _SAMPLE_S = 0.005
@@ -125,7 +124,7 @@ def _least_in_step(
     return best, at
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def least_times_to_collision(
     times_s: Float64, states: Float64, halves: Float64, present: Bool, horizon_s: float
 ) -> tuple[Float64, Float64]:
@@ -158,7 +157,7 @@ def least_times_to_collision(
     return values, instants
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(PLAIN_ELEMENTS)
 def times_to_collision(states: Float64, halves: Float64, present: Bool) -> Float64:
     """Return the time to collision (T, N) of the ego with each agent at each stamp.
 

@@ -74,7 +74,9 @@ def free_acceleration(u: int, ways: Ways, road_users: Users, s: float, v: float)
     free = road_users.eager[u] * easing
     now = min(pace_at(ways, road_users.way[u], s) * free, road_users.fastest_mps[u])
     soon = min(pace_at(ways, road_users.way[u], s + 0.8 * v) * free, road_users.fastest_mps[u])
-    return min(road_users.pick_up_mps2[u] * (1.0 - (v / now) ** 4), (soon - v) / 0.8)
+    share = v / now
+    share *= share
+    return min(road_users.pick_up_mps2[u] * (1.0 - share * share), (soon - v) / 0.8)
 
 
 @inner_njit
@@ -86,7 +88,8 @@ def following_acceleration(u: int, road_users: Users, v: float, gap: float, spee
     # The model brakes hard at a short gap even if the gap does not close; the limit prevents that.
     closing = max(v - speed, 0.0)
     hardest = min(max(1.4 * closing * closing / (2.0 * room), _GENTLE_MPS2), _HARDEST_MPS2)
-    return max(road_users.pick_up_mps2[u] * (1.0 - (desired_gap / room) ** 2), -hardest)
+    share = desired_gap / room
+    return max(road_users.pick_up_mps2[u] * (1.0 - share * share), -hardest)
 
 
 @inner_njit

@@ -6,9 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
 from mirror.arrays import Float64, Int64
+from mirror.compiled import compiled_above
 from mirror.traffic.following.acceleration import (
     Users,
     Ways,
@@ -23,9 +23,11 @@ _SIDE_MARGIN_M: Final = 0.15
 _LEAST_SIGHT_M: Final = 15.0
 _SIGHT_S: Final = 7.0
 _STRIDE: Final = 2
+_PLAIN_ELEMENTS: Final = 400_000
+"""Elements of arrays below which agents look ahead as plain Python: some two hundred steps."""
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def place_on_way(
     points: Float64, first: int, last: int, low_m: float, high_m: float, x: float, y: float
 ) -> tuple[float, float, float, bool]:
@@ -66,7 +68,7 @@ def place_on_way(
     return along, cos * dy - sin * dx, heading, inside
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def gap_on_way(
     points: Float64,
     first: int,
@@ -107,7 +109,7 @@ def gap_on_way(
     return along - half_along - front_m, box[3] * math.cos(turned)
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def follow(
     ways: Ways,
     points: Float64,
@@ -166,7 +168,7 @@ def follow(
     return new
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def poses_on_ways(
     points: Float64, first: Int64, way: Int64, length_m: Float64, state: Float64
 ) -> tuple[Float64, Float64]:
@@ -197,7 +199,7 @@ def poses_on_ways(
     return poses, velocities
 
 
-@njit(cache=True, nogil=True)
+@compiled_above(_PLAIN_ELEMENTS)
 def _point_at(points: Float64, first: int, last: int, along: float) -> tuple[float, float]:
     place = along / STEP_M
     index = min(max(math.floor(place), 0), last - first - 1) + first

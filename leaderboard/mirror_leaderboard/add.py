@@ -20,7 +20,7 @@ from mirror.protocols.document import load_protocol, protocol_names
 from mirror.protocols.ranking import ALL
 from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem, describe_problem_and_value
 from mirror.version import __version__
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
 from mirror_leaderboard.images import copy_pairs
@@ -144,7 +144,7 @@ def read_result(path: Path) -> Result:
     except ValidationError as error:
         first = error.errors()[0]
         raise RefusedError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            describe_problem_and_value(first),
             file=path,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected="a result.json of `mirror evaluate`",

@@ -15,7 +15,7 @@ from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
 from mirror.schema.hashing import HashStyle, hash_document
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 ScoringTask = Literal[
@@ -308,7 +308,7 @@ def parse_protocol(data: bytes, file: str) -> Protocol:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            describe_problem_and_value(first),
             file=file,
             place=".".join(str(part) for part in first["loc"]) or "the whole protocol",
             expected="a protocol as docs/evaluation.md describes it",

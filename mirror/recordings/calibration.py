@@ -16,7 +16,7 @@ from mirror.geometry.cameras.camera import Camera, camera_from_attributes
 from mirror.geometry.quaternions import quaternion_normalise
 from mirror.recordings.coordinates import UNIT_TOLERANCE
 from mirror.schema.documents import Document
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.tables import CALIBRATIONS
 
 Stage = Literal["factory", "online", "refined"]
@@ -134,7 +134,7 @@ def make_calibration(file: Path, camera: str, **values: Any) -> Calibration:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordingError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            describe_problem_and_value(first),
             file=file,
             place=".".join((f"camera {camera}", *(str(part) for part in first["loc"]))),
             expected="the intrinsics and mounting of a camera",

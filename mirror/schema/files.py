@@ -25,7 +25,7 @@ from pydantic import BaseModel, ValidationError
 from mirror.errors import ANOTHER_PLACE, DatasetError, SchemaError, UnwritableError
 from mirror.schema.casting import cast_exactly
 from mirror.schema.parquet_memory import require_memory
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.strict_json import JsonError, decode_json
 from mirror.schema.tables import ADDED, Table
 from mirror.schema.version import SCHEMA_VERSION, require_readable
@@ -143,7 +143,7 @@ def parse_json(text: bytes, model: type[Model], path: str | Path) -> Model:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            describe_problem_and_value(first),
             file=path,
             place=".".join(str(part) for part in first["loc"]) or "the whole document",
             expected=f"a {model.__name__} document",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from mirror.schema.documents import IDENTIFIER
@@ -15,12 +15,15 @@ _PATTERNS: Final = {
     r"^(https?://[^\s<>\"']*)?$": "should be an address that begins with http:// or https://",
 }
 """The patterns of documents in words: a message shows no regular expression."""
+_KEYS: Final = {"extra_forbidden": "this key is not known", "missing": "this key is missing"}
 
 _QUOTE: Final = "'"
 
 
 def describe_problem(details: ErrorDetails) -> str:
     """Describe the fault of a value: one of `pydantic.ValidationError.errors`, without the exception's name."""
+    if details["type"] in _KEYS:
+        return _KEYS[details["type"]]
     if details["type"] == "string_pattern_mismatch":
         pattern = details.get("ctx", {}).get("pattern", "")
         return _PATTERNS.get(pattern, "the text has another form than documented")
@@ -29,6 +32,13 @@ def describe_problem(details: ErrorDetails) -> str:
         known = context["expected_tags"].replace(_QUOTE, "")
         return f"{context['discriminator'].strip(_QUOTE)} {context['tag']!r} is none of {known}"
     return details["msg"].removeprefix("Value error, ")
+
+
+def describe_problem_and_value(details: ErrorDetails) -> str:
+    """Describe the fault of a value, and add the value, unless it is a whole document or a table of one."""
+    value = details["input"]
+    shown = "" if details["type"] == "missing" or isinstance(value, Mapping) else f" (got {value!r:.80})"
+    return f"{describe_problem(details)}{shown}"
 
 
 def describe_expected(details: ErrorDetails) -> str:
@@ -47,10 +57,7 @@ def describe_problems(every: Sequence[ErrorDetails]) -> tuple[str, str]:
         The problem and its place; of several problems the text names the place of each, and the place lists all.
     """
     places = [".".join(str(part) for part in details["loc"]) or "the whole document" for details in every]
-    texts = [
-        describe_problem(details) + ("" if details["type"] == "missing" else f" (got {details.get('input')!r:.80})")
-        for details in every
-    ]
+    texts = [describe_problem_and_value(details) for details in every]
     if len(texts) == 1:
         return texts[0], places[0]
     listed = "; ".join(f"{place}: {text}" for place, text in zip(places, texts))

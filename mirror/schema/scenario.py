@@ -17,7 +17,7 @@ from mirror.errors import SchemaError, UsageError
 from mirror.schema.behaviours import Behaviour, CrossingPedestrian, Idm, Replay, StoppedQueue
 from mirror.schema.documents import Document, Identifier
 from mirror.schema.files import write_bytes
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 SCENARIO_VERSION: Final = "1.0"
@@ -233,7 +233,7 @@ def parse_scenario(data: bytes, file: str) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})",
+            describe_problem_and_value(first),
             file=file,
             place=".".join(str(part) for part in first["loc"]) or "the whole scenario",
             expected="a scenario as docs/schema.md describes it",

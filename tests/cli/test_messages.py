@@ -8,8 +8,8 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from mirror.recordings.discovery import find_recordings
-from mirror.schema.documents import Identifier
-from mirror.schema.problems import describe_problem
+from mirror.schema.documents import Document, Identifier
+from mirror.schema.problems import describe_problem, describe_problem_and_value
 from mirror.stops import interrupted
 
 
@@ -27,6 +27,23 @@ def test_no_regular_expression_is_shown() -> None:
         Named(name="a b")
     said = describe_problem(raised.value.errors()[0])
     assert "letters, digits" in said and "^" not in said
+
+
+def test_a_fault_of_a_document_shows_no_table() -> None:
+    class Part(Document):
+        every: int
+
+    class Whole(Document):
+        part: Part
+
+    def describe(value: object) -> list[str]:
+        with pytest.raises(ValidationError) as raised:
+            Whole.model_validate(value)
+        return [describe_problem_and_value(details) for details in raised.value.errors()]
+
+    assert describe({"part": {"evry": 5}}) == ["this key is missing", "this key is not known (got 5)"]
+    assert describe({"part": {"every": 5}, "more": {"every": 5}}) == ["this key is not known"]
+    assert describe({"part": {"every": "five"}})[0].endswith("(got 'five')")
 
 
 def test_the_topics_file_of_a_log_is_not_listed_as_passed_over(tmp_path: Path) -> None:

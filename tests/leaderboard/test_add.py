@@ -132,7 +132,7 @@ def set_in(*keys: Any) -> Callable[[dict[str, Any]], None]:
         (set_in("submission", "split", "easy"), "changed by hand"),
         (set_in("submission", "method", "name", "<b>"), "method: the text has another form"),
         (set_in("format", "other"), "mirror-result"),
-        (set_in("more", 1), "Extra inputs"),
+        (set_in("more", 1), "more: this key is not known"),
         (set_in("figures", 0, "value", "1e400"), "finite"),
     ],
 )

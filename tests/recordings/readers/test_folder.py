@@ -349,7 +349,7 @@ def test_truncated_files_are_named(tmp_path: Path) -> None:
         ({"shutter_direction": "sideways"}, "1.shutter_direction", "top_to_bottom"),
         ({"readout_ns": -1}, "1.readout_ns", "greater than or equal to 0"),
         ({"valid_from_ns": 2, "valid_to_ns": 1}, "1", "lies after"),
-        ({"fov": 90}, "1.fov", "not permitted"),
+        ({"fov": 90}, "1.fov", "key is not known"),
     ],
 )
 def test_wrong_calibrations_are_named(tmp_path: Path, changes: dict[str, Any], place: str, problem: str) -> None:

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from hybridworldsim.simulator.remote.lenses import Lens
 from mirror.errors import SchemaError, UsageError
 from mirror.schema.documents import Document
-from mirror.schema.problems import describe_problem
+from mirror.schema.problems import describe_problem_and_value
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 FRONT_WIDE: Final = "camera_front_wide_120fov"
@@ -53,7 +53,7 @@ def read_driver_file(path: Path) -> DriverFile:
     except ValidationError as error:
         first = error.errors()[0]
         raise SchemaError(
-            f"{describe_problem(first)} (got {first.get('input')!r:.80})", file=path,
+            describe_problem_and_value(first), file=path,
             place=".".join(str(part) for part in first["loc"]) or None,
             expected="a driver's file as docs/simulation.md describes it",
         ) from error  # fmt: skip

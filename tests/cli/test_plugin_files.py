@@ -40,6 +40,7 @@ ANNOTATOR = "class A:\n    settings = {{}}\n    def open(self, dataset, settings
         (SIMULATE, "X = 5\n", "X is int, which cannot be called"),
         (SIMULATE, POLICY.format(", path", ", seen"), "X does not take the arguments of its host"),
         (SIMULATE, POLICY.format("", ""), "expected act(observation)"),
+        (SIMULATE, POLICY.format("", ", seen").replace("()", "('roof',)", 1), "reads the images of roof"),
         (SIMULATE, "class X: ...\n", "it has no act, cameras, close, privileged, reset"),
         (SIMULATE, "raise SystemExit(3)\n", "the file ends the program when it is imported"),
         (ANNOTATE, "X = 5\n", "it has no open, settings"),

@@ -173,6 +173,7 @@ def test_a_fault_of_a_policy_is_named_with_its_file_and_line(tmp_path: Path, her
     line = 1 + text[: text.index("observation.road")].count("\n")
     drive = ("simulate", "synth:tiny", "--scenario", "free-traffic", "--duration", "1", "--no-video", "--width", "64")
     said = here(*drive, "--policy", "policy.py:Careful", "--out", "rollout", code=ExitCode.FINDINGS)
+    assert said.startswith("rollout: the policy failed after 0 steps\n")
     assert f"line {line}, in act" in said and "policy.py" in said and "AttributeError" in said
 
 

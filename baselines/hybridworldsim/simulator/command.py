@@ -167,6 +167,13 @@ def _request(arguments: Arguments) -> RolloutRequest:
         raise UsageError(
             f"no camera {', '.join(unknown)}", place="--cameras", expected=f"some of {', '.join(street.rig)}"
         )
+    unknown = [camera for camera in policy.cameras if camera not in street.rig]
+    if unknown:
+        raise UsageError(
+            f"policy {policy_name} reads the images of {', '.join(unknown)}, which the rig does not have",
+            place="--policy", expected=f"cameras of {', '.join(street.rig)}",
+            remedy="mend the attribute cameras of the policy",
+        )  # fmt: skip
     wanted = dict.fromkeys((*policy.cameras, *(shown if arguments.video else ())))
     return RolloutRequest(
         street=street,
@@ -250,9 +257,11 @@ def _print(result: RolloutResult, same: bool | None) -> None:
 
     rollout = result.rollout
     worst, *others = describe_safety(result.safety)
-    print(f"{result.folder}: {worst}; {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
-    if rollout.reason is not None:
-        print(f"  {rollout.reason}")
+    if rollout.reason is None:
+        print(f"{result.folder}: {worst}; {rollout.steps} steps, ended by {rollout.ending.replace('_', ' ')}")
+    else:
+        print(f"{result.folder}: the policy failed after {rollout.steps} steps\n  {rollout.reason}")
+        print(f"  until then {worst}")
     for line in others:
         print(f"  {line}")
     print(f"  {describe_map(rollout.map_source)}")

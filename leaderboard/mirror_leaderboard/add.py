@@ -22,7 +22,7 @@ from mirror.schema.files import unwritable_error, write_json
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror.schema.problems import describe_problem, describe_problem_and_value
 from mirror.version import __version__
-from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Figure, Link, Measured, entry_key, load_entries
+from mirror_leaderboard.entry import IMAGE_FOLDER, Cluster, Entry, Figure, Link, Measured, entry_key, load_entries
 from mirror_leaderboard.images import copy_pairs
 from mirror_leaderboard.names import find_name_problem, skeleton
 from mirror_leaderboard.recount import require_recomputed_means
@@ -180,6 +180,7 @@ def make_entry(result: Result, dataset: str, *, file: Path, setting: str | None 
             frames_per_second=None if runtime is None else runtime.frames_per_second,
             device=None if runtime is None else runtime.device,
             figures=tuple(_make_figures(result, file)),
+            clusters=tuple(Cluster.model_validate(one.model_dump()) for one in result.clusters),
             notes=tuple(_to_plain_line(note) for note in result.warnings),
         )
     except ValidationError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Final
+from functools import cached_property, partial
+from typing import Final, Literal
 
 from mirror.metrics.catalogue import MEASURES
 from mirror.protocols.document import load_protocol, protocol_names
@@ -14,6 +14,7 @@ from mirror.protocols.ranking import ALL, Ranking
 from mirror.schema.hashing import hash_document
 from mirror_leaderboard.entry import Entry, Figure, Measured, Reported
 from mirror_leaderboard.former import find_former
+from mirror_leaderboard.ranks import BoardRanks, rank_rows
 
 FLOOR: Final = ("nearest_frame", "smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 """Baselines that only show recorded pixels: every method must beat them."""
@@ -95,6 +96,20 @@ class Board:
     def ranked_by(self) -> Column:
         """The column that the rows are sorted by."""
         return _select_rank_column(_find_ranking(self.protocol, self.hashes), self.columns, self.entries)
+
+    @cached_property
+    def ranks(self) -> BoardRanks | None:
+        """The ranks of the rows; None: the entries are reported, or the column that sorts them ranks nothing."""
+        ranking = _find_ranking(self.protocol, self.hashes)
+        if self.hashes is None or ranking is None or self.ranked_by != ranking.column:
+            return None
+        values = [
+            find_value(entry, self.ranked_by) if ranking.passes_gate(partial(find_value, entry)) else None
+            for entry in self.entries
+        ]
+        better: Literal["higher", "lower"] = "lower" if MEASURES[self.ranked_by[1]].better == "lower" else "higher"
+        cluster = "scenario" if load_protocol(self.protocol).task == "safety" else "scene"
+        return rank_rows(self.entries, values, better, cluster)
 
     def best(self, column: Column) -> float | None:
         """Return the best value of a column; None if fewer than two entries have a value.

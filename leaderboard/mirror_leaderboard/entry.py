@@ -123,6 +123,22 @@ class Reported(Document):
     notes: tuple[Note, ...] = ()
 
 
+class Cluster(Document):
+    """The figure that ranks in one cluster: a scene, or a scenario in a scene.
+
+    Attributes:
+        key: the scene, or ``SCENE, SCENARIO``.
+        value: its mean there.
+        weight: share of the cluster in the figure; all shares have the sum 1.
+        n: number of scores.
+    """
+
+    key: Note
+    value: float = Field(allow_inf_nan=False)
+    weight: float = Field(gt=0, le=1 + 1e-9)
+    n: int = Field(ge=1)
+
+
 class Pair(Document):
     """One view of a method beside its truth.
 
@@ -159,6 +175,8 @@ class Measured(Document):
         frames_per_second: images per second, as the submission states it.
         device: processor of ``frames_per_second``.
         figures: means with their confidence intervals.
+        clusters: the figure that ranks in each cluster, from which intervals of ranks are computed. The hash of the
+            content omits an empty one: the entry was added before they were kept, or the figure is of a whole set.
         pairs: renders beside their truth.
         notes: warnings of the evaluation.
         verified: whether the board's organiser scored the renders again. The hash of the content omits False.
@@ -187,6 +205,7 @@ class Measured(Document):
     frames_per_second: Annotated[float, Field(ge=1e-6, le=MOST_FRAMES_PER_SECOND)] | None = None
     device: Name | None = None
     figures: tuple[Figure, ...] = Field(min_length=1)
+    clusters: tuple[Cluster, ...] = Field(default=(), exclude_if=lambda clusters: not clusters)
     pairs: tuple[Pair, ...] = ()
     notes: tuple[Note, ...] = ()
     verified: bool = Field(default=False, exclude_if=lambda verified: not verified)

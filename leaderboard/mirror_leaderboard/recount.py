@@ -11,8 +11,9 @@ import numpy as np
 import pyarrow as pa
 
 from mirror.errors import DatasetError
+from mirror.evaluation.clusters import compute_clusters
 from mirror.evaluation.figures import mean_weights, overall_averaging
-from mirror.evaluation.result import IMAGES, GroupFigure, Result
+from mirror.evaluation.result import IMAGES, ClusterMean, GroupFigure, Result
 from mirror.protocols.ranking import ALL
 from mirror.protocols.views.view import RenderView
 from mirror.schema.parquet_memory import read_python_rows
@@ -23,7 +24,7 @@ _MAX_BYTES: Final = 1 << 30
 
 
 def require_recomputed_means(result: Result, path: Path) -> None:
-    """Compare every mean over images with the table of images.
+    """Compare every mean over images, also those of clusters, with the table of images.
 
     Figures of whole sets, such as FID, cannot be computed from the table.
 
@@ -57,6 +58,28 @@ def require_recomputed_means(result: Result, path: Path) -> None:
                     place="figures",
                     remedy="evaluate the submission again: mirror evaluate",
                 )
+    _require_clusters(result, rows, path)
+
+
+def _require_clusters(result: Result, rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    expected = compute_clusters(result.protocol, rows)
+    if result.clusters and not _are_equal(result.clusters, expected):
+        raise RefusedError(
+            "means of clusters are not those of the images",
+            file=path,
+            place="clusters",
+            expected=f"those of {IMAGES}",
+            remedy="evaluate the submission again: mirror evaluate",
+        )
+
+
+def _are_equal(stated: Sequence[ClusterMean], expected: Sequence[ClusterMean]) -> bool:
+    return len(stated) == len(expected) and all(
+        (one.key, one.n) == (other.key, other.n)
+        and math.isclose(one.value, other.value, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+        and math.isclose(one.weight, other.weight, rel_tol=_TOLERANCE)
+        for one, other in zip(stated, expected)
+    )
 
 
 def _require_mean(

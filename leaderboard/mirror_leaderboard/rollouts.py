@@ -138,7 +138,7 @@ def _drive_again(
         again.append(check_rollout(rollouts / one.path, one, tasks[key], done.protocol))
         progress.advance(1)
     own = make_result(again, done.protocol)
-    kept = ("figures", "dataset", "options", "warnings")
+    kept = ("figures", "clusters", "dataset", "options", "warnings")
     return done.model_copy(update={name: getattr(own, name) for name in kept})
 
 

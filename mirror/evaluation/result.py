@@ -56,6 +56,22 @@ class GroupFigure(Document):
     note: str | None = None
 
 
+class ClusterMean(Document):
+    """The mean of the figure that ranks in one cluster: a scene, or a scenario in a scene.
+
+    Attributes:
+        key: the scene, or ``SCENE, SCENARIO``.
+        value: mean in the cluster, in the protocol's order.
+        weight: share of the cluster in the figure that ranks; all shares have the sum 1.
+        n: number of finite scores.
+    """
+
+    key: str
+    value: float = Field(allow_inf_nan=False)
+    weight: float = Field(gt=0, le=1 + 1e-9)
+    n: int = Field(ge=1)
+
+
 class DatasetIdentity(Document):
     """The identity of the truth that a submission was scored against.
 
@@ -84,6 +100,8 @@ class Result(Document):
         submission: manifest of the submission.
         submission_hash: hash of all renders of the submission.
         figures: the figures.
+        clusters: means of the figure that ranks in each scene, or scenario of a scene; empty: none ranks, or one of a
+            whole set. The hash omits an empty one.
         unavailable: metrics that could not be computed, each with the way to make it available.
         weights: SHA-256 of the network weights that were used, by name.
         versions: versions of the toolkit and of packages that affect the figures.
@@ -99,6 +117,7 @@ class Result(Document):
     submission: SubmissionManifest
     submission_hash: str
     figures: tuple[GroupFigure, ...]
+    clusters: tuple[ClusterMean, ...] = Field(default=(), exclude_if=lambda clusters: not clusters)
     unavailable: dict[str, str]
     weights: dict[str, str]
     versions: dict[str, str]

@@ -7,12 +7,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mirror.errors import UsageError
+from mirror.evaluation.clusters import compute_clusters
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers.safety import ScoredRollout, rollout_figures, rollout_view, score_folder
 from mirror.evaluation.submission.manifest import Appearance, SubmissionManifest, SubmittedMethod
@@ -105,6 +106,7 @@ def make_result(scored: Sequence[ScoredRollout], protocol: Protocol) -> Result:
         submission=manifest,
         submission_hash=hash_document([one.rollout.hash for one in scored], HashStyle.CANONICAL),
         figures=tuple(rollout_figures(protocol, scored)),
+        clusters=compute_clusters(protocol, _list_rows(scored, protocol)),
         unavailable={},
         weights={},
         versions=list_versions(),
@@ -198,8 +200,8 @@ def _list_warnings(scored: Sequence[ScoredRollout]) -> list[str]:
     return warnings
 
 
-def _encode_table(scored: Sequence[ScoredRollout], protocol: Protocol) -> bytes:
-    """One row a rollout; ``traversal_id`` is the scenario, ``frame_index`` the seed, ``camera`` the world."""
+def _list_rows(scored: Sequence[ScoredRollout], protocol: Protocol) -> list[dict[str, Any]]:
+    """List one row a rollout; ``traversal_id`` is the scenario, ``frame_index`` the seed, ``camera`` the world."""
     rows = []
     for one in scored:
         view = rollout_view(one, protocol.groups[0].name)
@@ -207,6 +209,11 @@ def _encode_table(scored: Sequence[ScoredRollout], protocol: Protocol) -> bytes:
         causes = {f"{name}_cause": one.causes.get(name) for name in protocol.metric_names}
         ending = {"ending": one.rollout.ending, "steps": one.rollout.steps}
         rows.append({"path": one.path, **keys, **one.values, **ending, **causes})
+    return rows
+
+
+def _encode_table(scored: Sequence[ScoredRollout], protocol: Protocol) -> bytes:
+    rows = _list_rows(scored, protocol)
     columns = {
         name: pa.array([row[name] for row in rows], pa.float64() if name in protocol.metric_names else None)
         for name in rows[0]

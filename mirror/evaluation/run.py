@@ -8,7 +8,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, UsageError
+from mirror.evaluation.clusters import compute_clusters
 from mirror.evaluation.extractors import DEFAULT_EXTRACTOR, make_extractor
 from mirror.evaluation.result import IMAGES, RESULT, DatasetIdentity, Result
 from mirror.evaluation.scorers import load_scorer
@@ -45,6 +46,9 @@ _RUNTIME: Final = "runtime"
 _WITHOUT_TRUTH: Final = (
     "needs the exact truth of the edits (--hidden); `mirror submission hidden` renders that of a synthetic street"
 )
+_ROW_KEYS: Final = (
+    "group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather"
+)  # fmt: skip
 _SCORES_HASH: Final = b"mirror_scores_hash"
 """Key of the metadata of the table of images: `ScoringOutcome.hash` of its rows."""
 
@@ -186,6 +190,7 @@ def evaluate(
         submission=check.manifest,
         submission_hash=check.hash,
         figures=tuple(scorer.figures(plan, outcome.scored, inputs)) if has_metrics else (),
+        clusters=compute_clusters(protocol, _list_image_rows(outcome.scored)),
         unavailable=unavailable,
         weights=available.weights,
         versions=list_versions(),
@@ -368,16 +373,8 @@ def _read_scores_hash(path: Path) -> str | None:
 
 def _encode_image_table(scored: Sequence[ScoredJob], protocol: Protocol, scores_hash: str) -> bytes:
     """Encode the table of images, with one row for each image, as Parquet."""
-    rows = []
-    names: dict[str, None] = {}
-    for scored_job in scored:
-        if not scored_job.job.in_table:
-            continue
-        view = scored_job.job.views[0]
-        keys = ("group", "scene_id", "traversal_id", "frame_index", "camera", "timestamp_ns", "light", "weather")
-        fields = {key: getattr(view, key) for key in keys}
-        rows.append({"path": scored_job.job.name, **fields, **scored_job.values})
-        names.update(dict.fromkeys(rows[-1]))
+    rows = _list_image_rows(scored)
+    names = {name: None for row in rows for name in row}
     columns = {name: [row.get(name) for row in rows] for name in names}
     table = pa.table(columns).replace_schema_metadata(
         {"mirror_protocol_hash": protocol.hash, _SCORES_HASH: scores_hash}
@@ -385,6 +382,17 @@ def _encode_image_table(scored: Sequence[ScoredJob], protocol: Protocol, scores_
     sink = io.BytesIO()
     pq.write_table(table, sink, compression="zstd", version="2.6")
     return sink.getvalue()
+
+
+def _list_image_rows(scored: Sequence[ScoredJob]) -> list[dict[str, Any]]:
+    """List the rows of the table of images."""
+    rows = []
+    for scored_job in scored:
+        if scored_job.job.in_table:
+            view = scored_job.job.views[0]
+            fields = {key: getattr(view, key) for key in _ROW_KEYS}
+            rows.append({"path": scored_job.job.name, **fields, **scored_job.values})
+    return rows
 
 
 def read_result(path: Path) -> Result:

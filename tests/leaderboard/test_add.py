@@ -266,3 +266,33 @@ def test_result_hash_covers_the_whole_document(folder: Path, board: Path) -> Non
 
     plain = Result.model_validate(result()).model_dump(mode="json")
     assert entry["result_hash"] == sha256_bytes(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode())
+
+
+def test_values_of_scenes_are_kept_and_held_against_the_table(folder: Path, board: Path) -> None:
+    values = {"a": [0.2, 0.4], "b": [0.9]}
+    rows = [
+        {"group": "novel", "scene_id": scene, "traversal_id": scene, "matched_structure": value}
+        for scene, scores in values.items()
+        for value in scores
+    ]
+    pq.write_table(pa.Table.from_pylist(rows), folder / "images.parquet")
+    plain = result()
+    shared = {"metric": "matched_structure", "group": "novel", "better": "higher"}
+    plain["figures"] = [{**shared, "value": 0.6, "n": 3, "interval_reason": "few"}]
+    plain["clusters"] = [
+        {"key": "a", "value": 0.3, "weight": 0.5, "n": 2},
+        {"key": "b", "value": 0.9, "weight": 0.5, "n": 1},
+    ]
+    for change in (
+        set_in("clusters", 0, "value", 0.5),
+        set_in("clusters", 1, "n", 2),
+        set_in("clusters", 0, "key", "c"),
+    ):
+        changed = json.loads(json.dumps(plain))
+        change(changed)
+        with pytest.raises(RefusedError, match="means of clusters are not those of the images"):
+            add_result(write(folder, changed), board, "a street")
+    add_result(write(folder, plain), board, "a street")
+    (entry,) = [entry for entry in load_entries(board / "entries") if entry.method == "a method"]
+    assert isinstance(entry, Measured)
+    assert [one.model_dump() for one in entry.clusters] == plain["clusters"]

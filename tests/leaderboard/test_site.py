@@ -232,7 +232,7 @@ def luminance(*rgb: int) -> float:
 
 
 TABLE = "document.querySelector('[data-kind=measured] table.board')"
-METHODS = f"[...{TABLE}.tBodies[0].rows].map(row => row.cells[0].dataset.value)"
+METHODS = f"[...{TABLE}.tBodies[0].rows].map(row => row.cells[1].dataset.value)"
 HEADS = f"[...{TABLE}.querySelectorAll('thead th button')]"
 SHOW_MEASURED = "document.querySelector('[role=tab]').click()"
 
@@ -242,22 +242,22 @@ def test_heads_sort(browser: Browser, board: Path, tmp_path: Path) -> None:
     best = ["hybridworldsim", "nearest_frame", "mean_color"]
     assert browser.script(METHODS) == best
     # A click reverses the ranked column; another column starts with its best; rows without a value stay last.
-    browser.script(f"{HEADS}[1].click()")
+    browser.script(f"{HEADS}[2].click()")
     assert browser.script(METHODS) == best[::-1]
     assert browser.script(f"{TABLE}.querySelector('th[aria-sort]').getAttribute('aria-sort')") == "ascending"
-    browser.script(f"{HEADS}[2].click()")
+    browser.script(f"{HEADS}[3].click()")
     assert browser.script(METHODS) == best
     assert browser.script("document.querySelectorAll('table.board th[aria-sort]').length") >= 1
-    browser.script(f"{HEADS}[0].click()")
+    browser.script(f"{HEADS}[1].click()")
     assert browser.script(METHODS) == sorted(best)
-    browser.script(f"{HEADS}[6].click()")
+    browser.script(f"{HEADS}[7].click()")
     assert browser.script(METHODS) == ["mean_color", "hybridworldsim", "nearest_frame"]
 
 
 def test_heads_sort_by_keyboard(browser: Browser, board: Path, tmp_path: Path) -> None:
     browser.open(build([board], tmp_path / "site"))
     browser.script(SHOW_MEASURED)
-    browser.script(f"{HEADS}[1].focus()")
+    browser.script(f"{HEADS}[2].focus()")
     for kind in ("keyDown", "keyUp"):
         browser.call(
             "Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r"

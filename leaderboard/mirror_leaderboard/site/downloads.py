@@ -1,4 +1,4 @@
-"""Files beside the page: the table of each board as CSV, and each entry as JSON with its signature."""
+"""Files beside the page: the table of each board as CSV, its ranks as JSON, and each entry with its signature."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from mirror.metrics.catalogue import MEASURES
+from mirror.metrics.images.bootstrap import CONFIDENCE
 from mirror.schema.csv_files import encode_csv
 from mirror_leaderboard.boards import Board, find_figure
 from mirror_leaderboard.entry import Entry, Measured
+from mirror_leaderboard.ranks import Rank
 
 CSV_FOLDER: Final = "csv"
+RANK_FOLDER: Final = "ranks"
 ENTRY_FOLDER: Final = "rows"
 """Not `entries`, which marks a folder as a board."""
 
@@ -19,6 +22,11 @@ ENTRY_FOLDER: Final = "rows"
 def csv_file(board: Board) -> str:
     """Return the file of a board's table, relative to the site."""
     return f"{CSV_FOLDER}/{board.id}.csv"
+
+
+def rank_file(board: Board) -> str:
+    """Return the file of a board's ranks, relative to the site."""
+    return f"{RANK_FOLDER}/{board.id}.json"
 
 
 def entry_file(entry: Entry) -> str:
@@ -38,12 +46,64 @@ def encode_entry(entry: Entry) -> bytes:
 def encode_board(board: Board) -> bytes:
     """Encode the table of a board, a row for each entry, in the order and the units of the page.
 
-    Each metric has four columns: value, both ends of its interval, and number of images.
+    Rows have their ranks with both ends of the interval. Each metric has four columns: value, both ends of its
+    interval, and number of images.
     """
-    header = [*_KEYS, *(name for column in board.columns for name in _list_heads(*column))]
-    return encode_csv(header, ([*_list_keys(entry), *_list_numbers(entry, board)] for entry in board.entries))
+    header = [*_RANK, *_KEYS, *(name for column in board.columns for name in _list_heads(*column))]
+    return encode_csv(
+        header,
+        (
+            [rank.rank, rank.low, rank.high, *_list_keys(entry), *_list_numbers(entry, board)]
+            for rank, entry in zip(_list_ranks(board), board.entries)
+        ),
+    )
 
 
+def encode_ranks(board: Board) -> bytes:
+    """Encode the ranks of a board: the figure that ranks, how the intervals were computed, and the rows."""
+    group, metric = board.ranked_by
+    ranks = board.ranks
+    rows = [
+        {
+            "method": entry.method,
+            "version": entry.version if isinstance(entry, Measured) else None,
+            "setting": entry.setting,
+            "value": None if figure is None else figure.value,
+            "rank": rank.rank,
+            "low": rank.low,
+            "high": rank.high,
+            "reason": rank.reason,
+            "entry": entry_file(entry),
+        }
+        for rank, entry, figure in zip(
+            _list_ranks(board), board.entries, (find_figure(entry, board.ranked_by) for entry in board.entries)
+        )
+    ]
+    plain = {
+        "protocol": board.protocol,
+        "dataset": board.title,
+        "split": board.split,
+        "hashes": board.hashes,
+        "options": dict(board.options),
+        "ranked_by": {"group": group, "metric": metric, "better": MEASURES[metric].better},
+        "intervals": None
+        if ranks is None
+        else {
+            "confidence": CONFIDENCE if ranks.reason is None else None,
+            "cluster": ranks.cluster,
+            "n_clusters": ranks.n_clusters,
+            "reason": ranks.reason,
+        },
+        "rows": rows,
+    }
+    return (json.dumps(plain, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _list_ranks(board: Board) -> Sequence[Rank]:
+    return [Rank()] * len(board.entries) if board.ranks is None else board.ranks.rows
+
+
+_RANK: Final = ("rank", "rank low", "rank high")
 _KEYS: Final = ("kind", "method", "version", "setting", "date", "protocol", "dataset", "source")
 
 

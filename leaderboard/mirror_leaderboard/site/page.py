@@ -9,15 +9,18 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
+from mirror.counting import count_of
 from mirror.errors import DatasetError
 from mirror.metrics.catalogue import MEASURES
+from mirror.metrics.images.bootstrap import CONFIDENCE
 from mirror.pages.rendering import read_script, render_page, style_sheet
 from mirror.protocols.document import load_protocol
 from mirror.schema.files import write_bytes
 from mirror.schema.folders import FolderKind, require_output_folder
 from mirror_leaderboard.boards import STATED, UNVERIFIED, Board, make_boards
 from mirror_leaderboard.entry import IMAGE_FOLDER, Entry, Measured, entry_key, load_entries
-from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, entry_file
+from mirror_leaderboard.ranks import BoardRanks
+from mirror_leaderboard.site.downloads import csv_file, encode_board, encode_entry, encode_ranks, entry_file, rank_file
 from mirror_leaderboard.site.plot import time_quality_plot
 from mirror_leaderboard.site.slider import board_slider, image_files
 from mirror_leaderboard.site.tables import board_tables, group_title
@@ -50,6 +53,8 @@ def build_site(entries: Sequence[Entry], image_folders: Sequence[Path], out: Pat
     _copy_images(image_files(boards), image_folders, out / IMAGE_FOLDER)
     for board in boards:
         write_bytes(out / csv_file(board), encode_board(board))
+        if board.ranks is not None:
+            write_bytes(out / rank_file(board), encode_ranks(board))
     for entry in entries:
         write_bytes(out / entry_file(entry), encode_entry(entry))
     page = out / "index.html"
@@ -125,7 +130,16 @@ def _describe_board(board: Board) -> dict[str, object]:
         "order": "ordered" if MEASURES[metric].forgeable else "ranked",
         "ranked_by": f"{group_title(group)}, {MEASURES[metric].title}",
         "csv": csv_file(board),
+        "ranks": None if board.ranks is None else rank_file(board),
+        "rank_note": None if board.ranks is None else _describe_ranks(board.ranks),
     }
+
+
+def _describe_ranks(ranks: BoardRanks) -> str:
+    """Return what the heading of a board states of its ranks."""
+    if ranks.reason is not None:
+        return f"ranks without intervals: {ranks.reason}"
+    return f"ranks with {100 * CONFIDENCE:g} % intervals over {count_of(ranks.n_clusters, ranks.cluster)}"
 
 
 def _copy_images(names: Iterable[str], sources: Sequence[Path], out: Path) -> None:

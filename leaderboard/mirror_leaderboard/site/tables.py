@@ -12,6 +12,7 @@ from typing import Final
 from mirror.metrics.catalogue import MEASURES, Measure
 from mirror_leaderboard.boards import FLOOR, FLOOR_OF_EDITS, Board, Column, find_figure
 from mirror_leaderboard.entry import Entry, Figure, Measured
+from mirror_leaderboard.ranks import Rank
 from mirror_leaderboard.site.downloads import entry_file
 
 _SHIFT: Final = re.compile(r"(?:(left|right)-)?([0-9.]+)m")
@@ -85,6 +86,8 @@ class Row:
         is_floor: whether the method is a floor.
         details: what tells it from other rows of its method.
         marks: numbers of its footnotes.
+        rank: its rank; None: the board has no ranks.
+        rank_marks: numbers of the footnotes of its rank.
         cells: its figures.
     """
 
@@ -93,6 +96,8 @@ class Row:
     is_floor: bool
     details: str
     marks: Sequence[int]
+    rank: Rank | None
+    rank_marks: Sequence[int]
     cells: Sequence[Cell]
 
 
@@ -102,12 +107,14 @@ class BoardTable:
 
     Attributes:
         caption: its name.
+        has_ranks: whether its rows have ranks.
         groups: titles of the groups of its columns, each with the number of columns.
         heads: heads of its columns.
         rows: its rows.
     """
 
     caption: str
+    has_ranks: bool
     groups: Sequence[tuple[str, int]]
     heads: Sequence[ColumnHead]
     rows: Sequence[Row]
@@ -161,8 +168,11 @@ def _arrange_table(board: Board, part: Sequence[Column], notes: dict[str, int], 
         (group_title(group), len(list(columns))) for group, columns in groupby(part, key=lambda column: column[0])
     ]
     # Footnotes are numbered by rows, then by heads.
-    rows = [_arrange_row(entry, board, part, best, notes) for entry in board.entries]
-    return BoardTable(caption, groups, [_arrange_head(column, board, notes) for column in part], rows)
+    ranks = [None] * len(board.entries) if board.ranks is None else board.ranks.rows
+    rows = [_arrange_row(entry, rank, board, part, best, notes) for entry, rank in zip(board.entries, ranks)]
+    return BoardTable(
+        caption, board.ranks is not None, groups, [_arrange_head(column, board, notes) for column in part], rows
+    )
 
 
 def group_title(group: str) -> str:
@@ -186,7 +196,12 @@ def _arrange_head(column: Column, board: Board, notes: dict[str, int]) -> Column
 
 
 def _arrange_row(
-    entry: Entry, board: Board, part: Sequence[Column], best: dict[Column, float | None], notes: dict[str, int]
+    entry: Entry,
+    rank: Rank | None,
+    board: Board,
+    part: Sequence[Column],
+    best: dict[Column, float | None],
+    notes: dict[str, int],
 ) -> Row:
     # A metric without any value has no column: its notes are shown with the row.
     without_column = [figure for figure in entry.figures if (figure.group, figure.metric) not in board.columns]
@@ -197,6 +212,8 @@ def _arrange_row(
         is_floor=entry.method in (*FLOOR, *FLOOR_OF_EDITS),
         details=", ".join(_list_variant(entry, board)),
         marks=_number_notes([*entry.notes, *metric_notes], notes),
+        rank=rank,
+        rank_marks=[] if rank is None or rank.reason is None else _number_notes([rank.reason], notes),
         cells=[_arrange_cell(entry, column, board, best[column], notes) for column in part],
     )
 

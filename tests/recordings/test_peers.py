@@ -397,7 +397,8 @@ def test_pykitti_reads_the_same_odometry(tmp_path: Path) -> None:
     # x forward, y left, z up in the axes of a camera.
     turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     expected = np.array(theirs["world_SE3_camera"])
-    place = np.column_stack([track.x_m, track.y_m, track.height_m])
+    ego = Poses(track.rotation, np.column_stack([track.x_m, track.y_m, track.height_m]))
+    place = ego.transform(np.array([[0.0, 0.0, 1.65]]))[:, 0]
     assert np.abs(place @ turn.T - expected[:, :3, 3]).max() < 1e-9
     assert np.abs(turn @ matrix_from_quaternion(track.rotation) @ turn.T - expected[:, :3, :3]).max() < 1e-9
     streams = recording.images()
@@ -410,7 +411,7 @@ def test_pykitti_reads_the_same_odometry(tmp_path: Path) -> None:
         mounting = Poses.from_columns({column: [row[column]] for column in COLUMNS})
         # The frame of the first camera from this camera's.
         placed = np.linalg.inv(np.array(theirs["camera_SE3_lidar"][name]) @ np.linalg.inv(lidar))
-        away = turn @ mounting.translation[0] - placed[:3, 3]
+        away = turn @ (mounting.translation[0] - (0.0, 0.0, 1.65)) - placed[:3, 3]
         assert np.abs(away).max() < (1e-9 if name in ("image_0", "image_1") else 3.5e-3)
         assert np.abs(turn @ matrix_from_quaternion(mounting.rotation)[0] - placed[:3, :3]).max() < 1e-9
         assert [Path(str(streams[name].path(index))).name for index in range(3)] == theirs["files"][name]
@@ -422,9 +423,18 @@ def test_pykitti_reads_the_same_raw_drive(tmp_path: Path) -> None:
     theirs = result("pykitti")["raw"]
     track = recording.track()
     assert track.rotation is not None and track.sigma_m is not None and len(track) == 3
-    degrees = np.column_stack([track.longitude_deg, track.latitude_deg])
-    assert np.abs(degrees - theirs["degrees"]).max() < 1e-13
-    assert np.abs(track.height_m - theirs["height_m"]).max() == 0.0 and track.sigma_m.tolist() == theirs["sigma_m"]
+    assert track.longitude_deg is not None and track.latitude_deg is not None and track.height_m is not None
+    # The receiver is 0.93 m above the ego: seen from it, up is the third column of its rotation.
+    matrix = matrix_from_quaternion(track.rotation)
+    geod = pyproj.Geod(ellps="WGS84")
+    east, north, up = (0.93 * matrix[:, :, 2]).T
+    heading, metres = np.degrees(np.arctan2(east, north)), np.hypot(east, north)
+    lon, lat, _ = geod.fwd(track.longitude_deg, track.latitude_deg, heading, metres)
+    degrees = np.column_stack([lon, lat])
+    assert np.abs(degrees - theirs["degrees"]).max() < 1e-11
+    assert np.abs(track.height_m + up - theirs["height_m"]).max() < 1e-6
+    assert track.sigma_m.tolist() == theirs["sigma_m"]
+    degrees = np.array(theirs["degrees"])
     stamps = np.array(theirs["times"], "datetime64[ns]").astype(np.int64)
     assert np.abs(track.timestamp_ns - stamps).max() < 1_000
     expected = np.array(theirs["world_SE3_receiver"])
@@ -440,7 +450,8 @@ def test_pykitti_reads_the_same_raw_drive(tmp_path: Path) -> None:
         matrix = camera_from_row(row).intrinsic_matrix(first_pixel_centre=0.0)
         assert np.abs(matrix - theirs["intrinsics"][name]).max() < 1e-9
         mounting = Poses.from_columns({column: [row[column]] for column in COLUMNS})
-        away = mounting.inverse().matrix()[0] - theirs["camera_SE3_receiver"][name]
+        receiver = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.93]]))
+        away = (mounting.inverse() @ receiver).matrix()[0] - theirs["camera_SE3_receiver"][name]
         assert np.abs(away[:3, :3]).max() < 1e-10
         assert np.abs(away[:3, 3]).max() < (1e-9 if name in ("image_00", "image_01") else 3.5e-3)
         assert [Path(str(streams[name].path(index))).name for index in range(3)] == theirs["files"][name]

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from mirror.arrays import Float64, Int64
 from mirror.errors import RecordingError
+from mirror.geometry.poses import Poses
 from mirror.recordings.opening import read_file
 from mirror.recordings.paths import list_folder
 from mirror.recordings.protocol import FileStream
@@ -22,6 +23,12 @@ from mirror.recordings.stamps import require_zone
 
 NO_STAMP: Final = np.iinfo(np.int64).min
 """In a list of stamps by frame: the frame has none."""
+
+CAMERA_HEIGHT_M: Final = 1.65
+RECEIVER_HEIGHT_M: Final = 0.93
+"""Heights above the road of the first camera and of the receiver of KITTI's station wagon, by the figure of its sensor
+setup, which the data set's page and its paper have (A. Geiger et al., "Vision meets robotics: the KITTI dataset", IJRR
+2013)."""
 
 _STAMP: Final = re.compile(r"\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}(?:\.\d{1,9})?")
 # Beyond it a number of a calibration is none, and its products leave float64.
@@ -219,3 +226,8 @@ def camera_centre(projection: Float64, name: str, file: Path) -> Float64:
     with np.errstate(over="ignore", invalid="ignore"):
         across = (projection[:2, 3] - projection[:2, 2] * along) / focal
     return -np.array([*across, along])
+
+
+def above_road(height_m: float) -> Poses:
+    """Return ``ego_SE3_body`` of an upright body: the ego's origin lies on the road below it."""
+    return Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, height_m]]))

@@ -14,7 +14,7 @@ Facts of the format, from the development kit of the benchmark:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -24,16 +24,19 @@ import pyarrow as pa
 
 from mirror.arrays import Int64
 from mirror.errors import RecordingError
+from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.geometry.quaternions import quaternion_inverse, quaternion_multiply, rotate
 from mirror.recordings.calibration import Calibration, Stage, make_calibration, to_calibration_table
-from mirror.recordings.coordinates import FLU_FROM_CAMERA
+from mirror.recordings.coordinates import FLU_FROM_CAMERA, to_ego_track
 from mirror.recordings.opening import find_file, read_file_start, require_file
 from mirror.recordings.paths import to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.raster import read_raster_size
 from mirror.recordings.readers.collection import choose_drive
 from mirror.recordings.readers.kitti_files import (
+    CAMERA_HEIGHT_M,
     NO_STAMP,
+    above_road,
     camera_centre,
     list_numbered_images,
     read_named_values,
@@ -169,7 +172,7 @@ class KittiOdometryRecording:
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in images)])
 
     def track(self) -> Track:
-        """Return the poses of camera 0, turned to x forward, y left, z up, in the world turned likewise."""
+        """Return the poses of the place on the road below camera 0, turned to x forward, y left, z up, as the world."""
         file = find_file(self.root, f"{_POSES}/{self.sequence}.txt")
         if file is None:
             raise RecordingError(
@@ -210,7 +213,7 @@ class KittiOdometryRecording:
         faults.add(bad, "rotation", no_motion)
         turned = quaternion_multiply(FLU_FROM_CAMERA[None], poses.rotation)
         position = rotate(FLU_FROM_CAMERA[None], poses.translation)
-        return faults.drop_from(
+        camera = faults.drop_from(
             Track(
                 np.where(stamps == NO_STAMP, 0, stamps),
                 x_m=position[:, 0],
@@ -220,6 +223,7 @@ class KittiOdometryRecording:
                 file=file,
             )
         )
+        return replace(to_ego_track(camera, above_road(CAMERA_HEIGHT_M)), bad=camera.bad)
 
     def calibrations(self) -> pa.Table:
         """Return the cameras that have images; their size is that in the header of their first image."""
@@ -229,7 +233,9 @@ class KittiOdometryRecording:
         for camera, files in self._files.items():
             name = f"P{camera[-1]}"
             projection = to_numbers(lines, name, (3, 4), file)
-            centre = rotate(FLU_FROM_CAMERA[None], camera_centre(projection, name, file)[None])[0]
+            beside = Poses(
+                FLU_FROM_CAMERA[None], rotate(FLU_FROM_CAMERA[None], camera_centre(projection, name, file)[None])
+            )
             image = next(iter(files.values()))
             width, height = read_raster_size(read_file_start(image, _HEADER_BYTES)[0], image)
             calibration = make_calibration(
@@ -242,7 +248,7 @@ class KittiOdometryRecording:
                 fy_px=projection[1, 1],
                 cx_px=projection[0, 2] + 0.5,
                 cy_px=projection[1, 2] + 0.5,
-                ego_SE3_camera=(*FLU_FROM_CAMERA.tolist(), *centre.tolist()),
+                ego_SE3_camera=to_pose_numbers(above_road(CAMERA_HEIGHT_M) @ beside),
                 method="KITTI calib.txt, images rectified",
             )
             calibrations.append(("factory", calibration))

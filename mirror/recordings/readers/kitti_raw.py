@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -29,12 +29,15 @@ from mirror.arrays import Int64
 from mirror.errors import RecordingError
 from mirror.geometry.quaternions import quaternion_exp, quaternion_multiply
 from mirror.recordings.calibration import to_calibration_table
+from mirror.recordings.coordinates import to_ego_track
 from mirror.recordings.opening import find_file, read_file
 from mirror.recordings.paths import list_folder, to_identifier
 from mirror.recordings.protocol import CameraInfo, DriveInfo, ImageStream, RigInfo, Track
 from mirror.recordings.readers.collection import one_of
 from mirror.recordings.readers.kitti_files import (
     NO_STAMP,
+    RECEIVER_HEIGHT_M,
+    above_road,
     list_numbered_images,
     read_frame_stamps,
     to_frame_stream,
@@ -206,7 +209,7 @@ class KittiRawRecording:
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in others)])
 
     def track(self) -> Track:
-        """Return the receiver's poses on WGS 84, with its own accuracy of each position."""
+        """Return the poses of the place on the road below the receiver, with its own accuracy of each position."""
         files = list(self._fixes.values())
         frames = np.fromiter(self._fixes, np.int64, len(files))
         place, by_frame = self._stamps("oxts")
@@ -254,7 +257,7 @@ class KittiRawRecording:
         faults.add(~(values[:, _SIGMA] >= 0.0), "sigma", no_fix)
         angles = np.where(faults.good[:, None], values[:, 3:6], 0.0)
         roll, pitch, yaw = (quaternion_exp(np.outer(angles[:, axis], np.eye(3)[axis])) for axis in range(3))
-        return faults.drop_from(
+        receiver = faults.drop_from(
             Track(
                 np.where(stamps == NO_STAMP, 0, stamps),
                 longitude_deg=longitude,
@@ -265,6 +268,7 @@ class KittiRawRecording:
                 file=self.root / self.drive / "oxts" / "data",
             )
         )
+        return replace(to_ego_track(receiver, above_road(RECEIVER_HEIGHT_M)), bad=receiver.bad)
 
     def calibrations(self) -> pa.Table:
         """Return the cameras that have images."""

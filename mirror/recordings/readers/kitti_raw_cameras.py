@@ -1,4 +1,4 @@
-"""The cameras of KITTI raw, in the frame of the receiver, from the three calibration files of a day.
+"""The cameras of KITTI raw from the three calibration files of a day.
 
 ``calib_imu_to_velo.txt`` holds ``lidar_SE3_receiver``, ``calib_velo_to_cam.txt`` ``camera0_SE3_lidar`` of camera 0
 before rectification, both as ``R`` and ``T``. Of each camera ``NN``, ``calib_cam_to_cam.txt`` holds
@@ -24,7 +24,13 @@ from mirror.errors import RecordingError
 from mirror.geometry.poses import Poses, to_pose_numbers
 from mirror.recordings.calibration import Calibration, Stage, make_calibration
 from mirror.recordings.opening import find_file
-from mirror.recordings.readers.kitti_files import camera_centre, read_named_values, to_numbers
+from mirror.recordings.readers.kitti_files import (
+    RECEIVER_HEIGHT_M,
+    above_road,
+    camera_centre,
+    read_named_values,
+    to_numbers,
+)
 from mirror.recordings.readers.stored_poses import is_no_rigid_motion, to_poses
 
 CALIBRATION_FILES: Final = ("calib_cam_to_cam.txt", "calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
@@ -53,7 +59,7 @@ def read_calibrations(root: Path, cameras: Sequence[str], *, rectified: bool) ->
 
 
 def read_lidar_pose(root: Path) -> Poses:
-    """Return the pose of the lidar in the frame of the receiver.
+    """Return ``ego_SE3_lidar``; the ego has the axes of the receiver, and its origin on the road below it.
 
     Args:
         root: the folder of the day.
@@ -61,7 +67,7 @@ def read_lidar_pose(root: Path) -> Poses:
     Raises:
         RecordingError: the file is missing or broken.
     """
-    return _read_motion(root, "calib_imu_to_velo.txt").inverse()
+    return above_road(RECEIVER_HEIGHT_M) @ _read_motion(root, "calib_imu_to_velo.txt").inverse()
 
 
 def _rectified(file: Path, lines: Lines, camera: str, ego_SE3_camera0: Poses) -> Calibration:

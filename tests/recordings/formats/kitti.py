@@ -18,6 +18,9 @@ CENTRES_M = ((0.0, 0.0, 0.0), (0.537, 0.0, 0.0), (-0.06, 0.0003, -0.0027), (0.47
 # Turns to the rectified axes of each camera from its own.
 TURNS = quaternion_exp(np.array([[0.01, -0.02, 0.005], [-0.013, 0.004, 0.01], [0.02, 0.01, -0.01], [0.0, 0.03, 0.002]]))
 DISTORTION = (-0.37, 0.2, 1.5e-3, 1.8e-3, -0.07)
+CAMERA = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.65]]))
+RECEIVER = Poses(np.array([[1.0, 0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.93]]))
+"""The bodies of the poses above the ego, which lies on the road."""
 LIDAR = Poses(quaternion_exp(np.array([[0.01, -0.005, 0.02]])), np.array([[0.81, -0.32, 0.8]]))
 """The lidar in the frame of the receiver."""
 PLACE = (8.4343, 49.0150, 116.0)
@@ -41,20 +44,21 @@ def rectified(drive: StreetDrive, names: tuple[str, ...]) -> StreetDrive:
 
 
 def from_first_camera(drive: StreetDrive, cameras: int = 4) -> StreetDrive:
-    """The drive as the odometry benchmark has it: its body is the first camera, its world that of the first frame.
+    """The drive as the odometry benchmark has it: its world is the first camera at the first frame.
 
-    Stamps begin at 0, there is a pose for each frame, and there are no boxes. Body and world are x forward, y left, z
-    up.
+    The ego lies below the first camera. Stamps begin at 0, there is a pose for each frame, and there are no boxes. Ego
+    and world are x forward, y left, z up.
     """
     drive = rectified(drive, tuple(f"image_{number}" for number in range(cameras)))
     stamps = drive.image_ns["image_0"]
     body = drive.ego_SE3_camera["image_0"] @ Poses.from_matrix(_CAMERA_FROM_FLU[None])
     first = (drive.poses_at(stamps[:1]) @ body).inverse()
+    ego = body @ CAMERA.inverse()
     return replace(
         drive,
         pose_ns=stamps - stamps[0],
-        poses_at=lambda relative: first @ drive.poses_at(np.asarray(relative) + stamps[0]) @ body,
-        ego_SE3_camera={name: body.inverse() @ pose for name, pose in drive.ego_SE3_camera.items()},
+        poses_at=lambda relative: first @ drive.poses_at(np.asarray(relative) + stamps[0]) @ ego,
+        ego_SE3_camera={name: ego.inverse() @ pose for name, pose in drive.ego_SE3_camera.items()},
         image_ns=dict.fromkeys(drive.image_ns, stamps - stamps[0]),
         box_ns=stamps[:0],
         objects=(),
@@ -68,7 +72,7 @@ def write_kitti_odometry(root: Path, sequences: Mapping[str, StreetDrive], suffi
         folder = root / "sequences" / name
         folder.mkdir(parents=True)
         stamps = drive.pose_ns
-        matrix = _CAMERA_FROM_FLU @ matrices(drive.poses_at(stamps)) @ _CAMERA_FROM_FLU.T
+        matrix = _CAMERA_FROM_FLU @ matrices(drive.poses_at(stamps) @ drive.ego_SE3_camera["image_0"])
         (root / "poses" / f"{name}.txt").write_text("\n".join(join(one[:3]) for one in matrix) + "\n")
         (folder / "times.txt").write_text("\n".join(f"{stamp * 1e-9:.9e}" for stamp in stamps) + "\n")
         lines = [f"P{n}: {join(projection(drive, f'image_{n}', CENTRES_M[n]))}" for n in range(len(drive.cameras))]
@@ -81,7 +85,7 @@ def write_kitti_odometry(root: Path, sequences: Mapping[str, StreetDrive], suffi
 
 
 def as_raw(drive: StreetDrive, *, rectified_images: bool = True) -> StreetDrive:
-    """The drive as KITTI raw has it: its body is the receiver, images lie at the stamps of its boxes.
+    """The drive as KITTI raw has it: its ego lies below the receiver, images lie at the stamps of its boxes.
 
     Each camera has stamps of its own. Boxes stand upright in the frame of the lidar. Of images that are not rectified,
     the lenses have distortion and the cameras axes of their own.
@@ -90,10 +94,9 @@ def as_raw(drive: StreetDrive, *, rectified_images: bool = True) -> StreetDrive:
     boxes = replace(drive, image_ns={"front_wide": drive.box_ns})
     drive = rectified(boxes, names)
     image_ns = {name: drive.box_ns + 1_001 * n for n, name in enumerate(names)}
-    ego_SE3_lidar = drive.poses_at(drive.box_ns) @ LIDAR
+    lidar = drive.poses_at(drive.box_ns) @ RECEIVER @ LIDAR
     objects = tuple(
-        replace(one, world_SE3_box=ego_SE3_lidar @ _upright(ego_SE3_lidar.inverse() @ one.world_SE3_box))
-        for one in drive.objects
+        replace(one, world_SE3_box=lidar @ _upright(lidar.inverse() @ one.world_SE3_box)) for one in drive.objects
     )
     drive = replace(drive, image_ns=image_ns, objects=objects)
     if rectified_images:
@@ -119,7 +122,7 @@ def write_kitti_raw(root: Path, drive: StreetDrive, name: str = "2011_09_26_driv
         (folder / sensor / "data").mkdir(parents=True)
         text = [str(stamp.astype("datetime64[ns]")).replace("T", " ") for stamp in stamps]
         (folder / sensor / "timestamps.txt").write_text("\n".join(text) + "\n")
-    for row, fix in enumerate(_fixes(drive.poses)):
+    for row, fix in enumerate(_fixes(drive.poses @ RECEIVER)):
         (folder / "oxts" / "data" / f"{row:010d}.txt").write_text(join(fix) + "\n")
     for camera, stamps in drive.image_ns.items():
         for index in range(len(stamps)):
@@ -135,11 +138,11 @@ def _upright(poses: Poses) -> Poses:
     return Poses(quaternion_exp(np.outer(np.arctan2(ahead[:, 1], ahead[:, 0]), (0.0, 0.0, 1.0))), poses.translation)
 
 
-def _fixes(world_SE3_ego: Poses) -> np.ndarray:
+def _fixes(world_SE3_receiver: Poses) -> np.ndarray:
     """(N, 30) numbers of the receiver; the world touches the ellipsoid at `PLACE`, by PROJ's topocentric frame."""
-    lon, lat, height = to_degrees(world_SE3_ego.translation)
+    lon, lat, height = to_degrees(world_SE3_receiver.translation)
     local = np.swapaxes(east_north_up(lon, lat), 1, 2) @ east_north_up(*np.array(PLACE[:2])[:, None])
-    matrix = local @ matrix_from_quaternion(world_SE3_ego.rotation)
+    matrix = local @ matrix_from_quaternion(world_SE3_receiver.rotation)
     roll = np.arctan2(matrix[:, 2, 1], matrix[:, 2, 2])
     pitch = np.arcsin(-matrix[:, 2, 0])
     yaw = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
@@ -177,7 +180,8 @@ def east_north_up(lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
 
 def _write_calibration(folder: Path, drive: StreetDrive, *, distorted: bool) -> None:
     """The three files; what of a camera the drive does not have, follows from what it has."""
-    lidar_SE3_ego = matrices(LIDAR.inverse())[0]
+    lidar_SE3_receiver = matrices(LIDAR.inverse())[0]
+    lidar_SE3_ego = matrices((RECEIVER @ LIDAR).inverse())[0]
     turns = matrix_from_quaternion(np.array(TURNS))
     names = list(drive.cameras)
     mountings = {name: matrices(pose)[0] for name, pose in drive.ego_SE3_camera.items()}
@@ -204,7 +208,7 @@ def _write_calibration(folder: Path, drive: StreetDrive, *, distorted: bool) -> 
         ]
     (folder / "calib_cam_to_cam.txt").write_text("\n".join(lines) + "\n")
     of_lidar = np.linalg.inv(first) @ np.linalg.inv(lidar_SE3_ego)
-    for file, motion in (("imu_to_velo", lidar_SE3_ego), ("velo_to_cam", of_lidar)):
+    for file, motion in (("imu_to_velo", lidar_SE3_receiver), ("velo_to_cam", of_lidar)):
         text = f"calib_time: 25-May-2012 16:47:16\nR: {join(motion[:3, :3])}\nT: {join(motion[:3, 3])}\n"
         (folder / f"calib_{file}.txt").write_text(text)
 
@@ -216,7 +220,7 @@ def _motion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _write_tracklets(file: Path, drive: StreetDrive) -> None:
-    lidar = (drive.poses_at(drive.box_ns) @ LIDAR).inverse()
+    lidar = (drive.poses_at(drive.box_ns) @ RECEIVER @ LIDAR).inverse()
     items = []
     for number, one in enumerate(drive.objects):
         length, width, height = one.size_m

@@ -13,7 +13,7 @@ import torch
 
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.clips.folder import clip_path, read_clip, write_clip
+from hybridworldsim.generation.clips.folder import clip_path, headers_of, read_clip, write_clip
 from hybridworldsim.generation.clips.map_lines import MapLine, crop_lines, move_lines
 from hybridworldsim.generation.clips.road_map import lines_of_map
 from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions, roll_out_clip
@@ -156,12 +156,12 @@ def test_the_channels_of_a_layout_say_whether_a_network_takes_a_map() -> None:
 
 def test_training_says_how_many_clips_have_no_map() -> None:
     clips, folder = [clip_with(ACROSS), make_clip(), clip_with(), make_clip()], Path("clips")
-    text = require_maps(clips, WITH_MAP, OWN_STYLE, folder)
+    text = require_maps(headers_of(clips), WITH_MAP, OWN_STYLE, folder)
     assert text == "2 of 4 training clips have no map: no line is drawn in them"
-    assert require_maps(clips[::2], WITH_MAP, OWN_STYLE, folder) is None
-    assert require_maps(clips, NETWORK, OWN_STYLE, folder) is None
+    assert require_maps(headers_of(clips[::2]), WITH_MAP, OWN_STYLE, folder) is None
+    assert require_maps(headers_of(clips), NETWORK, OWN_STYLE, folder) is None
     with pytest.raises(DatasetError, match="no training clip has a map"):
-        require_maps(clips[1::2], WITH_MAP, OWN_STYLE, folder)
+        require_maps(headers_of(clips[1::2]), WITH_MAP, OWN_STYLE, folder)
 
 
 def test_windows_have_the_map_of_all_their_frames() -> None:

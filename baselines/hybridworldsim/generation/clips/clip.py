@@ -67,6 +67,12 @@ class Clip:
         boxes: road users.
         tracks: (F, V, H, W) number of the road user in each pixel, `ABSENT` elsewhere; None: not known.
         lines: lines of the map in the ego frame of the first instant; None: no map is known.
+        ego_SE3_view: (F, V, 4, 4) pose of each camera at its own mid-exposure in the ego frame of the frame's instant;
+            None: all cameras expose at that instant.
+        excluded: (F, V, H, W) pixels that are no truth: outside the lens, on the recording vehicle, redacted, or of a
+            road user without a box; None: there are none.
+        hidden: (F, V, H, W) share of the static model's training images, in 255ths, in which a road user hides the
+            place that a pixel shows; None: not known.
     """
 
     clip_id: str
@@ -82,6 +88,9 @@ class Clip:
     boxes: ClipBoxes
     tracks: AnyArray | None = None
     lines: tuple[MapLine, ...] | None = None
+    ego_SE3_view: Float64 | None = None
+    excluded: Bool | None = None
+    hidden: UInt8 | None = None
 
     def __post_init__(self) -> None:
         if self.images.ndim != 5 or self.images.shape[1] != len(self.views) or self.images.shape[-1] != 3:
@@ -94,13 +103,17 @@ class Clip:
             "ego_SE3_camera": (views, 4, 4),
             "start_SE3_ego": (frames, 4, 4),
             "tracks": (frames, views, height, width),
+            "ego_SE3_view": (frames, views, 4, 4),
+            "excluded": (frames, views, height, width),
+            "hidden": (frames, views, height, width),
         }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
                 raise self._error(name, value.shape, str(shape))
-        for name in ("intrinsics", "ego_SE3_camera", "start_SE3_ego"):
-            if not np.isfinite(getattr(self, name)).all():
+        for name in ("intrinsics", "ego_SE3_camera", "start_SE3_ego", "ego_SE3_view"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value).all():
                 raise DatasetError(f"{name} is not finite", place=self.clip_id, expected="finite numbers")
         self._check_boxes(frames)
         self._check_lines()
@@ -112,6 +125,10 @@ class Clip:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    def cameras_at(self, frame: int) -> Float64:
+        """Return the poses (V, 4, 4) of the cameras of a frame in its ego frame, each at its own mid-exposure."""
+        return self.ego_SE3_camera if self.ego_SE3_view is None else self.ego_SE3_view[frame]
 
     def _error(self, name: str, found: tuple[int, ...], expected: str) -> DatasetError:
         return DatasetError(f"{name} of shape {found}", place=self.clip_id, expected=expected)

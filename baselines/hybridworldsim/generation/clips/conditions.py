@@ -50,7 +50,7 @@ def frame_conditions(
     return Conditions(
         clip.size_px,
         _batched(unit),
-        _batched(clip.ego_SE3_camera),
+        _batched(clip.cameras_at(frame)),
         _batched(clip.start_SE3_ego[frame]),
         torch.tensor([clip.rate_hz]),
         text.tokens.expand(1, 1, views, -1, -1),

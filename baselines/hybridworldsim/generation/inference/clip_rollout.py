@@ -143,7 +143,7 @@ def views_with_boxes(clip: Clip, frame: int) -> Bool:
 
 def clip_hulls(clip: Clip, frame: int) -> Bool:
     """Mark the pixels (V, H, W) of a frame that show the inside of some box."""
-    return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px)
+    return draw_hulls(clip.boxes.at(frame), clip.intrinsics, clip.cameras_at(frame), clip.size_px)
 
 
 @torch.no_grad()

@@ -74,7 +74,7 @@ def draw_frame_layout(clip: Clip, frame: int, style: BoxStyle, config: Transform
     """
     shown = takes_map(config, style)
     layout = draw_layout(
-        clip.boxes.at(frame), clip.intrinsics, clip.ego_SE3_camera, clip.size_px, style,
+        clip.boxes.at(frame), clip.intrinsics, clip.cameras_at(frame), clip.size_px, style,
         lines=clip.lines if shown else None, ego_SE3_line=np.linalg.inv(clip.start_SE3_ego[frame]),
     )  # fmt: skip
     if not shown or clip.lines is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from hybridworldsim.generation.autoencoder.codec import to_tensor
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder, TinySettings
 from hybridworldsim.training.run.state import dump, load
-from mirror.arrays import UInt8
+from mirror.arrays import Int64, UInt8
 
 _CLIP = 1.0
 
@@ -40,6 +40,14 @@ class AutoencoderSettings:
         return asdict(self)
 
 
+class ImageRows(Protocol):
+    """N images (H, W, 3): an array, or images that are read when they are asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: Int64 | slice, /) -> UInt8: ...
+
+
 class AutoencoderTrainer:
     """An autoencoder in training. A step depends on its number, the seed and the state only.
 
@@ -53,7 +61,7 @@ class AutoencoderTrainer:
         model: the autoencoder; its latents are not normalised before `finish`.
     """
 
-    def __init__(self, settings: AutoencoderSettings, images: UInt8, steps: int, *, seed: int = 0) -> None:
+    def __init__(self, settings: AutoencoderSettings, images: ImageRows, steps: int, *, seed: int = 0) -> None:
         torch.manual_seed(seed)
         self._settings, self._images, self._steps, self._seed = settings, images, steps, seed
         self.model = TinyAutoencoder(settings.model)

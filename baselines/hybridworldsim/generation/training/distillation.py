@@ -22,6 +22,7 @@ from hybridworldsim.generation.sampling.flow import add_noise
 from hybridworldsim.generation.training.generator_trainer import (
     GeneratorSettings,
     GeneratorTrainer,
+    mean_of_views,
     mean_over_present,
     predict_velocity,
 )
@@ -105,7 +106,7 @@ class ConsistencyLoss(nn.Module):
             reached = stepped + _wide(end - lower) * later
             wanted = (reached - noisy) / _wide(end - level)
         own = predict_velocity(self.network, noisy, references, given, level, reference_level).float()
-        return mean_over_present((own - wanted).square().mean(dim=(3, 4, 5)), batch.present)
+        return mean_over_present(mean_of_views((own - wanted).square(), batch.weight), batch.present)
 
 
 class _Velocity(nn.Module):

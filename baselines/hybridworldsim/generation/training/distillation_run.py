@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from hybridworldsim.generation.clips.folder import read_clips, read_list
+from hybridworldsim.generation.clips.folder import ClipFiles, read_list
 from hybridworldsim.generation.devices import (
     TRAINING_REMEDY,
     exhausted_memory_named,
@@ -101,12 +101,12 @@ def distil_on_clips(
     codec = read_autoencoder(autoencoder)
     require_fit(codec, teacher.config, OWN_STYLE, references, file=autoencoder)
     clips_hash = hash_clips(clips, listed)
-    loaded = read_clips(clips, listed)
-    require_clips(loaded, teacher.config, references, clips)
-    without_map = require_maps(loaded, teacher.config, OWN_STYLE, clips)
+    loaded = ClipFiles(clips, listed)
+    require_clips(loaded.headers, teacher.config, references, clips)
+    without_map = require_maps(loaded.headers, teacher.config, OWN_STYLE, clips)
     if without_map is not None:
         reporter.message(without_map)
-    captions = read_clip_captions(options.captions, teacher.config, loaded)
+    captions = read_clip_captions(options.captions, teacher.config, loaded.headers)
     settings = replace(options.settings, network=teacher.config, references=references)
     with (
         exhausted_memory_named(options.device, TRAINING_REMEDY),
@@ -143,7 +143,8 @@ def distil_on_clips(
         training = numbered_training(
             trainer, options.steps,
             lambda file: write_generator(
-                file, trainer.averaged_network(), references, rates_hz=rates_of(loaded), captions=captions is not None
+                file, trainer.averaged_network(), references, rates_hz=rates_of(loaded.headers),
+                captions=captions is not None,
             ),
             phase="distillation", loss=_LOSS, checkpoint_s=options.checkpoint_s, sample=sample,
         )  # fmt: skip

@@ -124,8 +124,10 @@ class _Loss(nn.Module):
         noisy = add_noise(batch.target, noise[:, count:], level)
         references = add_noise(batch.references, noise[:, :count], reference_level)
         velocity = predict_velocity(self.network, noisy, references, batch.conditions, level, reference_level)
-        square = (velocity.float() - (noise[:, count:] - batch.target)).square().mean(dim=(3, 4, 5))
-        return mean_over_present(square * loss_weight(level, self._weighting), batch.present)
+        square = (velocity.float() - (noise[:, count:] - batch.target)).square()
+        return mean_over_present(
+            mean_of_views(square, batch.weight) * loss_weight(level, self._weighting), batch.present
+        )
 
 
 def predict_velocity(
@@ -157,6 +159,18 @@ def predict_velocity(
         return network(stacked, steps, prepared, reference_timestep=reference_steps[:, :1])
     window = torch.cat([references, noisy], dim=1)
     return network(window, torch.cat([reference_steps, steps], dim=1), prepared)[:, count:]
+
+
+def mean_of_views(values: Tensor, weight: Tensor | None) -> Tensor:
+    """Return the mean (B, 1, V) of the values (B, 1, V, C, H, W) of each view.
+
+    Args:
+        values: values of latents.
+        weight: (B, 1, V, H, W) factor of each latent; None: 1.
+    """
+    if weight is None:
+        return values.mean(dim=(3, 4, 5))
+    return (values.mean(dim=3) * weight).mean(dim=(3, 4))
 
 
 def mean_over_present(values: Tensor, present: Tensor) -> Tensor:
@@ -264,12 +278,7 @@ class GeneratorTrainer:
         conditions = batch.conditions
         if conditions.layout is not None and settings.drop_layout > 0.0:
             conditions = replace(conditions, layout=conditions.layout.masked_fill(dropped, 0.0))
-        batch = WindowBatch(
-            batch.target.to(self._device),
-            batch.references.to(self._device),
-            conditions.to(self._device),
-            batch.present.to(self._device),
-        )
+        batch = replace(batch, conditions=conditions).to(self._device)
         if settings.self_rollout > 0.0:
             # Not where the loss is computed: older versions of torch would use weights there that were cast without
             # gradient.

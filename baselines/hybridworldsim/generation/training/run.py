@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from hybridworldsim.generation.autoencoder.codec import LatentCodec
 from hybridworldsim.generation.clips.captions import CachedCaptions, embedding_widths
-from hybridworldsim.generation.clips.clip import Clip
-from hybridworldsim.generation.clips.folder import clip_path, read_clips, read_list
+from hybridworldsim.generation.clips.folder import ClipFiles, ClipHeader, clip_path, read_list
 from hybridworldsim.generation.devices import (
     TRAINING_REMEDY,
     exhausted_memory_named,
@@ -30,6 +28,7 @@ from hybridworldsim.generation.training.autoencoder_trainer import (
     AutoencoderTrainer,
     reconstruction_psnr_db,
 )
+from hybridworldsim.generation.training.clip_images import ClipImages
 from hybridworldsim.generation.training.documents import GenerationOutcome, GenerationRun
 from hybridworldsim.generation.training.generator_trainer import GeneratorSettings, GeneratorTrainer
 from hybridworldsim.generation.training.numbered import numbered_training
@@ -38,7 +37,6 @@ from hybridworldsim.generation.training.windows import ClipWindows, require_clip
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes
-from mirror.arrays import UInt8
 from mirror.devices import resolve_device
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
@@ -120,12 +118,12 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
     if options.autoencoder is not None:
         require_fit(read_autoencoder(options.autoencoder), network, OWN_STYLE, references, file=options.autoencoder)
     clips_hash = hash_clips(clips, listed)
-    loaded = read_clips(clips, listed)
-    require_clips(loaded, network, references, clips)
-    without_map = require_maps(loaded, network, OWN_STYLE, clips)
+    loaded = ClipFiles(clips, listed)
+    require_clips(loaded.headers, network, references, clips)
+    without_map = require_maps(loaded.headers, network, OWN_STYLE, clips)
     if without_map is not None:
         reporter.message(without_map)
-    captions = read_clip_captions(options.captions, network, loaded)
+    captions = read_clip_captions(options.captions, network, loaded.headers)
     outcome: GenerationOutcome | None = None
     autoencoder = options.autoencoder
     with (
@@ -144,7 +142,7 @@ def train_on_clips(clips: Path, out: Path, options: TrainingOptions, reporter: P
 
 
 def _train_autoencoder(
-    clips: list[Clip], clips_hash: str, path: Path, options: TrainingOptions, reporter: ProgressReporter
+    clips: ClipFiles, clips_hash: str, path: Path, options: TrainingOptions, reporter: ProgressReporter
 ) -> tuple[Path, GenerationOutcome]:
     folder, settings = RunFolder(path, GenerationOutcome), options.autoencoder_settings
     run = GenerationRun(
@@ -155,7 +153,7 @@ def _train_autoencoder(
     if outcome is None:
         with folder.claim(run):
             # The backgrounds too: a view without road users must come back as well.
-            images = np.concatenate([part for clip in clips for part in (_flat(clip.images), _flat(clip.background))])
+            images = ClipImages(clips)
             trainer = AutoencoderTrainer(settings, images, options.autoencoder_steps, seed=options.seed)
             training = numbered_training(
                 trainer, options.autoencoder_steps, lambda file: write_autoencoder(file, trainer.finish()),
@@ -168,7 +166,7 @@ def _train_autoencoder(
 
 
 def _train_generator(
-    clips: list[Clip],
+    clips: ClipFiles,
     clips_hash: str,
     autoencoder: Path,
     captions: CachedCaptions | None,
@@ -202,7 +200,7 @@ def _train_generator(
         trainer, options.steps,
         lambda file: write_generator(
             file, trainer.averaged_network(), settings.references, drop_layout=settings.drop_layout,
-            rates_hz=rates_of(clips),
+            rates_hz=rates_of(clips.headers),
             captions=captions is not None,
         ),
         phase="generator", loss=settings.weighting, checkpoint_s=options.checkpoint_s, sample=sample,
@@ -211,11 +209,7 @@ def _train_generator(
         return folder.model, train(training, folder, reporter)
 
 
-def _flat(images: UInt8) -> UInt8:
-    return images.reshape(-1, *images.shape[2:])
-
-
-def rates_of(clips: Sequence[Clip]) -> tuple[float, float]:
+def rates_of(clips: Sequence[ClipHeader]) -> tuple[float, float]:
     """Return the lowest and highest rate of clips, frames per second."""
     rates = [clip.rate_hz for clip in clips]
     return min(rates), max(rates)
@@ -232,7 +226,9 @@ def with_text_of(settings: GeneratorSettings, captions: Path) -> GeneratorSettin
     return replace(settings, network=network)
 
 
-def read_clip_captions(path: Path | None, config: TransformerConfig, clips: list[Clip]) -> CachedCaptions | None:
+def read_clip_captions(
+    path: Path | None, config: TransformerConfig, clips: Sequence[ClipHeader]
+) -> CachedCaptions | None:
     """Read the captions of clips; None: no text.
 
     Raises:

@@ -14,6 +14,9 @@ from hybridworldsim.generation.autoencoder.codec import LatentCodec, to_tensor
 from hybridworldsim.generation.clips.captions import Captions
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.conditions import frame_conditions, stack_conditions
+from hybridworldsim.generation.clips.folder import ClipHeader, headers_of
+from hybridworldsim.generation.clips.kept import KEEP_BYTES, KeptItems
+from hybridworldsim.generation.clips.weights import pixel_weights
 from hybridworldsim.generation.inference.windows import join_conditions
 from hybridworldsim.generation.layout.boxes import BoxStyle
 from hybridworldsim.generation.layout.images import draw_clip_layout, takes_map
@@ -33,12 +36,21 @@ class WindowBatch:
         references: (B, T, V, C, H, W) clean latents.
         conditions: from `join_conditions`.
         present: (B, 1, V) which views of the target exist.
+        weight: (B, 1, V, H, W) weight of each latent of the target in the loss; None: all count alike.
     """
 
     target: Tensor
     references: Tensor
     conditions: Conditions
     present: Tensor
+    weight: Tensor | None = None
+
+    def to(self, device: torch.device | str) -> WindowBatch:
+        """Move the windows to a device."""
+        return WindowBatch(
+            self.target.to(device), self.references.to(device), self.conditions.to(device), self.present.to(device),
+            None if self.weight is None else self.weight.to(device),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +78,40 @@ def encode_clip(clip: Clip, codec: LatentCodec) -> Tensor:
     return torch.stack([codec.encode(to_tensor(frame)) for frame in clip.images])
 
 
+@dataclass(frozen=True, eq=False)
+class _PreparedClip:
+    """What the windows of a clip are cut from.
+
+    Attributes:
+        latents: (F, V, C, H, W) of the images.
+        layout: (F, V, channels, height, width), in 255ths; None: the network takes none.
+        weight: (F, V, H, W) weight of each latent in the loss; None: all count alike.
+    """
+
+    latents: Tensor
+    layout: UInt8 | None
+    weight: Tensor | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        drawn = 0 if self.layout is None else self.layout.nbytes
+        return self.latents.nbytes + drawn + (0 if self.weight is None else self.weight.nbytes)
+
+
+def latent_weights(clip: Clip, stride: int) -> Tensor | None:
+    """Return the weights (F, V, H, W) of a clip's latents: the means of `pixel_weights`; None: all count alike.
+
+    Args:
+        clip: the clip.
+        stride: pixels of a latent's side.
+    """
+    weights = pixel_weights(clip)
+    return None if weights is None else torch.nn.functional.avg_pool2d(torch.from_numpy(weights), stride)
+
+
 class ClipWindows:
-    """All windows of some clips.
+    """All windows of some clips. Clips are read, encoded and drawn when a window of theirs is first asked for.
 
     Args:
         clips: the clips; all of one rig and size. They may differ in rate: that of a window is an input of the network.
@@ -76,6 +120,7 @@ class ClipWindows:
         style: how boxes are drawn.
         references: T, number of reference frames.
         captions: captions of the views of each frame; None: no text.
+        keep_bytes: bytes of latents and layouts that are kept.
 
     Raises:
         DatasetError: as `require_clips`.
@@ -90,31 +135,62 @@ class ClipWindows:
         style: BoxStyle,
         references: int,
         captions: Captions | None = None,
+        keep_bytes: int = KEEP_BYTES,
     ) -> None:
         require_fit(codec, config, style, references)
-        require_clips(clips, config, references)
+        headers = headers_of(clips)
+        require_clips(headers, config, references)
         self._clips, self._config, self._references, self._captions = clips, config, references, captions
-        self._latents = [encode_clip(clip, codec) for clip in clips]
-        self._layouts: list[UInt8] = [
-            np.round(draw_clip_layout(clip, style, config) * 255.0).astype(np.uint8) for clip in clips if config.layout
-        ]
-        self._places = [(row, frame) for row, clip in enumerate(clips) for frame in range(references, len(clip))]
+        self._codec, self._style = codec, style
+        self._is_weighted = any(one.is_weighted for one in headers)
+        self._prepared: KeptItems[int, _PreparedClip] = KeptItems(keep_bytes)
+        # The windows of clip n are those from number `starts[n]` on.
+        counts = [max(one.frames - references, 0) for one in headers]
+        self._starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+
+    def _clip(self, row: int) -> _PreparedClip:
+        return self._prepared.get(row, lambda: self._prepare(self._clips[row]), lambda one: one.nbytes)
+
+    def _prepare(self, clip: Clip) -> _PreparedClip:
+        layout = None
+        if self._config.layout:
+            layout = np.round(draw_clip_layout(clip, self._style, self._config) * 255.0).astype(np.uint8)
+        latents = encode_clip(clip, self._codec)
+        weight = None
+        if self._is_weighted:
+            weight = latent_weights(clip, self._codec.stride)
+            weight = torch.ones_like(latents[:, :, 0]) if weight is None else weight
+        return _PreparedClip(latents, layout, weight)
+
+    def _place(self, number: int) -> tuple[int, int]:
+        """The clip of a window, and the frame of its target."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        row = int(np.searchsorted(self._starts, number, side="right")) - 1
+        return row, self._references + number - int(self._starts[row])
 
     def __len__(self) -> int:
         """Number of windows."""
-        return len(self._places)
+        return int(self._starts[-1])
 
     def batch(self, numbers: Sequence[int]) -> WindowBatch:
         """Return the windows of these numbers."""
-        places = [self._places[number] for number in numbers]
-        windows = [slice(frame - self._references, frame) for _, frame in places]
-        conditions = stack_conditions([self.conditions(row, frame) for row, frame in places])
-        present = [torch.from_numpy(self._clips[row].present[frame]) for row, frame in places]
+        places = [self._place(number) for number in numbers]
+        targets, references, conditions, present, weights = [], [], [], [], []
+        # One after another: the clips of a batch need not fit in what is kept.
+        for row, frame in places:
+            prepared = self._clip(row)
+            targets.append(prepared.latents[frame][None])
+            references.append(prepared.latents[frame - self._references : frame])
+            weights += [] if prepared.weight is None else [prepared.weight[frame][None]]
+            conditions.append(self.conditions(row, frame))
+            present.append(torch.from_numpy(self._clips[row].present[frame]))
         return WindowBatch(
-            torch.stack([self._latents[row][frame][None] for row, frame in places]),
-            torch.stack([self._latents[row][window] for (row, _), window in zip(places, windows)]),
-            conditions,
+            torch.stack(targets),
+            torch.stack(references),
+            stack_conditions(conditions),
             torch.stack(present)[:, None],
+            torch.stack(weights) if weights else None,
         )
 
     def conditions(self, row: int, frame: int) -> Conditions:
@@ -124,27 +200,28 @@ class ClipWindows:
 
     def history(self, number: int) -> ClipWindow:
         """Return the frames before the target of a window: up to 2 T of them, as many as its clip has; at least T."""
-        row, frame = self._places[number]
+        row, frame = self._place(number)
         frames = range(max(frame - 2 * self._references, 0), frame)
         span = slice(frames.start, frames.stop)
         return ClipWindow(
-            self._latents[row][span][None],
+            self._clip(row).latents[span][None],
             [self._frame_conditions(row, one) for one in frames],
             torch.from_numpy(self._clips[row].present[span]),
         )
 
     def _frame_conditions(self, row: int, frame: int) -> Conditions:
-        layout = self._layouts[row][frame].astype(np.float32) / 255.0 if self._layouts else None
+        drawn = self._clip(row).layout
+        layout = None if drawn is None else drawn[frame].astype(np.float32) / 255.0
         return frame_conditions(self._clips[row], frame, self._config, layout, self._captions)
 
 
 def require_clips(
-    clips: Sequence[Clip], config: TransformerConfig, references: int, folder: Path | None = None
+    clips: Sequence[ClipHeader], config: TransformerConfig, references: int, folder: Path | None = None
 ) -> None:
     """Check that a network can be trained on clips.
 
     Args:
-        clips: at least one clip.
+        clips: headers of at least one clip.
         config: the network.
         references: T, number of reference frames.
         folder: where the clips are, for errors.
@@ -165,7 +242,7 @@ def require_clips(
                 expected=f"those of {first.clip_id}: {', '.join(first.views)} of {_pixels(first)}",
                 remedy="train on clips of one rig and size",
             )  # fmt: skip
-    longest = max(map(len, clips))
+    longest = max(clip.frames for clip in clips)
     if longest <= references:
         raise DatasetError(
             f"the longest clip has {longest} frames", file=folder,
@@ -174,11 +251,11 @@ def require_clips(
         )  # fmt: skip
 
 
-def require_maps(clips: Sequence[Clip], config: TransformerConfig, style: BoxStyle, folder: Path) -> str | None:
+def require_maps(clips: Sequence[ClipHeader], config: TransformerConfig, style: BoxStyle, folder: Path) -> str | None:
     """Check that some clip has a map, if the network takes one.
 
     Args:
-        clips: the clips.
+        clips: headers of the clips.
         config: the network.
         style: how boxes are drawn.
         folder: where the clips are, for errors.
@@ -189,18 +266,18 @@ def require_maps(clips: Sequence[Clip], config: TransformerConfig, style: BoxSty
     Raises:
         DatasetError: no clip has a map.
     """
-    missing = sum(clip.lines is None for clip in clips)
+    missing = sum(not clip.has_map for clip in clips)
     if not missing or not takes_map(config, style):
         return None
     if missing == len(clips):
         raise DatasetError(
             "no training clip has a map", file=folder, expected="clips with the lines of a map, for a model with --map",
-            remedy="make clips with maps: python -m benchmarks generation clips --map; or train without --map",
+            remedy="make clips of a dataset with a recorded map (`mirror ingest --map`); or train without --map",
         )  # fmt: skip
     return f"{missing} of {len(clips)} training clips have no map: no line is drawn in them"
 
 
-def _pixels(clip: Clip) -> str:
+def _pixels(clip: ClipHeader) -> str:
     height, width = clip.size_px
     return f"{width} x {height} px"
 

@@ -40,6 +40,7 @@ class FolderKind(Enum):
     RECORDINGS = "a folder of recordings"
     SUBMISSION = "a submission"
     GENERATED = "a scene of `mirror generate`"
+    CLIPS = "clips of `mirror generate clips`"
     HIDDEN = "hidden truth"
     MODEL = "a reconstructed model"
     RUN = "a training run"
@@ -78,6 +79,7 @@ _KINDS: Final[Mapping[FolderKind, _Signs]] = {
         {"manifest.json": "mirror-submission", "views.json": "mirror-views"}, marks=(".rendering",), sealed=True
     ),
     FolderKind.GENERATED: _Signs({"generated.json": "mirror-generated"}, marks=(".generating",)),
+    FolderKind.CLIPS: _Signs({"clips.json": "mirror-clips"}, marks=(".making-clips",)),
     FolderKind.HIDDEN: _Signs({"hidden.json": "mirror-hidden-truth"}, sealed=True),
     FolderKind.MODEL: _Signs({"reconstruction.json": "mirror-reconstruction"}),
     FolderKind.RUN: _Signs({"run.json": "mirror-run"}),

@@ -16,6 +16,7 @@ UNFINISHED_MARK: Final = ".rendering"
 _MARKS: Final[Mapping[FolderKind, str]] = {
     FolderKind.SUBMISSION: UNFINISHED_MARK,
     FolderKind.GENERATED: ".generating",
+    FolderKind.CLIPS: ".making-clips",
 }
 
 
@@ -28,7 +29,7 @@ def start_render_folder(
         out: the folder; it is created.
         settings: the settings that decide the files of the folder; None: an interrupted run is not resumed.
         last: name of the file that is written last; None: there is no such file.
-        kind: what the folder becomes, a submission or a generated scene.
+        kind: what the folder becomes, such as a submission or a generated scene.
 
     Raises:
         UsageError: the folder holds other files, a complete result of this kind, or an interrupted run with other

@@ -235,6 +235,15 @@ def _only_scene(dataset: Dataset) -> str:
 def _size(text: str | None, base: ReleasedModel | None) -> tuple[int, int]:
     if text is None:
         return (64, 96) if base is None else base.size_px
+    return parse_size(text)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read a size WIDTHxHEIGHT in pixels; returns height and width.
+
+    Raises:
+        UsageError: the text has another form.
+    """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise UsageError(f"{text!r}", place="--size", expected="WIDTHxHEIGHT, such as 96x64")

@@ -33,7 +33,7 @@ class Train:
     """
 
     clips: tyro.conf.Positional[Path]
-    """Folder of clips, with clips.json. `python -m benchmarks generation clips` makes one of the synthetic street."""
+    """Folder of clips, with clips.json, as `mirror generate clips` makes one of a dataset."""
     out: Annotated[Path, help_text(metavar="FOLDER")]
     """A new folder, or that of an interrupted run with the same options."""
     steps: int
@@ -48,8 +48,8 @@ class Train:
     background: bool = True
     """Whether the generator receives the images of the empty street."""
     map: bool = False
-    """Whether the generator is shown lanes, the drivable area and crossings. Clips must have maps, such as those of
-    `python -m benchmarks generation clips --map`."""
+    """Whether the generator is shown lanes, the drivable area and crossings. Clips must have maps, such as those of a
+    dataset with a recorded map."""
     weighting: Literal["velocity", "epsilon", "x0"] = "velocity"
     """Whose square error the loss is: that of the velocity, of the noise, or of the clean latents."""
     batch: int = 4

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from hybridworldsim.generation.scenes.scene_clip import PlannedFrame
+from mirror.arrays import Int64
 from mirror.dataset.dataset import Dataset
 from mirror.errors import UsageError
 from mirror.geometry.interpolation import interpolate
@@ -35,6 +36,31 @@ class ScenePlan:
     light: str
     weather: str
     tracks: dict[str, int]
+
+
+def choose_stride(timestamp_ns: Int64, hz: float | None, default_hz: float = DEFAULT_HZ) -> tuple[int, float]:
+    """Choose every how many frames of a recording are used.
+
+    Args:
+        timestamp_ns: (N,) times of its frames, N at least 2.
+        hz: wanted rate; None: `default_hz`, or the rate of the recording if that is lower.
+        default_hz: rate where none is wanted.
+
+    Returns:
+        The stride, and the rate of the recording in frames per second.
+
+    Raises:
+        UsageError: the wanted rate is above that of the recording.
+    """
+    recorded_hz = 1e9 / float(np.median(np.diff(timestamp_ns)))
+    if hz is not None and hz > _RATE_TOLERANCE * recorded_hz:
+        raise UsageError(
+            f"{hz:g} frames per second",
+            place="--hz",
+            expected=f"at most {recorded_hz:.3g}, the rate of the recording",
+            remedy="leave it out, or choose a lower one",
+        )
+    return max(1, round(recorded_hz / (hz or default_hz))), recorded_hz
 
 
 def plan_scene(
@@ -67,15 +93,7 @@ def plan_scene(
     stamps = np.array([frame.timestamp_ns for frame in frames], np.int64)
     if len(stamps) < 2:
         raise UsageError(f"{len(stamps)} frames", place=traversal_id, expected=f"at least {references + 1}")
-    recorded_hz = 1e9 / float(np.median(np.diff(stamps)))
-    if hz is not None and hz > _RATE_TOLERANCE * recorded_hz:
-        raise UsageError(
-            f"{hz:g} frames per second",
-            place="--hz",
-            expected=f"at most {recorded_hz:.3g}, the rate of the recording",
-            remedy="leave it out, or choose a lower one",
-        )
-    stride = max(1, round(recorded_hz / (hz or trained_hz)))
+    stride, recorded_hz = choose_stride(stamps, hz, trained_hz)
     chosen = np.arange(0, len(frames), stride)
     if count is not None:
         chosen = chosen[: references + count]

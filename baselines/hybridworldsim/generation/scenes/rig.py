@@ -61,8 +61,12 @@ class SceneRig:
     @property
     def intrinsics(self) -> Float64:
         """(V, 3, 3) pixels of the generator's images."""
+        return np.stack([self.raster_lens(row).intrinsic_matrix() for row in range(len(self.cameras))])
+
+    def raster_lens(self, row: int) -> Camera:
+        """Return the lens of a camera's image in the generator's raster."""
         height, width = self.size_px
-        return np.stack([one.resized(width, height).intrinsic_matrix() for one in self.unscaled_lenses])
+        return self.unscaled_lenses[row].resized(width, height)
 
     def view_lens(self, row: int) -> Camera:
         """Return the lens of a camera's background: twice the raster of the generator, at most the recorded one."""

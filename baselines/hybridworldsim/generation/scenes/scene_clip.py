@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,7 @@ from hybridworldsim.generation.scenes.rig import SceneRig
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
 from mirror.dataset.frames import Frame
+from mirror.dataset.traversal import FrameBoxes
 from mirror.errors import DatasetError, UsageError
 from mirror.geometry.poses import Poses
 from mirror.protocols.views.view import Edit
@@ -104,7 +105,9 @@ def make_scene_clip(
         else:
             views = rig.views(one.frame, one.world_SE3_ego, scene.light, scene.weather)
             for row, view in enumerate(views):
-                background[place, row] = _resized(scene.background(view), (view.height_px, view.width_px), rig.size_px)
+                background[place, row] = scale_background(
+                    scene.background(view), (view.height_px, view.width_px), rig.size_px
+                )
         if place < recorded:
             recorded_images, street = rig.images(one.frame)
             present[place] = street.any(axis=(1, 2))
@@ -157,11 +160,21 @@ def require_valid_boxes(dataset: Dataset, frames: Iterable[Frame]) -> None:
                 )  # fmt: skip
 
 
-def boxes_of(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipBoxes:
-    """Return the boxes of all frames, in the ego frames of the trajectory."""
+def boxes_of(
+    frames: Sequence[PlannedFrame],
+    tracks: Mapping[str, int],
+    read: Callable[[Frame], FrameBoxes] = lambda frame: frame.boxes("world"),
+) -> ClipBoxes:
+    """Return the boxes of all frames, in the ego frames of the trajectory.
+
+    Args:
+        frames: the frames.
+        tracks: numbers of road users by track id.
+        read: returns the boxes of a frame in the world.
+    """
     frame, track, category, poses, sizes = [], [], [], [np.zeros((0, 4, 4))], [np.zeros((0, 3))]
     for place, one in enumerate(frames):
-        boxes = one.frame.boxes("world")
+        boxes = read(one.frame)
         targets = {edit.track_id: edit.world_SE3_target for edit in one.edits}
         rows = [
             row
@@ -189,7 +202,12 @@ def boxes_of(frames: Sequence[PlannedFrame], tracks: Mapping[str, int]) -> ClipB
     )
 
 
-def _resized(image: UInt8, shape: tuple[int, int], size_px: tuple[int, int]) -> UInt8:
+def scale_background(image: UInt8, shape: tuple[int, int], size_px: tuple[int, int]) -> UInt8:
+    """Scale a background of the shape of its view (height, width) to the size of the generator's images.
+
+    Raises:
+        DatasetError: it has another shape.
+    """
     if image.shape != (*shape, 3):
         raise DatasetError(
             f"a background of {image.shape[1]} x {image.shape[0]} px",

@@ -80,7 +80,7 @@ def encode_clip(clip: Clip, codec: LatentCodec) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class _PreparedClip:
-    """What the windows of a clip are cut from.
+    """The data that the windows of a clip are cut from.
 
     Attributes:
         latents: (F, V, C, H, W) of the images.

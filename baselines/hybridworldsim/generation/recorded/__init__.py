@@ -1,0 +1,1 @@
+"""Clips of a dataset's recordings: what `mirror generate clips` makes, and a generator is trained on."""

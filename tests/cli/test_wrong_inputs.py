@@ -15,20 +15,23 @@ from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError, MirrorError, RecordingError, SchemaError, UsageError
 from mirror.remedies import complete_remedy
 from mirror.synth import SynthReport
+from tests.builders.folder import tree
 from tests.command_help import options_of
 from tests.conftest import ROOT
 
 LONGEST_S = 3.0
+URLS = ("s3://bucket/deep", "zip::there.zip")
+# The words after ``mirror``; behind an arrow, what the message names. Those with {u} are run with each of the URLs.
 REFUSED = """
 demo --out text.txt
 demo --out {d}
 demo --seed x
 synth --out a --preset nope
-synth --out text.txt
-synth --out a --scenes 99
+synth --out text.txt => text.txt is a file
+synth --out a --scenes 99 => --scenes: 99 scenes
 synth --out a --traversals 0
-synth --out a --workers 0
-synth --out a --seed -4
+synth --out a --workers 0 => 0 workers; expected at least one
+synth --out a --seed -4 => --seed: -4; expected a whole number
 synth --out a --truth nope
 recording
 recording nope
@@ -40,32 +43,45 @@ recording new --out a --poses bad.csv --camera front=missing
 recording new --out a --poses bad.csv --camera front=empty --lens front=missing
 rois
 rois propose
-rois propose missing
-rois propose empty
-rois propose {r} --count 0
+rois propose missing => there is no file or folder at this path
+rois propose empty => the folder is empty; expected a recording
+rois propose {r} --count 0 => --count: 0; expected a whole number of at least 1
 rois propose {r} --radius-m -3
+rois propose {r} --workers 0 => 0 workers; expected at least one
+rois propose {r} --min-duration-s nan => --min-duration-s: nan; expected
+rois propose {r} --max-gap-s 1e400 => --max-gap-s: inf; expected a finite number
+rois propose {r} --max-gap-s 1e300 => --max-gap-s: 1e+300; expected a number less than
+rois propose {r} --min-overlap 7 => give another number with --min-overlap
+rois propose {d} => a MIRROR dataset, not a recording
+rois propose {r} --min-traversals 1 --out text.txt/x.geojson => text.txt is a file
+rois purpose
 ingest
-ingest missing --roi 11,48 --out a
+ingest missing --roi 11,48 --out a => missing: there is no file or folder at this path
 ingest empty --roi 11,48 --out a
 ingest {r} --rois missing.geojson --out a
 ingest {r} --rois empty.geojson --out a
 ingest {r} --rois bad.json --out a
 ingest {r} --roi 11,91 --out a
 ingest {r} --roi x --out a
+ingest {r} --roi 11.5 --out a
+ingest {r} --roi nan,2 --out a => --roi nan,2: longitude nan; expected -180 to 180
+ingest {r} --roi 1,2,-5 --out a => --roi 1,2,-5: radius_m -5; expected a number greater
+ingest {r} --rois {r}/../rois.geojson
+ingest {r} --no-such
 ingest {r} --roi 11,48,200
 ingest {r} --out a
 ingest {r} --roi 11,48 --out a --option x
 ingest {r} --roi 11,48 --out a --option x=1
-ingest {r} --roi 11,48 --out a --reader nope
+ingest {r} --roi 11,48 --out a --reader nope => no reader 'nope'
 ingest {r} --roi 11,48 --out a --reader mine.py:X
 ingest {r} --roi 11,48 --out a --licence ''
-ingest {r} --roi 11,48 --out a --workers 0
+ingest {r} --roi 11,48 --out a --workers 0 => 0 workers; expected at least one
 ingest {r} --roi 11,48 --out a --max-missing-images 2
 ingest {r} --roi 11,48 --out a --min-overlap 3
 ingest {r} --roi 11,48 --out a --min-duration-s nan
 ingest {r} --roi 11,48 --out a --map empty
 ingest {r} --roi 11,48 --out a --weather-from nope
-ingest {r} --roi 11,48 --out text.txt
+ingest {r} --roi 11,48 --out text.txt => text.txt is a file
 ingest bad.csv --roi 11,48 --out a
 ingest bad.csv --roi 11,48 --out a --reader csv --option columns=x
 ingest bad.csv --roi 11,48 --out a --reader csv --tz Nowhere/Nope
@@ -82,28 +98,32 @@ ingest empty --reader comma2k19 --roi 11,48 --out a
 ingest empty --reader dgp --roi 11,48 --out a
 ingest empty --reader argoverse2 --roi 11,48 --out a
 ingest empty --reader nuplan --roi 11,48 --out a
-index missing
+index missing => missing:
+index
 index empty
-info missing
+info missing => missing:
 info empty
 info text.txt
-split missing new
+split missing new => missing:
 split {d} ''
 split {d} a/b
 split {d} new --method nope
-split {d} new --seed -1
+split {d} new --seed -1 => seed -1
+split {d} new --seed 99999999999999999999 => --seed: 99999999999999999999; expected a whole number
+split {d} new --train nan => --train: nan; expected a finite number
 split {d} new --scene nope
 split {d} new --train 0
 split {d} new --method by-condition --train-on light
 split {d} new --method by-condition --train-on light=nope --test-on light=day
-stats missing
-stats {d} --plots text.txt
+stats missing => missing:
+stats {d} --plots text.txt => text.txt is a file
 sql {d} 'select * from imags'
 sql {d} 'drop table images'
 sql {d} ''
 sql {d} 'select 1' --rows 0
 sql {d} 'select 1' --out a.txt
-check missing
+check missing => missing:
+check {d} {d}
 check {d} --quick --full
 check {d} --rule NOPE
 dataset
@@ -114,11 +134,15 @@ dataset publish {d} --split novel --out a --protocol nope
 dataset publish {d} --split novel --out a --licence ''
 dataset publish {d} --split novel --out nope://x
 dataset fetch missing --out a
+dataset fetch empty --out a => empty: not a published dataset
 dataset fetch nope://x --out a
 dataset audit missing --against {d}
-dataset audit empty --against {d}
-report missing
-report {d} --out missing/a.html
+dataset audit empty --against {d} => the folder is empty
+report missing => missing:
+report {d} --out missing/a.html => no such folder
+report {d} --out model => nothing was written
+report {d} --out page.html => a folder, not a file
+report {d} --out notes.html => `mirror report` did not write
 export
 export nope {d}
 export colmap {d} --out a --scene nope
@@ -130,14 +154,20 @@ view {d} --save a.txt
 view {d} --every 0
 view {d} --scene nope --save a.rrd
 view {d} empty
+view {d} {r} --host 999.1.1.1 => --host: nobody can listen at '999.1.1.1'
+view {d} {r} --port 70000 => --port: 70000; expected a port: 0 to 65535
+serve {d} --host 192.0.2.1 => --host: nobody can listen at '192.0.2.1'
+serve {d} --port -1 => --port: -1; expected a port: 0 to 65535
 view {d} undone --method method.py:METHOD
 deidentify {d} --detector nope
 deidentify {d} --detector ''
 deidentify {d} --plate-region nope
 deidentify {d} --version a/b
+deidentify {d} --plate-region EU --version ../x => '../x' cannot name a layer
 release
 release check {d}
 release check missing
+release review {d} --port 70000 => --port: 70000; expected a port: 0 to 65535
 release build {d} --out a --name '' --licence x --contact x
 release build {d} --out a --name a/b --licence x --contact x
 release withdraw empty --out a --reason x
@@ -155,6 +185,7 @@ annotate {d} --annotator broken.py:A
 annotate report {d} --boxes nope@1 --out a.html
 annotate report {d} --frames 0 --out a.html
 annotate track {d} --boxes nope@1
+annotate track {d} --gate-m nan => --gate-m: nan; expected a finite number, more than 0
 annotate masks {d} --boxes nope@1
 annotate train --out a --annotator file
 annotate train {d} --out a --annotator file
@@ -166,6 +197,8 @@ calibrate check missing
 calibrate check {d} --stage nope
 calibrate check {d} --calibrations nope@1
 calibrate check {d} --pose-sigma-m -1
+calibrate check {d} --out text.txt => text.txt is a file
+calibrate refine {d} --version ../x => '../x' cannot name a layer
 calibrate intrinsics missing --board 9x6 --out a.yaml
 calibrate intrinsics empty --board 9x6 --out a.yaml
 calibrate intrinsics empty --board 9 --out a.yaml
@@ -174,6 +207,15 @@ calibrate intrinsics empty --board 9x6 --marker 2 --kind charuco --out a.yaml
 reconstruct {d} --split nope --out a
 reconstruct {d} --split novel --out a --method nope
 reconstruct {d} --split novel --out a --method mine.py:X
+reconstruct {d} --split novel --out a --initialise plane-sweep --set refinement.most_ground=0 => refinement.most_ground
+reconstruct {d} --split novel --out a --initialise plane-sweep --set refinement.end=0.05 => settings refinement.begin
+reconstruct {d} --split novel --out a --initialise plane-sweep --set refinement.cells_m=[] => settings refinement.begin
+reconstruct {d} --split novel --out a --initialise plane-sweep --set 'refinement.cells_m=[0.1, 0]' => refinement.cells_m
+reconstruct {d} --split novel --out a --initialise plane-sweep --set sky_radius=0 => setting sky_radius
+reconstruct {d} --split novel --out a --initialise plane-sweep --set first_spacing_m=0 => setting first_spacing_m
+reconstruct {d} --split novel --out a --initialise plane-sweep --set ground_spacing_m=0 => setting ground_spacing_m
+reconstruct {d} --split novel --out a --initialise plane-sweep --set depth_weight=1e400 => --set depth_weight
+reconstruct {d} --split novel --out a --initialise plane-sweep --set depth_weight=-1 => --set depth_weight
 reconstruct {d} --split novel --out a --method method.py:METHOD --scene nope
 reconstruct {d} --split novel --out a --method method.py:METHOD --boxes nope@1
 reconstruct {d} --split novel --out a --method method.py:METHOD --minutes -1
@@ -186,16 +228,19 @@ render {d} empty --split novel --out a
 render {d} model --split novel --method method.py:METHOD --protocol nope --out a
 render {d} model --split novel --method method.py:METHOD --protocol bad.toml --out a
 render {d} model --split nope --method method.py:METHOD --out a
-render {d} model --split novel --method method.py:METHOD --appearance nigth --out a
-render {d} model --split novel --method method.py:METHOD --cameras front_wide --out a
+render {d} model --split novel --method method.py:METHOD --appearance nigth --out a => --appearance:
+render {d} model --split novel --method method.py:METHOD --cameras front_wide --out a => --cameras:
+render {d} model --split novel --method method.py:METHOD --width 48 --out a => --width:
+render {d} model --split novel --method method.py:METHOD --hz 2 --out a => --hz:
+render {d} model --split novel --method method.py:METHOD --traversal any --out a => --traversal:
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --appearance nigth --out a
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --appearance sweep:day:nigth --out a
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --appearance frnt=night --out a
-render {d} model --trajectory lane-shift:x --method method.py:METHOD --out a
-render {d} model --trajectory nope --method method.py:METHOD --out a
-render {d} model --trajectory missing.csv --method method.py:METHOD --out a
+render {d} model --trajectory lane-shift:x --method method.py:METHOD --out a => --trajectory:
+render {d} model --trajectory nope --method method.py:METHOD --out a => no trajectory 'nope'
+render {d} model --trajectory missing.csv --method method.py:METHOD --out a => no such file
 render {d} model --trajectory bad.csv --method method.py:METHOD --out a
-render {d} model --trajectory lane-shift:2 --method method.py:METHOD --cameras nope --out a
+render {d} model --trajectory lane-shift:2 --method method.py:METHOD --cameras nope --out a => nope
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --hz 0 --out a
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --width 0 --out a
 render {d} model --trajectory lane-shift:2 --method method.py:METHOD --out a.avi
@@ -222,6 +267,7 @@ submission new {d} --split novel --protocol nope --out a
 submission check {d} missing
 submission check {d} bad.zip
 submission hidden {d} --recordings empty --split novel --out a
+submission hidden {d} --recordings {r}/.. --split novel --protocol static-reconstruction --out a => uses no hidden truth
 evaluate {d} missing --out a
 evaluate {d} model --protocol runtime --split novel --out a --measure nope=model
 evaluate {d} model --protocol runtime --split novel --out a --measure mine.py:X=model
@@ -235,7 +281,8 @@ evaluate {d} model --protocol runtime --split novel --out a --hidden empty
 evaluate {d} model --protocol runtime --split novel --out a --extractor nope
 evaluate empty --out a --protocol safety
 compare
-compare missing.json
+compare missing.json => 1 result to compare
+compare missing.json missing.json => no such result
 compare missing.json bad.json
 compare text.txt bad.json
 baseline {d} --method nope --split novel --out a
@@ -249,8 +296,62 @@ leaderboard add missing.json {d} --board b --dataset-name x
 leaderboard sign --board missing --key missing
 leaderboard key --out text.txt
 leaderboard rotate --board missing --key missing
+ingest there --roi 1,2 --out {u} => a path, not a URL
+ingest {u} --roi 1,2 --out out => a path, not a URL
+ingest there --rois {u} --out out => a path, not a URL
+rois propose there --out {u} => a path, not a URL
+rois propose {u} => a path, not a URL
+synth --out {u} --preset tiny => a path, not a URL
+demo --out {u} => a path, not a URL
+split {u} name => a path, not a URL
+sql there select --out {u}/x.csv => a path, not a URL
+stats there --plots {u} => a path, not a URL
+report there --out {u} => a path, not a URL
+submission new there --protocol p --split s --out {u} => a path, not a URL
+submission check there {u} => a path, not a URL
+submission hidden there --split s --recordings there --out {u} => a path, not a URL
+submission hidden there --split s --recordings {u} --out out => a path, not a URL
+evaluate there there --out {u} => a path, not a URL
+evaluate there {u} => a path, not a URL
+evaluate there there --hidden {u} => a path, not a URL
+reconstruct there --split s --out {u} => a path, not a URL
+render there there --split s --out {u} => a path, not a URL
+render there {u} --split s --out out => a path, not a URL
+export colmap there --out {u} => a path, not a URL
+export-ply there there --out {u}/x.ply => a path, not a URL
+export-ply there {u} --out x.ply => a path, not a URL
+plot there --out {u} => a path, not a URL
+view there --save {u}/x.rrd => a path, not a URL
+view there {u} => a path, not a URL
+compare {u} there => a path, not a URL
+baseline there --method mean_color --split s --out {u} => a path, not a URL
+depth there --split s --weights {u} => a path, not a URL
+dataset publish {u} --split s --out out => a path, not a URL
+dataset fetch there --out {u} => a path, not a URL
+deidentify {u} --plate-region CN => a path, not a URL
+release check {u} => a path, not a URL
+release build {u} --name n --licence l --contact c --out out => a path, not a URL
+release build there --name n --licence l --contact c --out {u} => a path, not a URL
+release build there --name n --licence l --contact c --vault {u} --out out => a path, not a URL
+release withdraw there t.d.1 --out {u} => a path, not a URL
+calibrate check there --out {u} => a path, not a URL
+calibrate refine {u} => a path, not a URL
+annotate {u} --annotator file => a path, not a URL
+annotate track {u} --boxes a@1 => a path, not a URL
+annotate export there --boxes a@1 --out {u} => a path, not a URL
+generate train {u} --steps 1 --out out => a path, not a URL
+generate train there --steps 1 --out {u} => a path, not a URL
+leaderboard build --out {u} => a path, not a URL
+leaderboard build --also {u} => a path, not a URL
+leaderboard add {u} d --dataset-name d => a path, not a URL
+check memory://x => memory://x: this verb takes a path, not a URL
+info memory://x => memory://x: this verb takes a path, not a URL
+index memory://x => memory://x: this verb takes a path, not a URL
+stats foo://x => foo://x: this URL cannot be opened
+report foo://x => foo://x: this URL cannot be opened
+report memory://nothing => memory://nothing
 nope
-ingets x
+ingets x => mirror ingest
 """.strip().splitlines()
 
 
@@ -262,6 +363,9 @@ def folder(tiny_dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> I
     texts = {"text.txt": "hello\n", "bad.json": "{", "bad.toml": "= 3", "bad.csv": "a,b\n1,2\n", "mine.py": "x = 1\n"}
     texts |= {"empty.geojson": '{"type": "FeatureCollection", "features": []}', "broken.py": "def f(:\n"}
     texts |= {"bad.zip": "PK\3\4", "method.py": (ROOT / "examples" / "method.py").read_text()}
+    # Files and folders that are somebody's.
+    texts["notes.html"] = "<p>The ledger of refused passes"
+    (root / "page.html").mkdir()
     for name, text in texts.items():
         (root / name).write_text(text)
     with pytest.MonkeyPatch.context() as patch:
@@ -296,18 +400,21 @@ def test_wrong_inputs_are_refused_with_a_remedy(
     folder: Path, tiny_recordings: SynthReport, tiny_dataset: Dataset, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = []
-    before = sorted(path.name for path in folder.iterdir())
+    before = tree(folder), sorted(folder.iterdir())
     # What verbs import at their first call, such as torch and numba, is not their work.
     for warm_up in ("hybridworldsim.methods.static", "mirror.evaluation.run", "mirror.ingest.run"):
         __import__(warm_up)
-    for line in REFUSED:
-        words = line.format(d=tiny_dataset.root, r=tiny_recordings.recordings[0])
+    lines = [(line, url) for line in REFUSED for url in (URLS if "{u}" in line else ("",))]
+    for line, url in lines:
+        words, _, named = line.format(d=tiny_dataset.root, r=tiny_recordings.recordings[0], u=url).partition(" => ")
         code, seconds = refuse(words)
         said = "".join(capsys.readouterr())
         remedy = re.search(r"Remedy: (.*)", said)
         is_help = re.search(r"--help`?|Did you mean", said)
         if code != 2:
             wrong.append(f"{line}: {code}: {said[-300:]}")
+        elif named not in " ".join(said.split()) or url not in said:
+            wrong.append(f"{line}: does not name it: {said[-300:]}")
         elif remedy is None and is_help is None:
             wrong.append(f"{line}: no remedy: {said[-300:]}")
         elif remedy is not None and (missing := missing_options(remedy[1], said, words)):
@@ -315,8 +422,9 @@ def test_wrong_inputs_are_refused_with_a_remedy(
         if seconds > LONGEST_S:
             wrong.append(f"{line}: {seconds:.1f} s")
     assert wrong == []
-    assert len(REFUSED) >= 200
-    assert sorted(path.name for path in folder.iterdir()) == before
+    assert len(REFUSED) >= 300
+    assert (tree(folder), sorted(folder.iterdir())) == before
+    assert not list(Path(tiny_dataset.root).glob("traversals/*/layers/*/plane-sweep@*"))
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,8 @@ _FORGEABLE: Final = (
 )
 _NO_INTERVAL: Final = "no interval: "
 
-_MAX_COLUMNS: Final = 9
-"""The number of usual columns that fits a window of 1280 px."""
+_MAX_COLUMNS: Final = 8
+"""The number of usual columns that fits a window of 1280 px beside a rank with its interval."""
 _USUAL_HEAD: Final = 14
 """Letters of the longest head of a usual column."""
 

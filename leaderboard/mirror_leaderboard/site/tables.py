@@ -30,8 +30,8 @@ _FORGEABLE: Final = (
 )
 _NO_INTERVAL: Final = "no interval: "
 
-_MAX_COLUMNS: Final = 8
-"""The number of usual columns that fits a window of 1280 px beside a rank with its interval."""
+_MAX_COLUMNS: Final = 9
+"""The number of usual columns that fits a window of 1280 px."""
 _USUAL_HEAD: Final = 14
 """Letters of the longest head of a usual column."""
 
@@ -265,7 +265,9 @@ def _list_details(entry: Entry, column: Column, board: Board) -> list[str]:
     place = board.columns.index(column)
     previous = None if _opens_group(board.columns, column) else find_figure(entry, board.columns[place - 1])
     if figure.n is not None and (previous is None or (previous.n, previous.n_missing) != (figure.n, figure.n_missing)):
-        lines.append(f"n = {figure.n - figure.n_missing:,}" + (f" of {figure.n:,}" if figure.n_missing else ""))
+        lines.append(f"n = {figure.n - figure.n_missing:,}")
+        if figure.n_missing:
+            lines.append(f"of {figure.n:,}")
     return lines
 
 

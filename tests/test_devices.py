@@ -69,7 +69,7 @@ def test_a_gpu_is_chosen_and_described() -> None:
 
 @pytest.mark.usefixtures("gpus")
 def test_a_gpu_that_does_not_exist_is_refused_with_those_that_do() -> None:
-    with pytest.raises(UsageError, match=r"no device 'cuda:2'; expected cuda:0, cuda:1\. Remedy: --device cuda:1"):
+    with pytest.raises(UsageError, match=r"'cuda:2'.*--device cuda:1"):
         resolve_device("cuda:2")
 
 
@@ -103,7 +103,7 @@ def test_splats_need_a_gsplat_of_a_known_generation_with_kernels(
 def test_a_gpu_needs_torch_with_a_driver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(UsageError, match=r"torch finds no GPU.*Remedy: install the driver"):
+    with pytest.raises(UsageError, match=r"finds no GPU.*the driver"):
         resolve_device("cuda")
     monkeypatch.setattr(devices, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"torch is not installed.*\[models\]"):
@@ -117,7 +117,7 @@ def test_too_little_memory_is_named_with_what_to_lower() -> None:
     gpu = resolve_device("cuda:1")
     require_memory(gpu, GIB, "a smaller --width")
     require_memory(resolve_device("cpu"), 1 << 60, "a smaller --width")
-    with pytest.raises(DatasetError, match=r"cuda:1: 2\.0 of 8\.0 GiB .* expected about 6\.0 GiB.*a smaller --width"):
+    with pytest.raises(DatasetError, match=r"cuda:1: 2\.0 of 8\.0 GiB .*--width"):
         require_memory(gpu, 6 * GIB, "a smaller --width")
 
 

@@ -65,7 +65,5 @@ def test_entry_points_of_another_version_name_reinstalling(tmp_path: Path, monke
     moved = ("moved_module", "mirror.recordings.no_such_module:Reader"), ("moved_class", "mirror.errors:NoSuchClass")
     install_plugins(monkeypatch, tmp_path, READERS.group, *moved)
     for name, _ in moved:
-        with pytest.raises(
-            READERS.error, match=r"of another version.*install MIRROR again, which renews them: pip install"
-        ):
+        with pytest.raises(READERS.error, match="install MIRROR again"):
             READERS.load(name)

@@ -49,7 +49,7 @@ def test_a_layer_is_written_once_and_read_back(root: Path) -> None:
     # No layer is replaced: another annotator must take another version.
     other = Known()
     other.fingerprint = "other"
-    with pytest.raises(DatasetError, match=r"derived_from: annotator: .*other inputs.*same annotator"):
+    with pytest.raises(DatasetError, match="derived_from: annotator: "):
         annotate(mirror.open(root), other)
     assert len(annotate(mirror.open(root), other, version="2").written) == 2
     assert not (root / ".annotate").exists() or not any((root / ".annotate").iterdir())

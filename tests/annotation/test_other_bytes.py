@@ -129,7 +129,7 @@ def test_boxes_of_other_recorded_images_are_not_called_done(root: Path) -> None:
         files = {file: (folder / file).read_bytes() for file in manifest.files}
         seal(folder, files, derived_from={**manifest.derived_from, "recorded": "0" * 64})
     build_index(root)
-    with pytest.raises(DatasetError, match=r"derived_from: recorded: .*recorded images"):
+    with pytest.raises(DatasetError, match="derived_from: recorded: "):
         annotate(mirror.open(root), Known())
 
 

@@ -78,5 +78,5 @@ def test_camera_without_training_images_is_named(dataset: Dataset, protocol: Pro
     # The plan has all frames, so that no training image is left.
     plain["frames"]["every"] = 1
     plan = plan_views(dataset, Protocol.model_validate(plain), "novel")
-    with pytest.raises(DatasetError, match=r"camera front_wide has no training .* in scene street \(2 such"):
+    with pytest.raises(DatasetError, match=r"camera front_wide .* scene street"):
         list_training_images(dataset, plan)

@@ -569,7 +569,7 @@ def test_a_model_is_rendered_at_the_poses_that_it_was_trained_at(dataset: Datase
         method="hybridworldsim", scene="street", split="novel", poses="refined@1",
         trained=list_trained_traversals(dataset, "novel", "street"),
     )  # fmt: skip
-    with pytest.raises(UsageError, match=r"trained at poses refined@1, .* poses recorded.*with poses refined@1"):
+    with pytest.raises(UsageError, match=r"poses refined@1, .* poses recorded"):
         require_matching_split(dataset, "novel", model)
     require_matching_split(dataset, "novel", model.model_copy(update={"poses": "recorded"}))
 

@@ -97,7 +97,7 @@ def test_a_missing_camera_is_missing(frames: FrameSequence) -> None:
     frame = frames[4]
     assert tuple(frame.images) == ("front_wide", "front_right")
     assert frame.decode().shape[0] == 2
-    with pytest.raises(UsageError, match="no image of camera 'front_left' in frame 4"):
+    with pytest.raises(UsageError, match="'front_left' in frame 4"):
         frame.decode(["front_left"])
     planes = np.full((3, 3, 32, 48), 7, np.uint8)
     frame.decode_into(planes, CAMERAS)
@@ -153,7 +153,7 @@ def test_calibrations_by_stage_and_time(tmp_path: Path) -> None:
     assert [focal(board, frame) for frame in (0, 2, 3)] == [41.0, 41.0, 42.0]
     assert focal(board.with_layers(stage="factory"), 0) == 40.0
     assert focal(board.with_layers(stage="factory").with_layers(calibrations="ba@1", stage="refined"), 0) == 50.0
-    with pytest.raises(DatasetError, match=r"no calibration of camera front_left is valid at"):
+    with pytest.raises(DatasetError, match="camera front_left"):
         focal(board, 3, "front_left")
     with pytest.raises(DatasetError, match="calibrate the camera"):
         focal(dataset.with_layers(calibrations="ba@1"), 0, "front_left")
@@ -177,7 +177,7 @@ def test_a_pose_layer_replaces_the_recorded_poses(tmp_path: Path) -> None:
     assert refined.frames()[0].world_SE3_ego.translation[0, 2] == 2.5
     assert dataset.frames()[0].world_SE3_ego.translation[0, 2] == 0.0
     assert refined.with_layers(poses="recorded").frames()[0].world_SE3_ego.translation[0, 2] == 0.0
-    with pytest.raises(DatasetError, match=r"no poses layer slam@2.*name another layer of poses"):
+    with pytest.raises(DatasetError, match="slam@2"):
         _ = refined.where(drive="d1").frames()[0].world_SE3_ego
     with pytest.raises(DatasetError, match="poses before and after every image"):
         _ = dataset.where(drive="d1").with_layers(poses="short@1").frames()[0].world_SE3_ego

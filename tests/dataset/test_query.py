@@ -517,9 +517,9 @@ def test_splits_filter_by_role(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="did you mean 'train'"):
         dataset.where(split="s", role="trian")
     for role in ("test", ["test", "val"]):
-        with pytest.raises(UsageError, match=r"'test'.* in split 's'; expected one of held_out, train"):
+        with pytest.raises(UsageError, match=r"'test'.*held_out, train"):
             dataset.where(split="s", role=role)
-    with pytest.raises(DatasetError, match=r"no such split; expected one of s\. Remedy: name one of them, or make it"):
+    with pytest.raises(DatasetError, match=r"expected one of s\."):
         dataset.where(split="t", role="train")
 
 

@@ -318,10 +318,10 @@ def test_a_state_without_groups_is_not_one_with_them(dataset: Dataset) -> None:
 def test_a_state_is_refused_where_other_frames_share_a_batch(dataset: Dataset) -> None:
     grouped = IterableFrames(dataset, 2, group_by_size=True)
     state = json.loads(json.dumps(grouped.state_dict()))
-    with pytest.raises(UsageError, match="state has drop_last False, this dataset True"):
+    with pytest.raises(UsageError, match="drop_last False"):
         IterableFrames(dataset, 2, group_by_size=True, drop_last=True).load_state_dict(state)
     # Both drives get images of one size, and so one group; half the size leaves two groups.
-    with pytest.raises(UsageError, match=r"state has groups .*same cameras, undistort and resize"):
+    with pytest.raises(UsageError, match="state has groups"):
         IterableFrames(dataset, 2, group_by_size=True, resize=(32, 48)).load_state_dict(state)
     IterableFrames(dataset, 2, group_by_size=True, resize=0.5).load_state_dict(state)
 
@@ -355,7 +355,7 @@ def test_what_cannot_be_is_refused(dataset: Dataset, tmp_path: Path) -> None:
         builder.layer(traversal, "masks", name, MASKS, [{**row, "source_version": version}])
     build_index(tmp_path)
     several = mirror.open(tmp_path)
-    with pytest.raises(UsageError, match=r"masks of one@1, two@2.*masks=\['dynamic/one@1'\]"):
+    with pytest.raises(UsageError, match="one@1, two@2"):
         FrameDataset(several)[0]
     assert FrameDataset(several, masks=["dynamic/two@2"])[0]["mask_valid"]["dynamic/two@2"].all()
 
@@ -368,7 +368,7 @@ def test_a_calibration_of_another_raster_is_refused(tmp_path: Path) -> None:
     builder.layer(traversal, "calibrations", "bad@1", CALIBRATIONS, [calibration("front_wide", 0, (96, 64))])
     build_index(tmp_path)
     view = mirror.open(tmp_path).with_layers(calibrations="bad@1")
-    with pytest.raises(DatasetError, match="48 x 32 px, but its calibration is for 96 x 64 px"):
+    with pytest.raises(DatasetError, match=r"48 x 32 px.*96 x 64 px"):
         FrameDataset(view)[0]
 
 
@@ -379,5 +379,5 @@ def test_a_mask_of_another_raster_is_refused(tmp_path: Path) -> None:
     write_bytes(tmp_path / "rigs" / "m.png", png(EGO))
     builder.write_rig({"front_wide": "m.png"})
     build_index(tmp_path)
-    with pytest.raises(DatasetError, match=r"camera front_wide.*ego mask has 96 x 64 px; expected 48 x 32 px"):
+    with pytest.raises(DatasetError, match=r"camera front_wide.*48 x 32 px"):
         FrameDataset(mirror.open(tmp_path))[0]

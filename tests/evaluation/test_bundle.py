@@ -146,7 +146,7 @@ def test_fetched_dataset_asks_for_the_same_views(dataset: Dataset, url: str, tmp
 def test_a_participant_cannot_score(dataset: Dataset, bundle: Path, tmp_path: Path) -> None:
     few = small(every=12)
     write_renders(dataset, few, tmp_path / "s")
-    with pytest.raises(DatasetError, match=r"lacks the images that the protocol scores.*send the submission"):
+    with pytest.raises(DatasetError, match="lacks the images"):
         evaluate(tmp_path / "s", bundle, few, SPLIT, tmp_path / "out", EvaluationOptions(workers=1))
 
 

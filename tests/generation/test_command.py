@@ -52,6 +52,6 @@ def test_a_folder_without_clips_is_refused_before_anything_is_written(tmp_path: 
             main(["train", str(tmp_path), *given, "--out", str(tmp_path / "out")])
     with pytest.raises(UsageError, match="a batch of 4 in 3 parts"):
         main(["train", str(tmp_path), "--steps", "1", "--accumulate", "3", "--out", str(tmp_path / "out")])
-    with pytest.raises(UsageError, match="--learning-rate: nan; expected a finite number"):
+    with pytest.raises(UsageError, match="--learning-rate: nan"):
         main(["train", str(tmp_path), "--steps", "1", "--learning-rate", "nan", "--out", str(tmp_path / "out")])
     assert not (tmp_path / "out").exists()

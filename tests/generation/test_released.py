@@ -257,7 +257,7 @@ def test_captions_of_a_generator_trained_here(
     texts = {"all/tokens": torch.randn(3, 8), "all/pooled": torch.randn(8)}
     save_file(texts, tmp_path / "text.safetensors")
     given = ["--captions", tmp_path / "text.safetensors", "--autoencoder", models / "autoencoder/model.safetensors"]
-    with pytest.raises(UsageError, match="captions for a generator that was trained without text") as caught:
+    with pytest.raises(UsageError, match="trained without text") as caught:
         main(words(tiny_dataset, traversal, trained, backgrounds, tmp_path / "out", *given))
     assert (caught.value.file, caught.value.place) == (str(trained), "--captions")
     write_generator(tmp_path / "model.safetensors", *read_generator(trained), captions=True)
@@ -290,18 +290,16 @@ def test_checkpoints_autoencoders_and_sizes_that_do_not_fit_are_named(
     opened = open_released(unimlvg, tmp_path / "unimlvg.pth", vae, SIZE)
     assert (opened.references, opened.style.dropped, opened.ring) == (3, 0.0, True)
     assert not any(one.requires_grad for one in opened.network.parameters())
-    with pytest.raises(UsageError, match="--size: images of 40 x 16 px; expected multiples of 16 px"):
+    with pytest.raises(UsageError, match=r"--size: .*40 x 16 px"):
         open_released(ctsd, checkpoint, vae, (16, 40))
     other = save_vae(tmp_path / "vae", 4)
-    with pytest.raises(
-        DatasetError, match="--vae: latents of 4 channels and 8 px, but the generator takes 16"
-    ) as caught:
+    with pytest.raises(DatasetError, match="--vae: ") as caught:
         open_released(ctsd, checkpoint, other, SIZE)
     assert caught.value.file == str(other)
     with pytest.raises(WeightsUnavailableError, match="no such file"):
         open_released(ctsd, tmp_path / "nowhere.pth", vae, SIZE)
     monkeypatch.setitem(sys.modules, "diffusers", None)
-    with pytest.raises(UsageError, match="autoencoders of released models need diffusers") as missing:
+    with pytest.raises(UsageError, match="need diffusers") as missing:
         open_released(ctsd, checkpoint, vae, SIZE)
     assert "[generation]" in str(missing.value.remedy)
 

@@ -174,7 +174,7 @@ def test_a_generator_that_was_never_trained_without_boxes_is_not_guided(
     write_generator(file, *read_generator(models / "generator" / "model.safetensors"))
     assert trained_rates(file) is None
     shutil.copytree(models / "autoencoder", tmp_path / "autoencoder")
-    with pytest.raises(UsageError, match="guidance 4 of a generator that was never trained without boxes") as caught:
+    with pytest.raises(UsageError, match="guidance 4") as caught:
         generate(tiny_dataset, traversal, tmp_path, backgrounds, tmp_path / "out", "--guidance", "4")
     assert (caught.value.file, caught.value.place) == (str(file), "--guidance")
     assert not (tmp_path / "out").exists()

@@ -120,7 +120,7 @@ def test_a_batch_may_be_computed_in_parts() -> None:
     with pytest.raises(UsageError, match="a batch of 4 in 3 parts"):
         GeneratorSettings(NETWORK, T, batch=4, accumulate=3)
     GeneratorSettings(NETWORK, T, batch=4, accumulate=2).require_shares(2)
-    with pytest.raises(UsageError, match="a batch of 4 on 2 processes in 4 parts; expected a multiple of 8"):
+    with pytest.raises(UsageError, match="2 processes in 4 parts"):
         GeneratorSettings(NETWORK, T, batch=4, accumulate=4).require_shares(2)
 
 
@@ -205,7 +205,7 @@ def test_parts_that_do_not_fit_are_refused(change: dict[str, object], message: s
 
 def test_clips_that_are_too_short_or_of_another_rig_are_refused() -> None:
     codec = TinyAutoencoder(CODEC)
-    with pytest.raises(DatasetError, match="the longest clip has 2 frames; expected at least 3"):
+    with pytest.raises(DatasetError, match="2 frames; expected at least 3"):
         ClipWindows([make_clip(frames=T)], codec, NETWORK, OWN_STYLE, T)
     other = replace(make_clip("clip-1"), views=("a", "b"))
     with pytest.raises(DatasetError, match="clip-1: views a, b"):

@@ -229,7 +229,7 @@ def test_bad_rows_may_not_uncover_a_tenth_of_the_drive(tmp_path: Path) -> None:
         if accepted:
             require_rest(cleaned(recording, max_bad_rows=0.5)[0], sorted(bad))
             continue
-        with pytest.raises(RecordingError, match=r"the gaps they leave are 4\.0 s of the drive's 39\.9 s") as caught:
+        with pytest.raises(RecordingError, match=r"4\.0 s .*39\.9 s") as caught:
             cleaned(recording, max_bad_rows=0.5)
         assert caught.value.remedy is not None and "--max-gap-s 4" in caught.value.remedy
         assert "--max-bad-rows" not in caught.value.remedy

@@ -164,7 +164,7 @@ def test_nothing_usable_is_an_error_that_says_so(stamps: list[int], first: list[
 def test_a_track_without_positions_or_of_unequal_columns_is_an_error() -> None:
     with pytest.raises(RecordingError, match="neither"):
         clean(Track(timestamp_ns=np.arange(3)), CleaningOptions())
-    with pytest.raises(RecordingError, match=r"y_m has the shape \(2,\), but there are 3 poses"):
+    with pytest.raises(RecordingError, match=r"y_m .*\(2,\)"):
         Track(timestamp_ns=np.arange(3), x_m=np.zeros(3), y_m=np.zeros(2))
 
 

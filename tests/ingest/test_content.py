@@ -124,7 +124,7 @@ def test_weather_plugin_sees_images_of_drives_that_do_not_state_it(
     assert (row["weather"], row["weather_source"]) == ("rain", "rainy")
     assert SEEN == [(48, 64, 3)] * 3
     monkeypatch.undo()
-    with pytest.raises(UsageError, match="no weather plug-in 'no_such' is installed"):
+    with pytest.raises(UsageError, match="'no_such'"):
         ingest_recordings([drive], [SCENE], tmp_path / "e", IngestOptions(weather_plugin="no_such"))
     assert not (tmp_path / "e").exists()
 

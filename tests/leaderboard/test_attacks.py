@@ -297,7 +297,7 @@ def test_unsigned_and_forged_rows_are_not_built(tmp_path: Path) -> None:
     assert isinstance(signed, Measured)
     for signature in (None, signed.signature):
         write_json(file, signed.model_copy(update={**dict(forged), "signature": signature, "key": signed.key}))
-        with pytest.raises(RefusedError, match=r"forged .* has (no signature|a signature of another)"):
+        with pytest.raises(RefusedError, match=r"forged .* signature"):
             build([board], tmp_path / "site")
     write_json(file, signed.model_copy(update={"method": "renamed"}))
     with pytest.raises(SchemaError, match="changed after it was added"):
@@ -428,7 +428,7 @@ def test_fifty_lookalikes_of_a_name_are_refused(result: Path, board: Path) -> No
         assert find_name_problem(name) is not None or skeleton(name) == skeleton("HybridWorldSim"), ascii(name)
     for name in ("HybridWorldSim*", "HybridW\u05e1rldSim"):
         edit(result, lambda plain, name=name: plain["submission"]["method"].update(name=name))
-        with pytest.raises(RefusedError, match=r"easily taken for 'HybridWorldSim'|letters of several scripts"):
+        with pytest.raises(RefusedError, match=r"'HybridWorldSim'|several scripts"):
             add_result(result, board, "street")
 
 

@@ -125,13 +125,13 @@ def test_changed_entry_is_refused_by_name(board: Path) -> None:
     plain = json.loads(path.read_text())
     plain["figures"][1]["value"] = 40.0
     path.write_text(json.dumps(plain))
-    with pytest.raises(SchemaError, match=r"measured-mean_color\.json: seal: was changed"):
+    with pytest.raises(SchemaError, match=r"measured-mean_color\.json: seal"):
         load_entries(board / "entries")
 
 
 def test_repeated_entry_is_refused_by_name(board: Path) -> None:
     write_json(board / "entries" / "measured-again.json", measured("mean_color", 35.0, result_hash="99" * 32))
-    with pytest.raises(SchemaError, match=r"is another entry for the same as measured-again\.json"):
+    with pytest.raises(SchemaError, match=r"measured-again\.json"):
         load_entries(board / "entries")
 
 

@@ -344,7 +344,7 @@ def test_rows_that_are_written_twice_are_refused(runs: Path) -> None:
 
 def test_the_worst_rollout_cannot_be_left_out(runs: Path, asked: RolloutPlan) -> None:
     shutil.rmtree(runs / "follow-1")
-    with pytest.raises(RefusedError, match=r"follow with seed 1 in scene .* is missing"):
+    with pytest.raises(RefusedError, match="follow with seed 1 in scene"):
         submit(runs, asked)
 
 
@@ -367,7 +367,7 @@ def test_a_collision_cannot_be_cut_off(street: Street, tmp_path: Path) -> None:
     assert entry.verified and epdms(entry) == 0.0
     run = tmp_path / "runs" / "wall"
     truncate(ending="duration")(run)
-    with pytest.raises(RefusedError, match="the controls end after 10 steps, and the drive does not"):
+    with pytest.raises(RefusedError, match="after 10 steps"):
         submit(tmp_path / "runs", plan)
 
 

@@ -203,9 +203,7 @@ def test_checkpoints_that_do_not_fit_are_refused_by_key(tmp_path: Path) -> None:
     state["query_embedding.0.bias"] = torch.zeros(3)
     state["query_embedding.2.bias"] = torch.full((16,), torch.nan)
     torch.save({"state_dict": state, "meta": {"mmdet3d_version": "1.1"}}, file)
-    with pytest.raises(
-        UsageError, match=r"1 missing: input_proj\.bias; 1 unexpected: conv_offset; 1 of another.*not fin"
-    ):
+    with pytest.raises(UsageError, match=r"input_proj\.bias.*conv_offset"):
         load_strictly(network, read_checkpoint(file))
     with pytest.raises(UsageError, match="sha256"):
         read_checkpoint(file, sha256="0" * 64)

@@ -148,7 +148,7 @@ def test_a_layer_of_other_recorded_images_is_not_called_done(tmp_path: Path) -> 
     shutil.copytree(layers, root / "traversals" / ONLY / "layers")
     build_index(root)
     assert "PRV005" in {rule.rule_id for rule, _ in check(root, only=["PRV"]).findings}
-    with pytest.raises(DatasetError, match=r"derived_from: recorded: .*recorded images") as refused:
+    with pytest.raises(DatasetError, match="derived_from: recorded: ") as refused:
         deidentify(root, options())
     assert "--version" in str(refused.value)
     words = ["--name", "street", "--licence", "CC0-1.0", "--contact", "a@example.org", "--sample", "0"]

@@ -40,7 +40,7 @@ def test_path_is_opened_by_the_reader_that_recognises_it(tmp_path: Path) -> None
 def test_another_package_adds_a_reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install_plugins(monkeypatch, tmp_path / "site", ENTRY_POINT_GROUP, ("odd", f"{__name__}:OddReader"))
     path = write_recording(tmp_path / "drive")
-    with pytest.raises(RecordingError, match="several readers recognise it: folder and odd") as caught:
+    with pytest.raises(RecordingError, match="folder and odd") as caught:
         registry.open_recording(path)
     assert "--reader folder" in str(caught.value)
     assert "a folder with odd things" in str(caught.value)
@@ -100,5 +100,5 @@ def test_unknown_reader_lists_the_installed_readers(tmp_path: Path) -> None:
 
 
 def test_unknown_options_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="the reader 'folder' has no option --tz; expected no options"):
+    with pytest.raises(RecordingError, match=r"'folder' .*--tz"):
         registry.open_recording(write_recording(tmp_path / "drive"), options={"tz": "UTC"})

@@ -128,6 +128,6 @@ def test_undecided_order_names_a_date_and_no_other_text() -> None:
     rows = RecordingRows(
         pa.table({"when": ["90/02/2032 00:00:00", "04/05/2021 00:00:00"]}), (Path("a.csv"),), (0,), (), RowFaults(2)
     )
-    with pytest.raises(RecordingError, match="'04/05/2021 00:00:00' may be month first or day first") as caught:
+    with pytest.raises(RecordingError, match="'04/05/2021 00:00:00'") as caught:
         parse_stamps(rows, "when", rows.table.column("when"), tz="UTC", date_format=None)
     assert caught.value.place == "line 3, column when"

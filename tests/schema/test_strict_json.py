@@ -55,7 +55,7 @@ def test_nan_and_infinity_are_refused_on_request() -> None:
 
 def test_documents_rois_and_recordings_with_a_repeated_key_are_refused(tmp_path: Path) -> None:
     (tmp_path / "dataset.json").write_text('{"format": "mirror", "format": "mirror"}')
-    with pytest.raises(MirrorError, match=r"dataset\.json: the key 'format' stands twice"):
+    with pytest.raises(MirrorError, match=r"dataset\.json: .*'format'"):
         read_json(tmp_path / "dataset.json", DatasetDocument)
     with pytest.raises(MirrorError, match="the key 'a' stands twice"):
         parse_json(b'{"a": 1, "a": 2}', DatasetDocument, "dataset.json")

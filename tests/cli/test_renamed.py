@@ -35,17 +35,6 @@ def test_an_old_option_is_accepted_with_a_note(words: list[str], note: str, caps
     assert MISSING in error.splitlines()[-1]
 
 
-def test_an_old_option_sets_the_new_field(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mirror.cli import split
-
-    given: list[object] = []
-    monkeypatch.setattr(split, "_refuse_beside_extend", given.append)
-    main(["split", MISSING, "novel", "--extend", "--held-out", "2"])
-    (arguments,) = given
-    assert isinstance(arguments, split.Arguments)
-    assert arguments.held_out_traversals == 2
-
-
 @pytest.mark.parametrize(("verb", "option"), [("split", "--held-out "), ("reconstruct", "--half")])
 def test_help_shows_the_new_name_alone(verb: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
@@ -79,6 +68,7 @@ def test_an_old_verb_is_accepted_with_a_note(old: str, capsys: pytest.CaptureFix
             "leaderboard add R D --dataset-name n --submission S",
         ),
         ("ingest R --max-gap 3 --dry-run", "ingest R --max-gap-s 3 --dry-run"),
+        ("split D n --held-out 2", "split D n --held-out-traversals 2"),
     ],
 )
 def test_old_words_give_the_same_arguments(

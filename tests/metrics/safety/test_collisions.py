@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.safety import Collision, CollisionKind, find_collisions
-from tests.metrics.safety.logs import Actor, constant, moved, polygon, random_log, resample, state_log
+from tests.metrics.safety.logs import Actor, constant, moved, polygons, random_log, resample, state_log
 
 TIMES = 0.1 * np.arange(21)
 
@@ -27,19 +28,15 @@ def test_first_contact_is_where_polygons_first_meet(seed: int) -> None:
     fine = resample(log, 100)
     found = {one.agent: one.stamp_ns for one in find_collisions(log)}
     for agent in (1, 2):
-        hits = [
-            row for row in range(len(fine.stamps_ns)) if polygon(fine, 0, row).intersects(polygon(fine, agent, row))
-        ]
+        ego, other = polygons(fine, 0), polygons(fine, agent)
+        hits = np.flatnonzero(shapely.intersects(ego, other))
         name = log.ids[agent]
-        if hits:
+        if len(hits):
             # Polygons are tested every millisecond; the contact lies at most that much before.
             assert fine.stamps_ns[hits[0]] - 1_000_001 <= found[name] <= fine.stamps_ns[hits[0]] + 1_000
         elif name in found:
             # Shorter than the samples' distance.
-            nearest = min(
-                polygon(fine, 0, row).distance(polygon(fine, agent, row)) for row in range(len(fine.stamps_ns))
-            )
-            assert nearest < 0.05
+            assert shapely.distance(ego, other).min() < 0.05
 
 
 def test_contact_time_is_exact_for_a_known_closing_speed() -> None:

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mirror.errors import UsageError
 from mirror.metrics.safety import least_time_to_collision, time_to_collision
-from tests.metrics.safety.logs import Actor, constant, moved, polygon, random_log, resample, state_log
+from tests.metrics.safety.logs import Actor, constant, moved, polygon, polygons, random_log, resample, state_log
 
 TIMES = 0.1 * np.arange(21)
 
@@ -22,8 +23,8 @@ def test_it_is_the_first_time_at_which_moved_polygons_meet(seed: int) -> None:
     log = random_log(np.random.default_rng(seed), agents=1, stamps=1)
     value = time_to_collision(log)[0, 1]
     steps = np.arange(0.0, 3.0, 0.002)
-    hits = [ahead for ahead in steps if polygon(log, 0, 0, ahead).intersects(polygon(log, 1, 0, ahead))]
-    if hits:
+    hits = steps[shapely.intersects(polygons(log, 0, 0, steps), polygons(log, 1, 0, steps))]
+    if len(hits):
         assert hits[0] - 0.002 - 1e-9 <= value <= hits[0] + 1e-9
     elif value < 2.9:
         # A touch shorter than a step.

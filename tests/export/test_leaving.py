@@ -41,10 +41,17 @@ def root(tiny_dataset: Dataset, tmp_path: Path) -> Path:
     return copied(tiny_dataset, tmp_path / "dataset")
 
 
-@pytest.fixture
-def redacted(root: Path) -> Path:
+@pytest.fixture(scope="module")
+def redacted_street(tiny_dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The street with a redaction layer; tests do not change it."""
+    root = copied(tiny_dataset, tmp_path_factory.mktemp("redacted") / "dataset")
     redact(root)
-    return root
+    return mirror.open(root)
+
+
+@pytest.fixture
+def redacted(redacted_street: Dataset, tmp_path: Path) -> Path:
+    return copied(redacted_street, tmp_path / "dataset")
 
 
 def held_out(root: Path) -> str:

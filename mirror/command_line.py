@@ -254,7 +254,7 @@ def refuse_numbers(arguments: object) -> None:
 
 
 def refuse_empty_texts(arguments: object) -> None:
-    """Require that no option, also in groups of options, has an empty text: an option that says nothing is left out.
+    """Refuse options whose text is empty, also in groups of options: an option that says nothing is to be left out.
 
     Raises:
         UsageError: the value of an option is empty, or blank.

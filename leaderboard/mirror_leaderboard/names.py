@@ -50,7 +50,7 @@ def find_name_problem(name: str) -> str | None:
 
 
 def skeleton(name: str) -> str:
-    """Reduce a name to its looks: names with equal skeletons are confused with each other.
+    """Reduce a name to a skeleton: names with equal skeletons look alike.
 
     Characters that are drawn alike become one (Unicode Technical Standard 39, section 4); in addition case, accents,
     spaces, punctuation and symbols that only modify are left out, and digits become the letters that they resemble.

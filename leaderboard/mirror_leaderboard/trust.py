@@ -215,7 +215,7 @@ def hash_reported(entry: Reported) -> str:
 
 
 def list_rows(folder: Path) -> ReviewedRows:
-    """List the reported entries of a folder as rows of ``reviewed.json``, for a reviewer who compared them."""
+    """List the reported entries of a folder as rows of ``reviewed.json``, for the reviewer of their papers."""
     reported = [entry for entry in load_entries(folder) if isinstance(entry, Reported)]
     return ReviewedRows(
         rows=tuple(

@@ -168,7 +168,7 @@ def static_pixels(frame: Frame, image: Image) -> Bool:
 
 
 def driven_m(poses: Poses) -> float:
-    """Return the length of the vehicle's way over a track."""
+    """Return the driven length of a track."""
     return float(np.linalg.norm(np.diff(poses.translation, axis=0), axis=1).sum())
 
 

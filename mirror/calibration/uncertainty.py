@@ -41,7 +41,7 @@ class Uncertainty:
         self.covariance: Float64 = self._inverse @ (prior + scores.T @ scores) @ self._inverse
 
     def variance_by_source(self, columns: Int64, turn: Float64) -> dict[str, Float64]:
-        """Return the variances of a rotation about three axes by their source.
+        """Return the variances of a rotation about three axes, separately for each source of error.
 
         Args:
             columns: (3,) positions of the rotation among the unknowns.

@@ -239,7 +239,7 @@ class IterableFrames(IterableDataset[Sample]):
 
     @property
     def samples(self) -> FrameDataset:
-        """The samples of the batches; it has the names of cameras, categories and masks."""
+        """The samples that the batches are made of, with the names of cameras, categories and masks."""
         return self._samples
 
     @property

@@ -259,7 +259,7 @@ class Traversal:
         return rows_of_layer(kind, self.traversal_id, arrays["source"], arrays["source_version"], chosen)
 
     def boxes(self, timestamp_ns: int) -> FrameBoxes:
-        """Return the boxes nearest in time, in the ego frame at their own time.
+        """Return the boxes of the stamp nearest to a time, in the ego frame at that stamp.
 
         Boxes are used if they are at most half a period of their layer away. A layer with a single time has no period:
         its boxes are used only at exactly that time.

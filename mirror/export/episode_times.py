@@ -24,7 +24,7 @@ def rates(episodes: Sequence[Sequence[int]]) -> tuple[float, int]:
 
 
 def drift_s(stamps: Sequence[int], fps: int) -> float:
-    """Return how far, in seconds, the times (N,) of an episode are at most from its row numbers / ``fps``."""
+    """Return the largest difference, in seconds, between the times (N,) of an episode and its row numbers / ``fps``."""
     seconds = (np.array(stamps, np.int64) - stamps[0]) * 1e-9
     return float(np.abs(seconds - np.arange(len(stamps)) / fps).max())
 

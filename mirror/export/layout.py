@@ -28,7 +28,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Written:
-    """Counts of a format's files besides images and masks.
+    """The files of a format other than images and masks, with counts of their contents.
 
     Attributes:
         files: paths of the files.

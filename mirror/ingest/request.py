@@ -144,12 +144,12 @@ class IngestReport:
 
     @property
     def missing(self) -> int:
-        """Images that the recordings lack within the traversals, by the pauses of their cameras."""
+        """Number of images that the recordings lack within the traversals, judged by pauses of the cameras."""
         return sum(one.missing for one in self.traversals)
 
     @property
     def repeated(self) -> dict[str, int]:
-        """By camera, images within the traversals that were left out, as another one has the same stamp."""
+        """By camera, number of images within the traversals that were left out because another one has their stamp."""
         counts: Counter[str] = Counter()
         for one in self.traversals:
             counts.update(one.repeated)

@@ -95,7 +95,7 @@ def scene_rule(
 
 
 def declared() -> dict[str, Rule]:
-    """Return the rules of all imported modules, by id; `mirror.integrity.registry.rules` imports all modules."""
+    """Return the rules of the modules imported so far, by id; `mirror.integrity.registry.rules` imports all modules."""
     return dict(sorted(_declared.items()))
 
 

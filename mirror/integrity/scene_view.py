@@ -140,7 +140,7 @@ class SceneView:
 
     @cached_property
     def image_contents(self) -> ImageContents:
-        """Contents of the files of `all_images`."""
+        """Contents of the files that `all_images` lists."""
         return ImageFileReader(self.all_images, self.dataset.store).contents(self.image_files)
 
     def calibrated_images(self) -> Iterator[tuple[int, slice, Bool]]:
@@ -182,7 +182,7 @@ class SceneView:
 
     @cached_property
     def entry_ns(self) -> Int64:
-        """(traversals,) entries; the smallest number where the ledger has none."""
+        """(T,) times of the traversals' entries; the smallest int64 where the ledger has none."""
         return self._passed("entry_ns", np.iinfo(np.int64).min)
 
     @cached_property

@@ -90,14 +90,14 @@ def random_stream(purpose: str, seed: int, *words: int) -> np.random.Generator:
 
 
 def derive_seed(purpose: str, seed: int, *words: int, public: int) -> int:
-    """Derive a seed from a secret one; it is a secret seed too. A public seed gives `public`."""
+    """Derive a secret seed for a purpose from a secret seed; of a public seed, return ``public``."""
     if is_secret_seed(seed):
         return 1 << _BITS | int.from_bytes(_digest(purpose, seed, words)) >> _BITS
     return public
 
 
 def derive_hash_seed(purpose: str, seed: int, *words: int, public: int) -> int:
-    """Derive a seed of 31 bits, for integer hashes, from a secret seed. A public seed gives `public`."""
+    """Derive a seed of 31 bits, for integer hashes, from a secret seed; of a public seed, return ``public``."""
     return derive_seed(purpose, seed, *words, public=public) % _INTEGER_HASHES if is_secret_seed(seed) else public
 
 

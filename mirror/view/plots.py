@@ -179,7 +179,7 @@ def whole_numbers() -> MaxNLocator:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure, in inches.
+    """Return an empty figure of a width and height in inches.
 
     Raises:
         UsageError: matplotlib is not installed.

@@ -65,7 +65,7 @@ class HeadOutput:
 
 
 class DetectionHead(nn.Module):
-    """From features and points of rays to boxes.
+    """Maps features, and the points of rays that they lie on, to boxes.
 
     Args:
         settings: sizes and ranges.

@@ -40,7 +40,7 @@ def sigmoid_focal_loss(logits: Tensor, target: Tensor) -> Tensor:
 
 
 def match(logits: Tensor, code: Tensor, truth: TrueBoxes) -> tuple[Tensor, Tensor]:
-    """Return the queries and true boxes with the least total cost.
+    """Assign queries to true boxes so that the total cost is least.
 
     Args:
         logits: (Q, classes).

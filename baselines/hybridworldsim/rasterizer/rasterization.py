@@ -215,7 +215,7 @@ def rasterization(
 
 
 def choose_backend(name: BackendName, device: torch.device) -> str:
-    """Choose the backend of a name.
+    """Choose a backend by its name, or for ``auto`` by the device.
 
     Raises:
         UsageError: the backend does not support the device of the tensors.

@@ -146,7 +146,7 @@ class Simulation:
         )  # fmt: skip
 
     def progress_m(self) -> float:
-        """Return the length along the route that the ego has come since the start."""
+        """Return the distance that the ego has driven along its route since the start."""
         ego = self.now.ego
         return self.route.way.nearest_m(np.array([ego.x_m, ego.y_m])) - self.route.begin_m
 

@@ -56,7 +56,7 @@ class RigState:
     points: Float64
 
     def moved(self, step: Float64, point_steps: Float64) -> RigState:
-        """Return the state after a step (N,) of frames and mountings, and steps (T, 3) of the points."""
+        """Return the state moved by a step (N,) of frames and mountings, and by steps (T, 3) of the points."""
         split = POSE * len(self.frame_steps)
         frames, mounts = step[:split].reshape(-1, POSE), step[split:].reshape(-1, MOUNT)
         return RigState(

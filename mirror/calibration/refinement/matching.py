@@ -92,7 +92,7 @@ def match_pair(
 
 
 def join_tracks(features: Sequence[ImageFeatures], matches: Mapping[tuple[int, int], Int64]) -> FeatureTracks:
-    """Join matches to tracks. A track that has two features of one image loses both; a rest of two or more stays."""
+    """Join matches to tracks of two or more features; features of a track that share an image are removed."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

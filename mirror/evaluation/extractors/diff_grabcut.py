@@ -43,7 +43,7 @@ class DiffGrabCut:
         return _keep_large_components(_run_grabcut(edited, seeds, foreground, counted)) & counted
 
     def fingerprint(self, name: str) -> str:
-        """See `Extractor`: no file is read."""
+        """Return an empty hash: the mask depends on the renders alone."""
         return ""
 
 

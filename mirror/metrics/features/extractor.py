@@ -102,7 +102,7 @@ def to_bytes(pixels: Pixels) -> UInt8:
 
 
 def checked_name(name: str, reserved: Sequence[str], *, pinned: bool) -> str:
-    """Return a name, if it is not a published metric's or the weights are its published ones.
+    """Return the name of a network; refuse that of a published metric unless the weights are its published ones.
 
     Raises:
         UsageError: a published name with other weights.

@@ -15,7 +15,7 @@ UNIT_ROUNDOFF = float(np.finfo(np.float64).eps / 2)
 
 @dataclass(frozen=True, eq=False)
 class CovarianceRoot:
-    """R with RᵀR = covariance.
+    """A matrix R whose product RᵀR is a covariance.
 
     Attributes:
         root: (k, d).

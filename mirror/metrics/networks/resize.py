@@ -49,7 +49,7 @@ def _along(images: Tensor, axis: int, size: int) -> Tensor:
 
 
 def resize_video(frames: Tensor, crop: VideoCrop, size: int = 224) -> Tensor:
-    """Return the frames as I3D takes them.
+    """Resize and crop frames to the input of I3D.
 
     Args:
         frames: (n, 3, h, w), float.

@@ -27,7 +27,7 @@ VIDEOS: Final = (".mp4", ".mkv", ".mov", ".avi")
 
 @dataclass(frozen=True)
 class GivenCamera:
-    """Given images and times of a camera.
+    """The images, lens, mounting and times that the user gives for a camera.
 
     Attributes:
         name: the camera's name.

@@ -209,7 +209,7 @@ class KittiRawRecording:
         return sorted([*files, *((file.relative_to(self.root).as_posix(), file) for file in others)])
 
     def track(self) -> Track:
-        """Return the poses of the place on the road below the receiver, with its own accuracy of each position."""
+        """Return the poses of the place on the road below the receiver, with the accuracy that it states of each."""
         files = list(self._fixes.values())
         frames = np.fromiter(self._fixes, np.int64, len(files))
         place, by_frame = self._stamps("oxts")

@@ -36,7 +36,7 @@ class ImageReader(CameraSensorComponent.Reader):
 
 
 class MaskReader(MasksComponent.Reader):
-    """The masks of cameras; adds the vehicle's own."""
+    """Reads the masks of cameras, and the mask ``ego`` of the vehicle itself."""
 
     def ego_mask(self, camera: str, store: Path) -> UInt8 | None:
         """Return the mask ``ego`` (H, W) of a camera, or None.

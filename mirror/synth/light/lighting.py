@@ -104,7 +104,7 @@ class Lighting:
     clouds: Float32
 
     def at(self, time_s: float) -> Records:
-        """Return the record ``time_s`` seconds after the start, with moved clouds."""
+        """Return the record of the light ``time_s`` seconds after the start, when the wind has moved the clouds."""
         record = self.record.copy()
         record["cloud_shift"] += time_s * record["cloud_wind"]
         return record

@@ -154,7 +154,7 @@ class ReferenceCache:
         return ReferenceCache(self.frames - 1, layers, present, self.first + 1)
 
     def followed_by(self, later: ReferenceCache) -> ReferenceCache:
-        """Return the keys and values of these frames and of later ones, which were computed with these."""
+        """Append the keys and values of later frames that were computed with these frames as references."""
         layers = tuple(
             KeysValues(*(torch.cat(pair, dim=2) for pair in zip(own, added)))
             for own, added in zip(self.layers, later.layers, strict=True)

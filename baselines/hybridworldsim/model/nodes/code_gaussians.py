@@ -38,7 +38,7 @@ class Seeds:
 
 @dataclass(frozen=True, eq=False)
 class CodeRows:
-    """Rows of the tables of some Code-Gaussians.
+    """The parameters of M Code-Gaussians, gathered from the tables of their node.
 
     Attributes:
         ids: (M,) int64 indices of the Gaussians, ascending.

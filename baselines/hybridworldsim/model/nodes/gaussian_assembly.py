@@ -69,7 +69,7 @@ def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
 
 @kernel()
 def write_rows(slots: Any, ids: Any, k: Any, rows: Any) -> None:
-    """Write the index of each slot among the Gaussians of all anchors; see `rows_of_slots`."""
+    """Write the rows of slots among all Gaussians of a node; see `rows_of_slots`."""
     for place in range(len(slots)):
         slot = np.uint64(slots[place])
         anchor = slot // np.uint64(k)

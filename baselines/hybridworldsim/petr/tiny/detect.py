@@ -39,7 +39,7 @@ def find_boxes(network: TinyPetr, cameras: CameraInput, *, min_score: float = 0.
 
 
 def read_boxes(output: HeadOutput, min_score: float) -> DecodedBoxes:
-    """Return the boxes of the first frame; a query has the class of its best score alone."""
+    """Return the boxes of the first frame: at most one for each query, of the class with its best score."""
     best = output.logits.amax(-1, keepdim=True)
     alone = torch.where(output.logits >= best, output.logits, output.logits.new_tensor(-50.0))
     boxes = decode_boxes(replace(output, logits=alone), "length-width", most=_MOST, min_score=max(min_score, 1e-6))
@@ -47,7 +47,7 @@ def read_boxes(output: HeadOutput, min_score: float) -> DecodedBoxes:
 
 
 def without_doubles(boxes: DecodedBoxes) -> DecodedBoxes:
-    """Leave out boxes that lie on a better one of their class."""
+    """Remove boxes that overlap a box of their class with a higher score."""
     away = torch.cdist(boxes.centre_m[:, :2].double(), boxes.centre_m[:, :2].double())
     near = (away < _APART * boxes.size_m[:, :1]) & (boxes.label[:, None] == boxes.label)
     kept: list[int] = []

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def spherical_harmonics(degree: int, directions: Tensor, coefficients: Tensor, ids: Tensor | None = None) -> Tensor:
-    """Sum spherical harmonics.
+    """Evaluate sums of spherical harmonics in directions, such as the view-dependent colours of Gaussians.
 
     Args:
         degree: highest degree of the sum.

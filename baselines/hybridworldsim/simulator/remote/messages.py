@@ -21,7 +21,7 @@ _FILE: Final = "messages.binpb"
 
 
 class Messages:
-    """The classes of the messages, as attributes; nested messages and the values of enumerations are theirs.
+    """The classes of the messages, as attributes; nested messages and values of enumerations are attributes of these.
 
     Attributes:
         classes: the classes by name.

@@ -257,7 +257,7 @@ class RemotePolicy:
 
 
 def require_driver(address: str) -> None:
-    """Require that somebody listens at a driver's address: a street that takes minutes to open is opened afterwards.
+    """Require that a driver accepts connections, before the minutes that opening a street may take.
 
     Raises:
         UsageError: the address is none, or nobody accepts a connection.

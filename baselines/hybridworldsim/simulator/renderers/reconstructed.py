@@ -110,7 +110,7 @@ class Seconds:
         return now
 
     def parts(self) -> dict[str, float]:
-        """Return the seconds by part."""
+        """Return the processor time of each part of rendering, in seconds."""
         return dict(self._parts)
 
     def clear(self) -> None:

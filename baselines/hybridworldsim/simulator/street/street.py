@@ -103,10 +103,10 @@ class Street:
         return {name: state for name, state in states.items() if state is not None}
 
     def is_inside(self, points_m: Float64) -> Bool:
-        """Return which points (N, 2) lie in the part that can be rendered."""
+        """Mark the points (N, 2) that lie in the part of the street that can be rendered."""
         return np.hypot(*(points_m - np.array(self.middle_m)).T) <= self.radius_m
 
     def is_driven(self, points_m: Float64) -> Bool:
-        """Return which points (N, 2) lie in the part that can be rendered, and beside a recorded line."""
+        """Mark the points (N, 2) that lie in the part that can be rendered, and beside a recorded line."""
         lines = shapely.MultiLineString([one.poses[:, :2] for one in self.recordings.values() if len(one.poses) > 1])
         return self.is_inside(points_m) & (shapely.distance(lines, shapely.points(points_m)) <= _BESIDE_M)

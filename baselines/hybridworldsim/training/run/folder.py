@@ -55,7 +55,7 @@ class RunFolder(Generic[OutcomeT]):
         return list(self._rows)
 
     def begin(self, run: Document) -> OutcomeT | None:
-        """Write the run's document, or require that it equals the earlier one, unless the earlier run learned nothing.
+        """Write the run's document; if an earlier run has learned something, require its document to be equal instead.
 
         Args:
             run: everything that determines the result of the run, with a field `threads`.
@@ -71,7 +71,7 @@ class RunFolder(Generic[OutcomeT]):
             return self._begin(run)
 
     def require_same(self, kind: type[Document], stated: Mapping[str, Any]) -> None:
-        """Require that an earlier run that learned something has some values, which are known before its data is read.
+        """Require that an earlier run, if it has learned something, has the same values; used before data is read.
 
         Args:
             kind: type of the run's document.

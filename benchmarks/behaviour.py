@@ -83,7 +83,7 @@ def _files(folder: Path) -> dict[str, Any]:
     _run("baseline", dataset, "--method", "nearest_frame", "--split", "novel", "--out", floor)
     _run("evaluate", dataset, floor, "--out", folder / "scores")
     before = _hashes(dataset)
-    training = ["--steps", _STEPS, "--width", 96, "--threads", 1, "--initialise", "plane-sweep"]
+    training = ["--steps", _STEPS, "--width", 96, "--threads", 1, "--device", "cpu", "--initialise", "plane-sweep"]
     _run("reconstruct", dataset, "--split", "novel", *training, "--out", folder / "model")
     return {
         "dataset": before,

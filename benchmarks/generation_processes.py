@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
 
 
 def _words(folder: Path, out: str) -> list[str]:
-    train = ["generate", "train", str(folder / "clips"), "--steps", str(STEPS), "--batch", "2"]
+    train = ["generate", "train", str(folder / "clips"), "--steps", str(STEPS), "--batch", "2", "--device", "cpu"]
     return [*train, "--autoencoder", str(folder / "autoencoder.safetensors"), "--out", str(folder / out)]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import re
 from dataclasses import dataclass
 from functools import cache
@@ -74,13 +75,35 @@ def resolve_device(requested: str, *, splats: bool = False) -> Device:
     """
     require_device_name(requested)
     if requested == CPU:
-        return Device(CPU, "as asked")
+        return Device(CPU, f"{OPTION} {CPU}")
     try:
         return _resolve_gpu(int(requested.partition(":")[2] or 0), splats)
     except UsageError as error:
         if requested != AUTO:
             raise
         return Device(CPU, error.problem)
+
+
+def choose_device(requested: str, subject: str, *, takes_device: bool, splats: bool = False) -> Device:
+    """Choose the device of a plug-in, which may take none; see `resolve_device`.
+
+    Args:
+        requested: the value of ``--device``.
+        subject: the plug-in, in words, such as ``method mean``.
+        takes_device: whether it computes on any device; otherwise it computes on the CPU.
+        splats: whether it rasterizes Gaussians.
+
+    Raises:
+        UsageError: there is no such device, what it needs is not installed, or the plug-in takes none.
+    """
+    require_device_name(requested)
+    if takes_device:
+        return resolve_device(requested, splats=splats)
+    if requested in (AUTO, CPU):
+        return Device(CPU, f"{OPTION} {CPU}" if requested == CPU else f"{subject} takes no device")
+    raise UsageError(
+        f"{subject} takes no device", place=OPTION, expected="auto or cpu", remedy=f"{_CPU_REMEDY}, or leave it out"
+    )
 
 
 def require_memory(device: Device, needed_bytes: int, remedy: str) -> None:
@@ -101,15 +124,33 @@ def require_memory(device: Device, needed_bytes: int, remedy: str) -> None:
         )  # fmt: skip
 
 
-def library_versions(device: Device) -> dict[str, str]:
-    """Return the versions of the libraries that compute on a device, and the GPU's name, for documents of runs."""
+def hardware_name(device: str) -> str:
+    """Return the name of a processor or GPU, for documents.
+
+    Args:
+        device: as torch names it.
+    """
+    if device == CPU:
+        return f"{platform.machine()} CPU"
+    import torch
+
+    return str(torch.cuda.get_device_name(device))
+
+
+def library_versions(device: str, *, splats: bool = False) -> dict[str, str]:
+    """Return the versions of the libraries that compute on a device, and the GPU's name, for documents of runs.
+
+    Args:
+        device: as torch names it.
+        splats: whether Gaussians are rasterized, on a GPU by gsplat.
+    """
     versions = {"torch": version("torch")} if find_spec("torch") is not None else {}
-    if device.gsplat is not None:
-        versions["gsplat"] = device.gsplat
-    if device.is_cuda:
+    if device != CPU:
         import torch
 
-        versions["gpu"] = torch.cuda.get_device_name(device.name)
+        if splats:
+            versions["gsplat"] = version("gsplat")
+        versions["gpu"] = hardware_name(device)
         versions["cuda"] = str(torch.version.cuda or torch.version.hip)
     return versions
 

@@ -57,6 +57,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path not in files)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test marked `cuda` where no GPU can be used, with the reason; ``cuda(splats=True)`` also needs gsplat."""
+    marker = item.get_closest_marker("cuda")
+    if marker is None:
+        return
+    from mirror.devices import resolve_device
+    from mirror.errors import UsageError
+
+    try:
+        resolve_device("cuda", splats=marker.kwargs.get("splats", False))
+    except UsageError as error:
+        pytest.skip(f"needs a GPU: {error.problem}")
+
+
 @pytest.fixture(autouse=True)
 def one_thread_of_torch() -> Iterator[None]:
     """Undo the number of threads that a verb or a training run sets for its whole process."""

@@ -113,11 +113,23 @@ def reconstruct(folder: Path, name: str, steps: int) -> Mapping[tuple[str, str],
     if not protocol.is_file():
         write_bytes(protocol, _protocol().encode())
     if not (result / RESULT).is_file():
-        budget = ("--steps", steps, "--seed", _SEED, "--threads", 1, "--width", WIDTH_PX)
+        budget = ("--steps", steps, "--seed", _SEED, "--threads", 1, "--width", WIDTH_PX, "--device", "cpu")
         source = ("--initialise", "plane-sweep", "--calibrations", _layer(name))
         _run("reconstruct", dataset, "--split", "novel", "--scene", SCENE, *budget, *source, "--out", model)
         if not (submission / MANIFEST).is_file():
-            _run("render", dataset, model, "--split", "novel", "--protocol", protocol, "--out", submission)
+            _run(
+                "render",
+                dataset,
+                model,
+                "--split",
+                "novel",
+                "--protocol",
+                protocol,
+                "--device",
+                "cpu",
+                "--out",
+                submission,
+            )
         _run("evaluate", dataset, submission, "--protocol", protocol, "--out", result, "--workers", 1)
     figures = read_json(result / RESULT, Result).figures
     return {(one.group, one.metric): one.value for one in figures if one.level == "group" and one.value is not None}

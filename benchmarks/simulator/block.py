@@ -27,7 +27,7 @@ def trained_block(folder: Path | None) -> tuple[Path, Path]:
         run(["mirror", "ingest", *drives, "--rois", rois, "--out", str(dataset), "--licence", "CC0-1.0"])
         run(["mirror", "split", str(dataset), "novel", "--seed", str(SEED)])
     budget = ["--minutes", "1.5", "--width", "160", "--initialise", "plane-sweep"]
-    run(["mirror", "reconstruct", str(dataset), "--split", "novel", *budget, "--out", str(model)])
+    run(["mirror", "reconstruct", str(dataset), "--split", "novel", *budget, "--device", "cpu", "--out", str(model)])
     return dataset, model
 
 

@@ -154,6 +154,7 @@ class ProgramDescriber:
 
 
 class _Recorded:
+    takes_device = False
     settings: Mapping[str, str] = {}
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Describer:
@@ -163,6 +164,7 @@ class _Recorded:
 
 
 class _Subprocess:
+    takes_device = False
     settings: Mapping[str, str] = {
         "command": "the program and its arguments, as a shell would split them",
         "limit_s": "seconds that a frame may take, 60 by default",

@@ -48,6 +48,7 @@ class FileAnnotator:
 
 
 class _Installed:
+    takes_device = False
     settings: Mapping[str, str] = {"path": "results in the format of the nuScenes detection task (JSON)"}
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:

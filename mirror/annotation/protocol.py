@@ -55,11 +55,17 @@ class InstalledAnnotator(Protocol):
         Args:
             dataset: the dataset, or the view, to be annotated.
             settings: values of the settings, as text.
-            device: a torch device, such as ``cpu`` or ``cuda``; annotators that need none ignore it.
+            device: a torch device, such as ``cpu`` or ``cuda:0``. An annotator whose attribute `takes_device` is False
+                always gets ``cpu``.
 
         Raises:
             UsageError: a setting is unknown or invalid.
         """
+
+
+def takes_device(installed: object) -> bool:
+    """Return whether an installed annotator or describer computes on a device: True unless it states False."""
+    return bool(getattr(installed, "takes_device", True))
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,7 @@ def _numbers(boxes: list[dict[str, Any]], key: str, count: int, *, optional: boo
 
 
 class _Installed:
+    takes_device = False
     settings: Mapping[str, str] = _SETTINGS
 
     def open(self, dataset: Dataset, settings: Mapping[str, str], device: str) -> Annotator:

@@ -20,6 +20,8 @@ _FLOOR: Final = "nearest_frame"
 _BASELINES: Final = (_FLOOR, "mean_color")
 _OTHER_FLOORS: Final = ("smoothed_nearest_frame", "grey_frame", "camera_mean", "mean_color")
 """Floors that are scored on the block alone, which has fewer views than the street."""
+_ON_CPU: Final = ("--device", "cpu")
+"""The demo computes the same everywhere."""
 _IN_THIS_PROCESS: Final = ("--workers", "1")
 """Options of scoring: a process of its own imports for longer than the scores of a block take."""
 _OURS: Final = "reconstructed"
@@ -197,7 +199,7 @@ def _annotation(arguments: Arguments, rois: str) -> Iterator[list[str]]:
 
     dataset, drive = str(arguments.out / "annotated"), str(arguments.out / "recordings" / _ANNOTATED)
     yield ["mirror", "ingest", drive, "--rois", rois, "--out", dataset, "--licence", "CC0-1.0"]
-    yield ["mirror", "annotate", dataset, "--annotator", "petr-tiny", "--version", "1"]
+    yield ["mirror", "annotate", dataset, "--annotator", "petr-tiny", "--version", "1", *_ON_CPU]
     page = ["--boxes", "petr-tiny@1", "--against", f"synth@{__version__}", "--out", str(arguments.out / "boxes.html")]
     yield ["mirror", "annotate", "report", dataset, *page]
 
@@ -212,11 +214,11 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "ingest", str(recordings / "*-*"), "--rois", rois, *maps, "--out", dataset, "--licence", "CC0-1.0"]
     yield ["mirror", "split", dataset, "novel", "--seed", seed]
     budget = ["--minutes", "1.5", "--width", "160", "--initialise", "plane-sweep"]
-    yield ["mirror", "reconstruct", dataset, "--split", "novel", *budget, "--out", model]
+    yield ["mirror", "reconstruct", dataset, "--split", "novel", *budget, *_ON_CPU, "--out", model]
     floors = (_FLOOR, *_OTHER_FLOORS)
     submissions = {name: str(out / "submissions" / name) for name in (_OURS, *floors)}
     results = {name: str(out / "results" / name) for name in submissions}
-    yield ["mirror", "render", dataset, model, "--split", "novel", "--out", submissions[_OURS]]
+    yield ["mirror", "render", dataset, model, "--split", "novel", *_ON_CPU, "--out", submissions[_OURS]]
     for floor in floors:
         yield ["mirror", "baseline", dataset, "--method", floor, "--split", "novel", "--out", submissions[floor]]
     page = ["--report", *(word for floor in floors for word in ("--baseline", results[floor]))]
@@ -227,7 +229,7 @@ def _block(arguments: Arguments) -> Iterator[list[str]]:
     yield ["mirror", "compare", *(str(Path(results[name]) / "result.json") for name in (_OURS, _FLOOR))]
     if _has_drive(arguments):
         drive = ["--scenario", "hard-brake", "--policy", "idm", "--duration", "10", "--cameras", "front_wide,rear"]
-        yield ["mirror", "simulate", dataset, model, *drive, "--report", "--out", str(out / "drive")]
+        yield ["mirror", "simulate", dataset, model, *drive, "--report", *_ON_CPU, "--out", str(out / "drive")]
 
 
 def _typed(words: Sequence[str]) -> str:

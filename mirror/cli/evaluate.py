@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mirror.command_line import help_text, local_path, parse_arguments
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ class Arguments:
     """Folder of cached features of true images, which evaluations may share."""
     workers: int = field(default_factory=lambda: min(os.cpu_count() or 1, 2))
     """Number of processes."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "cpu"
+    """Where networks such as LPIPS and Inception run. Scores for a board are those of the CPU; others say so."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -87,6 +90,9 @@ def main(argv: Sequence[str]) -> int:
         return _evaluate_rollouts(arguments)
     if arguments.baseline and not arguments.report:
         raise UsageError("--baseline is shown in the report", expected="--report beside it")
+    device = resolve_device(arguments.device)
+    if not arguments.json:
+        print(device, flush=True)
     baselines = [read_result(path) for path in arguments.baseline]
     requested = requested_views(open_untrusted(arguments.submission), arguments.protocol, arguments.split)
     if not isinstance(requested, tuple):
@@ -104,6 +110,7 @@ def main(argv: Sequence[str]) -> int:
         extractor=arguments.extractor,
         measured=None if arguments.measure is None else _pair(arguments.measure, "--measure", "METHOD=FOLDER"),
         features=arguments.features,
+        device=device.name,
     )
     with progress_bar(quiet=arguments.json) as bar:
         evaluation = evaluate(
@@ -142,6 +149,7 @@ def _evaluate_rollouts(arguments: Arguments) -> ExitCode:
         "--extractor": arguments.extractor,
         "--measure": arguments.measure,
         "--features": arguments.features,
+        "--device": arguments.device != Arguments.device,
     }
     named = next((option for option, value in unused.items() if value), None)
     if named is not None:

@@ -12,6 +12,7 @@ import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
 from mirror.counting import count_of
+from mirror.devices import choose_device
 from mirror.errors import ExitCode, UsageError
 from mirror.plugins import is_file_reference
 
@@ -78,6 +79,8 @@ class Arguments:
     """A setting of the method, such as depth_weight=0.1 or refinement.max_anchors=9000; run.json of a block has all."""
     threads: Annotated[int | None, help_text(default="one per processor")] = None
     """Number of threads."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where the method trains. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     fp16: bool = False
     """Write the model in half precision (16-bit floats)."""
     json: bool = False
@@ -100,12 +103,20 @@ def main(argv: Sequence[str]) -> int:
     if arguments.minutes is not None and arguments.steps is not None:
         raise UsageError("--minutes and --steps exclude each other", expected="one of them, or neither")
 
+    from mirror.methods.capabilities import find_capabilities
     from mirror.methods.plugin import ReconstructionTask
-    from mirror.methods.registry import load_method
+    from mirror.methods.registry import load_method, method_label
     from mirror.schema.folders import FolderKind, require_output_folder
 
     require_output_folder(arguments.out, FolderKind.MODEL)
     method = load_method(arguments.method)
+    capabilities = find_capabilities(method)
+    device = choose_device(
+        arguments.device, f"method {method_label(arguments.method)}", takes_device=capabilities.takes_device,
+        splats=capabilities.rasterizes,
+    )  # fmt: skip
+    if not arguments.json:
+        print(device, flush=True)
 
     from mirror.cli.layers import with_named_layers
     from mirror.dataset.working_copy import update_working_copy
@@ -143,6 +154,7 @@ def main(argv: Sequence[str]) -> int:
         threads=arguments.threads,
         half=arguments.fp16,
         settings=parse_settings(arguments.set),
+        device=device.name,
         withheld=list_scored_training_images(dataset, scaled, arguments.split, scene)
         if arguments.hold_out
         else frozenset(),
@@ -150,7 +162,7 @@ def main(argv: Sequence[str]) -> int:
     with progress_bar(quiet=arguments.json) as bar, naming_option(Path(arguments.dataset), "--layers FOLDER"):
         result = reconstruct(arguments.method, method, dataset, task, arguments.out, bar)
     if arguments.json:
-        more = {"folder": str(result.folder), "scene": scene, "withheld": len(task.withheld)}
+        more = {"folder": str(result.folder), "scene": scene, "withheld": len(task.withheld), "device": device.name}
         print(json.dumps({**asdict(result), **more}))
     else:
         _print(result, scene, arguments)

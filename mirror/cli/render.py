@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,7 @@ from mirror.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mirror.arrays import UInt8
     from mirror.dataset.dataset import Dataset
+    from mirror.methods.model import ModelFolder
     from mirror.protocols.views.view import RenderView
 
 _VIDEOS = (".mp4", ".mkv")
@@ -68,6 +69,8 @@ class Arguments:
     """Largest width of images of a trajectory."""
     hz: Annotated[float | None, help_text(default=f"{_HZ:g}")] = None
     """Images per second of a trajectory."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where the model renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 
@@ -101,6 +104,14 @@ def main(argv: Sequence[str]) -> int:
     return _trajectory(arguments, dataset) if arguments.trajectory is not None else _submission(arguments, dataset)
 
 
+def _choose_device(arguments: Arguments, models: Mapping[str, ModelFolder]) -> str:
+    """Choose the device of the models, which are by one method, and print it."""
+    device = next(iter(models.values())).choose_device(arguments.device)
+    if not arguments.json:
+        print(device, flush=True)
+    return device.name
+
+
 def _is_video(out: Path) -> bool:
     return out.suffix.lower() in _VIDEOS
 
@@ -124,10 +135,11 @@ def _submission(arguments: Arguments, dataset: Dataset) -> int:
                 f"{subject} for trajectories", place="--appearance", expected="one appearance for all views"
             )
     models = read_models(arguments.model, arguments.method)
+    device = _choose_device(arguments, models)
     protocol = load_protocol(arguments.protocol, masked=arguments.masks)
     submission = plan_model_submission(
         dataset, models, protocol, str(arguments.split),
-        policy=arguments.appearance, calibrations=arguments.calibrations,
+        policy=arguments.appearance, calibrations=arguments.calibrations, device=device,
     )  # fmt: skip
     with progress_bar(quiet=arguments.json) as bar:
         count = submission.write(arguments.out, bar)
@@ -158,6 +170,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     models = read_models(arguments.model, arguments.method)
     if len(models) != 1:
         raise UsageError(f"{len(models)} models", expected="one, for a trajectory")
+    device = _choose_device(arguments, models)
     ((scene, model),) = models.items()
     name, document = model.name, model.document
     require_matching_split(dataset, document.split, document)
@@ -180,7 +193,7 @@ def _trajectory(arguments: Arguments, dataset: Dataset) -> int:
     for words in dict.fromkeys(appearances.values()):
         require_known_appearance(words, dataset, document.trained)
     policy = AppearancePolicy(views=views, everywhere=True)
-    render = open_by_camera(model, policy, appearances)
+    render = open_by_camera(model, policy, appearances, device=device)
     begin = time.perf_counter()
     with progress_bar(quiet=arguments.json) as bar:
         bar.start("rendering", len(views))

@@ -28,7 +28,7 @@ _EXAMPLES = (
 class Arguments:
     """Look at a dataset in rerun, or drive and fly through a reconstructed street in the browser.
 
-    With MODEL, a server prints its address and renders the street on the CPU: sliders move along a traversal, beside
+    With MODEL, a server prints its address and renders the street: sliders move along a traversal, beside
     its line, and from day to night. Without MODEL, rerun shows the cameras, trajectories, boxes, points and masks of a
     scene.
     """
@@ -57,6 +57,8 @@ class Arguments:
     """Show every n-th frame in rerun."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
+    device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
+    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     host: str = "127.0.0.1"
     """Address of the server for MODEL; 0.0.0.0 lets other machines connect."""
     port: int = 8080
@@ -76,8 +78,11 @@ def main(argv: Sequence[str]) -> int:
         )
     of_rerun = ("save", "boxes", "points", "poses")
     named = [f"--{name}" for name in of_rerun if getattr(arguments, name) is not None]
-    if arguments.model is None and arguments.method is not None:
-        raise UsageError(arguments.method, place="--method", expected="none without MODEL: it renders a model")
+    for option in ("method", "device"):
+        if arguments.model is None and getattr(arguments, option) is not None:
+            raise UsageError(
+                getattr(arguments, option), place=f"--{option}", expected="none without MODEL: a model is rendered"
+            )
     if arguments.model is not None and named:
         raise UsageError(f"MODEL and {named[0]} exclude each other", place=named[0], expected="one of them")
     if arguments.save is not None and arguments.save.suffix != ".rrd":
@@ -131,6 +136,7 @@ def _view_dataset(dataset: Dataset, arguments: Arguments) -> int:
 
 
 def _view_model(dataset: Dataset, arguments: Arguments) -> int:
+    from mirror.devices import AUTO
     from mirror.methods.interactive import TrainedAppearance
     from mirror.methods.model import ModelFolder
     from mirror.methods.model_document import read_reconstruction, require_matching_split
@@ -151,7 +157,11 @@ def _view_model(dataset: Dataset, arguments: Arguments) -> int:
     trained = dataset.where(traversal=sorted(document.trained))
     rows = trained.table("traversals", ["traversal_id", "light", "weather"]).to_pylist()
     appearances = [TrainedAppearance(**row) for row in sorted(rows, key=lambda row: row["traversal_id"])]
-    renderer = ModelFolder.read(model, arguments.method).open_interactive(appearances)
+    opened = ModelFolder.read(model, arguments.method)
+    device = opened.choose_device(arguments.device or AUTO)
+    if not arguments.json:
+        print(device, flush=True)
+    renderer = opened.open_interactive(appearances, device=device.name)
     if arguments.measure is not None:
         return _print_times(measure_moves(renderer, path, arguments.measure), as_json=arguments.json)
     viewer = StreetViewer(renderer, path, ViewerOptions(arguments.host, arguments.port))

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from mirror.dataset import open as open_dataset
 from mirror.dataset.dataset import Dataset
+from mirror.devices import CPU, hardware_name
 from mirror.errors import DatasetError, UsageError
 from mirror.evaluation.clusters import compute_clusters
 from mirror.evaluation.extractors import DEFAULT_EXTRACTOR, make_extractor
@@ -67,6 +68,7 @@ class EvaluationOptions:
         measured: a method (an installed one, or ``FILE.py:OBJECT``) and the folder of its model, for a measurement of
             its speed; None: no measurement.
         features: folder of cached features; None: a folder under the output folder.
+        device: where networks run, as torch names it. Scores for a board are those of the CPU.
     """
 
     hidden: Path | None = None
@@ -77,6 +79,7 @@ class EvaluationOptions:
     extractor: str | None = None
     measured: tuple[str, Path] | None = None
     features: Path | None = None
+    device: str = CPU
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ def evaluate(
         features=options.features or out / WORK / "features",
         extractor=options.extractor or DEFAULT_EXTRACTOR,
         measured=options.measured,
+        device=options.device,
     )
     scorer = load_scorer(protocol.task)
     has_metrics = len(unavailable) < len(protocol.metrics) or bool(available.stand_ins) or options.measured is not None
@@ -194,13 +198,25 @@ def evaluate(
         unavailable=unavailable,
         weights=available.weights,
         versions=list_versions(),
-        options={"extractor": make_extractor(inputs.extractor).identity} if protocol.task == _EDITING else {},
-        warnings=tuple(list_warnings(plan, check.manifest, available.stand_ins)),
+        options=_list_options(inputs),
+        warnings=tuple(list_warnings(plan, check.manifest, available.stand_ins)) + _warn_of_device(options.device),
     )
     if _read_scores_hash(out / IMAGES) != outcome.hash:
         write_bytes(out / IMAGES, _encode_image_table(outcome.scored, protocol, outcome.hash))
     write_json(out / RESULT, result)
     return Evaluation(plan, check, result, inputs, outcome.scored, outcome.reused)
+
+
+def _list_options(inputs: ScoringInputs) -> dict[str, str]:
+    """List the options that the figures depend on and the protocol does not state."""
+    listed = {"extractor": make_extractor(inputs.extractor).identity} if inputs.protocol.task == _EDITING else {}
+    return listed if inputs.device == CPU else {**listed, "device": hardware_name(inputs.device)}
+
+
+def _warn_of_device(device: str) -> tuple[str, ...]:
+    if device == CPU:
+        return ()
+    return (f"networks ran on {hardware_name(device)}: scores for a board are those of the CPU",)
 
 
 @dataclass(frozen=True)

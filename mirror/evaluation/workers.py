@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from mirror.dataset.content_hashes import ContentHashes
+from mirror.devices import CPU, hardware_name
 from mirror.errors import DatasetError, MirrorError
 from mirror.evaluation.scorers import load_scorer
 from mirror.evaluation.scorers.inputs import ScoringInputs
@@ -141,7 +142,7 @@ def _common_key(inputs: ScoringInputs) -> object:
     """Hash what affects the values of all jobs, once for all jobs of this process."""
     if _COMMON not in inputs.made:
         protocol = inputs.protocol
-        parts = [
+        parts: list[object] = [
             list_versions(),
             protocol.hash,
             load_scorer(protocol.task).version,
@@ -151,6 +152,8 @@ def _common_key(inputs: ScoringInputs) -> object:
             inputs.fitted_part is not None,
             sorted((name, str(path)) for name, path in inputs.resolver.paths.items()),
         ]
+        if inputs.device != CPU:
+            parts.append(hardware_name(inputs.device))
         inputs.made[_COMMON] = hash_document(parts, HashStyle.AS_GIVEN)
     return inputs.made[_COMMON]
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from mirror.arrays import UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.model import ModelFolder
@@ -35,7 +36,7 @@ def parse_camera_policies(policies: str, cameras: Sequence[str]) -> dict[str, st
 
 
 def open_by_camera(
-    model: ModelFolder, appearance: AppearancePolicy, policies: Mapping[str, str]
+    model: ModelFolder, appearance: AppearancePolicy, policies: Mapping[str, str], *, device: str = CPU
 ) -> Callable[[RenderView], UInt8]:
     """Open a renderer that uses, for each view, the policy of its camera.
 
@@ -43,6 +44,10 @@ def open_by_camera(
         model: trained model.
         appearance: settings that all cameras share.
         policies: policy by camera.
+        device: where it computes, see `ModelFolder.choose_device`.
     """
-    renderers = {policy: model.open(replace(appearance, policy=policy)) for policy in dict.fromkeys(policies.values())}
+    renderers = {
+        policy: model.open(replace(appearance, policy=policy), device=device)
+        for policy in dict.fromkeys(policies.values())
+    }
     return lambda view: renderers[policies[view.camera]](view)

@@ -8,6 +8,7 @@ from typing import Final
 
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer
 from mirror.methods.interactive import InteractiveMethod
+from mirror.methods.method_devices import DeviceMethod
 from mirror.methods.ply_export import PlyExporter
 from mirror.plugins import PluginKind, list_parts
 
@@ -23,12 +24,18 @@ class Capabilities:
         opens_interactively: it has `open_interactive` (`mirror.methods.interactive.InteractiveMethod`): a renderer that
             mixes appearances and reuses work while the camera moves.
         exports_ply: it has `export_ply` (`mirror.methods.ply_export.PlyExporter`).
+        takes_device: it computes on any device of torch: `reconstruct` reads `ReconstructionTask.device`, and `open`
+            and `open_interactive` take the argument `device` (`mirror.methods.method_devices.DeviceMethod`). Other
+            methods compute where they choose, and `--device` refuses a GPU for them.
+        rasterizes: on a GPU it needs gsplat.
     """
 
     renders_depth: bool = False
     renders_covers: bool = False
     opens_interactively: bool = False
     exports_ply: bool = False
+    takes_device: bool = False
+    rasterizes: bool = False
 
     @property
     def names(self) -> frozenset[str]:
@@ -36,8 +43,14 @@ class Capabilities:
         return frozenset(name for name, stated in vars(self).items() if stated)
 
 
-NEEDED_OF_METHOD: Final[Mapping[str, type]] = {"opens_interactively": InteractiveMethod, "exports_ply": PlyExporter}
+NEEDED_OF_METHOD: Final[Mapping[str, type]] = {
+    "opens_interactively": InteractiveMethod,
+    "exports_ply": PlyExporter,
+}
 """What a method needs for a capability, by the capability's name."""
+
+NEEDED_IF_STATED: Final[Mapping[str, type]] = {"takes_device": DeviceMethod}
+"""The same for capabilities that functions do not show: every method has a function `open`."""
 
 NEEDED_OF_RENDERER: Final[Mapping[str, type]] = {"renders_depth": DepthRenderer, "renders_covers": CoverRenderer}
 """What the renderers of a method need for a capability, by the capability's name."""
@@ -77,7 +90,7 @@ def require_capabilities(kind: PluginKind, method: object, name: str) -> None:
             expected="a mirror.methods.Capabilities, or None", remedy=f"mend the method {name}",
         )  # fmt: skip
     if stated is not None:
-        _require_functions(kind, method, name, stated, NEEDED_OF_METHOD)
+        _require_functions(kind, method, name, stated, {**NEEDED_OF_METHOD, **NEEDED_IF_STATED})
 
 
 def require_renderer_capabilities(kind: PluginKind, method: object, renderer: object, name: str) -> None:

@@ -57,6 +57,14 @@ class InteractiveMethod(Protocol):
         ...
 
 
+class InteractiveDeviceMethod(Protocol):
+    """An `InteractiveMethod` with the capability `takes_device`."""
+
+    def open_interactive(self, model: Path, *, device: str = ...) -> InteractiveRenderer:
+        """Open a trained model to render on a device, such as ``cpu`` or ``cuda:0``."""
+        ...
+
+
 @dataclass(frozen=True)
 class PlainRenderer:
     """The renderer of a method without an interactive one: each image has one trained appearance, none is a mixture.

@@ -8,12 +8,20 @@ from pathlib import Path
 from typing import Any, cast
 
 from mirror.arrays import Float32, UInt8
+from mirror.devices import CPU, Device, choose_device
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities, find_capabilities, require_renderer_capabilities
 from mirror.methods.depth_renderers import CoverRenderer, DepthRenderer, DepthRendering
 from mirror.methods.hosting import checked_renderer
-from mirror.methods.interactive import InteractiveMethod, InteractiveRenderer, PlainRenderer, TrainedAppearance
+from mirror.methods.interactive import (
+    InteractiveDeviceMethod,
+    InteractiveMethod,
+    InteractiveRenderer,
+    PlainRenderer,
+    TrainedAppearance,
+)
+from mirror.methods.method_devices import DeviceMethod
 from mirror.methods.model_document import Reconstruction, read_reconstruction, require_finished
 from mirror.methods.plugin import InstalledMethod
 from mirror.methods.ply_export import PlyExport, PlyExporter, PlyExportOptions
@@ -106,33 +114,52 @@ class ModelFolder:
         """Return the name of the method in the model's document."""
         return self.document.method
 
-    def open(self, appearance: AppearancePolicy = AppearancePolicy()) -> ModelRenderer:  # noqa: B008 - immutable
+    def choose_device(self, requested: str) -> Device:
+        """Choose the device that renders the model; see `mirror.devices.choose_device`."""
+        stated = find_capabilities(self.method)
+        return choose_device(
+            requested, f"method {self.name}", takes_device=stated.takes_device, splats=stated.rasterizes
+        )
+
+    def open(
+        self,
+        appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008 - immutable
+        *,
+        device: str = CPU,
+    ) -> ModelRenderer:
         """Open a renderer.
 
         Args:
             appearance: appearance policy for views that were not trained on.
+            device: where it computes, as `choose_device` names it.
 
         Raises:
             DatasetError: the folder holds no complete model of the method.
             UsageError: the method does not support the policy, or does not return what its capabilities state.
         """
-        renderer = self.method.open(self.folder, appearance)
+        if device == CPU:
+            renderer = self.method.open(self.folder, appearance)
+        else:
+            renderer = cast(DeviceMethod, self.method).open(self.folder, appearance, device=device)
         require_renderer_capabilities(METHODS, self.method, renderer, self.name)
         return ModelRenderer(self.name, renderer, find_capabilities(self.method, renderer))
 
-    def open_interactive(self, appearances: Sequence[TrainedAppearance]) -> InteractiveRenderer:
+    def open_interactive(self, appearances: Sequence[TrainedAppearance], *, device: str = CPU) -> InteractiveRenderer:
         """Open the model to move through it.
 
         Args:
             appearances: the trained traversals, for a method without the capability `opens_interactively`.
+            device: where it computes, as `choose_device` names it.
 
         Raises:
             DatasetError: the folder holds no complete model of the method.
             UsageError: the method does not return what its capabilities state.
         """
         if find_capabilities(self.method).opens_interactively:
-            return cast(InteractiveMethod, self.method).open_interactive(self.folder)
-        return PlainRenderer(tuple(appearances), self.open())
+            if device == CPU:
+                return cast(InteractiveMethod, self.method).open_interactive(self.folder)
+            return cast(InteractiveDeviceMethod, self.method).open_interactive(self.folder, device=device)
+        return PlainRenderer(tuple(appearances), self.open(device=device))
 
     def export_ply(
         self, views: Sequence[RenderView], out: Path, options: PlyExportOptions, appearance: AppearancePolicy

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from mirror.arrays import UInt8
 from mirror.dataset.dataset import Dataset
+from mirror.devices import CPU
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities
 from mirror.methods.training_images import ImageKey
@@ -37,6 +38,7 @@ class ReconstructionTask:
             `mirror.methods.training_images.list_scored_training_images`.
         blocks: names of the blocks that this call trains, so that blocks can be distributed; empty: all.
         settings: settings of the method that replace its defaults, by name, as text.
+        device: where a method with the capability `takes_device` computes, as torch names it.
     """
 
     scene: str
@@ -51,6 +53,7 @@ class ReconstructionTask:
     withheld: frozenset[ImageKey] = field(default=frozenset())
     blocks: frozenset[str] = field(default=frozenset())
     settings: Mapping[str, str] = field(default_factory=dict)
+    device: str = CPU
 
 
 @dataclass(frozen=True)

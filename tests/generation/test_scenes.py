@@ -253,7 +253,7 @@ def digest(folder: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     "device",
-    ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))],
+    ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)],
 )
 def test_an_interrupted_run_continues_bit_for_bit(
     tiny_dataset: Dataset, traversal: str, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str

@@ -298,7 +298,7 @@ def test_a_checkpoint_is_restored_to_the_device_of_the_network() -> None:
             assert devices == {"step": "meta" if fused else "cpu", "exp_avg": "meta", "exp_avg_sq": "meta"}
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.cuda
 @pytest.mark.parametrize("precision", ["float32", "bf16"])
 def test_an_interrupted_training_on_a_gpu_gives_the_same_numbers(precision: Precision) -> None:
     with repeating_exactly("cuda"):

@@ -17,7 +17,7 @@ from mirror.cli.main import main
 from mirror.dataset.dataset import Dataset
 from mirror.errors import ExitCode, UsageError
 from mirror.methods import Capabilities, open_model
-from mirror.methods.capabilities import NEEDED_OF_METHOD, NEEDED_OF_RENDERER
+from mirror.methods.capabilities import NEEDED_IF_STATED, NEEDED_OF_METHOD, NEEDED_OF_RENDERER
 from mirror.methods.interactive import PlainRenderer, TrainedAppearance
 from mirror.methods.model import ModelFolder, read_models
 from mirror.methods.registry import METHODS, load_method
@@ -62,7 +62,7 @@ def test_every_installed_method_states_what_its_functions_show() -> None:
 
 def test_a_capability_has_its_function_and_its_row_in_the_documents() -> None:
     named = {field.name for field in fields(Capabilities)}
-    assert named == NEEDED_OF_METHOD.keys() | NEEDED_OF_RENDERER.keys()
+    assert named == {*NEEDED_OF_METHOD, *NEEDED_OF_RENDERER, *NEEDED_IF_STATED, "rasterizes"}
     rows = (ROOT / "docs" / "reconstruction.md").read_text().split("| capability |")[1].split("\n\n")[0]
     assert all(f"| `{name}` |" in rows for name in named)
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hybridworldsim.training.run.budget import Budget
 from hybridworldsim.training.run.curves import read_curves
+from hybridworldsim.training.run.document import Computation, begin_run, describe_computation
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import REPORTS, train
 from hybridworldsim.training.run.position import Position, Step
@@ -137,3 +138,23 @@ def test_the_folder_states_the_run_that_learned_something(tmp_path: Path) -> Non
     with pytest.raises(UsageError, match="seed 0, now 1"):
         folder.begin(other)
     assert folder.begin(Run()) == folder.outcome is not None
+
+
+def test_a_run_continues_on_its_kind_of_device_only(tmp_path: Path) -> None:
+    class Numbers(Document):
+        threads: int = 1
+        computed: Computation | None = None
+
+    on_cpu = Numbers(computed=describe_computation("cpu"))
+    gpu = Computation(device="cuda:1", precision="float32", versions={"torch": "2.13.0"})
+    begin_run(tmp_path, Numbers(), finished=False, untrained=False)
+    begin_run(tmp_path, on_cpu, finished=False, untrained=False)
+    with pytest.raises(UsageError, match=r"device cpu, now cuda.*Remedy: --device cpu, or name another folder"):
+        begin_run(tmp_path, Numbers(computed=gpu), finished=False, untrained=False)
+    begin_run(tmp_path, Numbers(computed=gpu), finished=True, untrained=False)
+    (tmp_path / "run.json").unlink()
+    begin_run(tmp_path, Numbers(computed=gpu), finished=False, untrained=False)
+    other = gpu.model_copy(update={"device": "cuda:0", "versions": {"torch": "2.14.0"}})
+    begin_run(tmp_path, Numbers(computed=other), finished=False, untrained=False)
+    with pytest.raises(UsageError, match=r"device cuda, now cpu.*--threads 1 --device cuda"):
+        begin_run(tmp_path, on_cpu.model_copy(update={"threads": 2}), finished=False, untrained=False)

@@ -68,6 +68,7 @@ def layers_for(dataset: Dataset, task: ReconstructionTask, progress: ProgressRep
         width_px=task.protocol.pixels.max_width_px,
         version=_version(dataset, task),
         withheld=task.withheld,
+        device=task.device,
         progress=progress,
     )
     reopened = replace(mirror.open(dataset.root), layers=replace(dataset.layers, depth=None, points=None))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hybridworldsim.methods.estimates import TableSizes, describe_costs
 from hybridworldsim.methods.overrides import override_settings, settings_document
 from hybridworldsim.methods.renderers import BlockRenderer, one_point, open_block, render_nearest, training_sources
 from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScene, prepare_scene, source_pairs
@@ -25,7 +26,7 @@ from hybridworldsim.training.data_loader import NoSupervisionError, TrainingImag
 from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
-from hybridworldsim.training.run.document import RUN
+from hybridworldsim.training.run.document import RUN, describe_computation
 from hybridworldsim.training.run.folder import RunFolder
 from mirror.dataset.dataset import Dataset
 from mirror.errors import DatasetError
@@ -53,6 +54,8 @@ class StaticMethod:
         make_empty: makes a model without Gaussians of training sources and settings, whose parameters are then replaced
             by those of a trained block; None: `make` makes one from the geometry of one point.
         capabilities: see `Method`; None: the functions of the models that `make` makes show them.
+        sizes: returns the largest sizes of the tables from settings, for the estimate that is printed before a training
+            starts; None: none is printed.
     """
 
     name: str
@@ -62,6 +65,7 @@ class StaticMethod:
     sky: bool = False
     make_empty: Callable[[Sequence[Source], Any], RenderableModel] | None = None
     capabilities: Capabilities | None = None
+    sizes: Callable[[Any], TableSizes] | None = None
 
     def reconstruct(
         self, dataset: Dataset, task: ReconstructionTask, out: Path, reporter: ProgressReporter
@@ -73,13 +77,15 @@ class StaticMethod:
             DatasetError: there is nothing to train on, or training failed.
         """
         # Refuse invalid settings before minutes are spent on layers.
-        self._settings(task)
+        settings = self._settings(task)
         document = describe_task(self._label(out), dataset, task)
         require_own(out, document)
         if task.threads is not None:
             torch.set_num_threads(task.threads)
         for run in sorted(out.glob(f"*/{RUN}")):
             RunFolder(run.parent, TrainingOutcome).require_same(Run, self._stated(task))
+        if self.sizes is not None:
+            reporter.message(describe_costs(self.sizes(settings), task))
         scene = prepare_scene(dataset, task, self.block_m, reporter)
         if not (out / DOCUMENT).exists():
             write_json(out / DOCUMENT, document)
@@ -207,6 +213,7 @@ class StaticMethod:
             "width_px": task.protocol.pixels.max_width_px,
             "half": task.half,
             "withheld": ["/".join(map(str, image)) for image in sorted(task.withheld)],
+            "computed": describe_computation(task.device, splats=True).model_dump(mode="json"),
         }
 
     def _run(self, training: BlockTraining, task: ReconstructionTask) -> Run:

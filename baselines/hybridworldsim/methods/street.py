@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.methods.appearance_fitting import fit_appearances
+from hybridworldsim.methods.estimates import TableSizes
 from hybridworldsim.methods.interactive import InteractiveStreet
 from hybridworldsim.methods.static import StaticMethod, block_folders
 from hybridworldsim.model.appearance import AppearanceLatents
@@ -170,11 +171,24 @@ def _open(folder: Path) -> OpenStreetBlock:
     return OpenStreetBlock(read_run(folder), block, street)
 
 
-METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed))
+def table_sizes(settings: Settings) -> TableSizes:
+    """Return the largest sizes of a street's tables."""
+    refinement, k = settings.refinement, settings.offsets
+    plain = refinement.most_ground + refinement.most_sky
+    return TableSizes(
+        refinement.max_anchors * (9 + 3 * k + settings.code) + plain * (11 + settings.plain_code),
+        refinement.max_anchors * k + plain,
+    )
+
+
+METHOD: Final = StreetMethod(NAME, make, lambda seed: Settings(seed=seed), sizes=table_sizes)
 """The paper's three losses only; the depth error is a share of the depth."""
 
 STRUCTURE: Final = StreetMethod(
-    f"{NAME}_structure", make, lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed)
+    f"{NAME}_structure",
+    make,
+    lambda seed: Settings(structure_weight=STRUCTURE_WEIGHT, seed=seed),
+    sizes=table_sizes,
 )
 """The paper's losses and a structure loss."""
 

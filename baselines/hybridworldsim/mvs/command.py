@@ -9,9 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from hybridworldsim.mvs.methods import Method
+from hybridworldsim.mvs.methods import LEARNED, Method
 from hybridworldsim.mvs.options import InitialisationOptions
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import choose_device
 from mirror.errors import ExitCode
 
 _EXAMPLES = (
@@ -32,6 +33,8 @@ class Arguments:
     """Estimator of depth. sparse writes no depth, only points that are matched and triangulated."""
     weights: Annotated[Path | None, help_text(default="none", metavar="FILE")] = None
     """Weights of a learned method."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where a learned method computes. auto: a GPU that torch can use, else the CPU. The first line says which."""
     version: Annotated[str | None, help_text(default="the name of the split")] = None
     """Version of the layers."""
     options: tyro.conf.OmitArgPrefixes[InitialisationOptions] = field(default_factory=InitialisationOptions)
@@ -45,6 +48,8 @@ def main(argv: Sequence[str]) -> int:
     from mirror.dataset.writing import open_to_write
     from mirror.progress import progress_bar
 
+    device = choose_device(arguments.device, f"method {arguments.method}", takes_device=arguments.method in LEARNED)
+    print(device, flush=True)
     with progress_bar(quiet=False) as bar:
         report = initialise(
             open_to_write(arguments.dataset),
@@ -53,6 +58,7 @@ def main(argv: Sequence[str]) -> int:
             weights=arguments.weights,
             version=arguments.version,
             options=arguments.options,
+            device=device.name,
             progress=bar,
         )
     points = ", ".join(f"{count} {kind}" for kind, count in report.points.items())

@@ -17,6 +17,7 @@ from mirror.dataset.dataset import Dataset
 from mirror.dataset.layer_writer import require_layer_name
 from mirror.dataset.unfinished_work import remove_work
 from mirror.dataset.writing import writing_layers
+from mirror.devices import CPU
 from mirror.methods.training_images import ImageKey
 from mirror.progress import NullProgress, ProgressReporter
 from mirror.schema.hashing import hash_document
@@ -56,6 +57,7 @@ def initialise(
     version: str | None = None,
     options: InitialisationOptions | None = None,
     withheld: Set[ImageKey] = frozenset(),
+    device: str = CPU,
     progress: ProgressReporter | None = None,
 ) -> InitialisationReport:
     """Write layers of depth, points and sky masks for the training traversals of a split.
@@ -75,6 +77,7 @@ def initialise(
         version: version of the layers; None: the name of the split.
         options: the options; None: the defaults.
         withheld: images of training traversals that are not opened; their vehicle's poses still enter the ground.
+        device: where a learned method computes, as torch names it.
         progress: receives the phases and their progress.
 
     Raises:
@@ -89,7 +92,7 @@ def initialise(
     if method == SPARSE and estimator is None:
         kinds: tuple[str, ...] = ("points",)
     else:
-        estimator = estimator or make_estimator(method, weights)
+        estimator = estimator or make_estimator(method, weights, device)
         kinds = ("depth", "masks", "points") if chosen.sky else ("depth", "points")
     reporter = progress or NullProgress()
     input_hashes = _hash_inputs(view, chosen, estimator, withheld)

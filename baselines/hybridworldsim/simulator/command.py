@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import CPU
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class Arguments:
     """What renders the images: wireframes, the synthetic street, a trained model."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
+    device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
+    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     boxes: Annotated[str | None, help_text(default="the only layer of boxes", metavar="SOURCE@VERSION")] = None
@@ -105,7 +108,7 @@ def main(argv: Sequence[str]) -> int:
 
 def _request(arguments: Arguments) -> RolloutRequest:
     from hybridworldsim.simulator.renderers.protocol import rig_cameras
-    from hybridworldsim.simulator.renderers.registry import RendererFactory
+    from hybridworldsim.simulator.renderers.registry import RendererFactory, choose_renderer_device
     from hybridworldsim.simulator.rollout.actions import ACTIONS_FILE, Repeat, read_actions
     from hybridworldsim.simulator.rollout.run import RolloutRequest
     from hybridworldsim.simulator.rollout.same_street import require_same_street
@@ -127,7 +130,10 @@ def _request(arguments: Arguments) -> RolloutRequest:
             "no model here", file=arguments.model, place="MODEL", expected="a folder that `mirror reconstruct` wrote"
         )
     name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
-    factory = RendererFactory(name, arguments.model, arguments.method)
+    device = choose_renderer_device(arguments.device, arguments.model, arguments.method)
+    if device is not None and not arguments.json:
+        print(device, flush=True)
+    factory = RendererFactory(name, arguments.model, arguments.method, device=CPU if device is None else device.name)
     seed, policy_name = arguments.seed, arguments.policy
     if arguments.replay is not None:
         if arguments.scenario is not None or policy_name is not None or seed is not None:

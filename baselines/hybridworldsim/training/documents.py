@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from hybridworldsim.training.run.document import RUN
+from hybridworldsim.training.run.document import RUN, Computation
 from mirror.schema.documents import Document
 from mirror.schema.files import read_json
 
@@ -63,6 +63,8 @@ class Run(Document):
         pictures: number of training images.
         withheld: ``traversal/camera/timestamp_ns`` of images of training traversals that are not read.
         sources: trained traversals and cameras.
+        computed: what it computes with; None in runs of version 0.1.0, which computed on the CPU. Versions may change
+            when a run is continued, the kind of device may not.
     """
 
     format: Literal["mirror-run"] = "mirror-run"
@@ -91,6 +93,7 @@ class Run(Document):
     pictures: int
     withheld: tuple[str, ...] = ()
     sources: tuple[TrainedCamera, ...]
+    computed: Computation | None = None
 
 
 class TrainingOutcome(Document):

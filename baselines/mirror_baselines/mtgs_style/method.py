@@ -9,6 +9,7 @@ from hybridworldsim.methods.static import StaticMethod
 from mirror_baselines.mtgs_style.settings import TUNED
 from mirror_baselines.mtgs_style.trainer import make, make_empty
 from mirror_baselines.splatting.renderer import SplattingRenderer
+from mirror_baselines.splatting.settings import table_sizes
 
 METHOD: Final = StaticMethod(
     "mtgs_style",
@@ -16,4 +17,5 @@ METHOD: Final = StaticMethod(
     lambda seed: replace(TUNED, seed=seed),
     make_empty=make_empty,
     capabilities=SplattingRenderer.CAPABILITIES,
+    sizes=table_sizes,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from hybridworldsim.methods.estimates import TableSizes
 from hybridworldsim.model.settings import Rate, require, require_above
 from mirror.errors import UsageError
 
@@ -157,3 +158,12 @@ class Splatting:
 
     def __post_init__(self) -> None:
         require_above(self, "", ("sh_step", "near_m"))
+
+
+def table_sizes(settings: Splatting) -> TableSizes:
+    """Return the largest sizes of the tables of explicit Gaussians with shared harmonics.
+
+    Tables that a method has for each traversal come on top.
+    """
+    most = max(settings.densification.most, settings.seeding.most)
+    return TableSizes(most * (11 + 3 * (settings.sh_degree + 1) ** 2), most)

@@ -103,7 +103,8 @@ class RoadModel:
         options = self.road.reconstruction
         _run("reconstruct", str(self.folder / "dataset"), "--split", SPLIT, "--out", str(self.model),
              "--method", options["method"], "--minutes", str(options["minutes"]), "--width", str(options["width"]),
-             "--initialise", options["initialise"], "--seed", str(options["seed"]), "--threads", "1")  # fmt: skip
+             "--initialise", options["initialise"], "--seed", str(options["seed"]), "--threads", "1",
+             "--device", "cpu")  # fmt: skip
         costs = read_reconstruction(self.model).done
         folders = [RunFolder(path, TrainingOutcome) for path in sorted(self.model.glob("block_*"))]
         blocks = [outcome for folder in folders if (outcome := folder.outcome)]

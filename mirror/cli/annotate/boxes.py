@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
-from mirror.devices import resolve_device
+from mirror.devices import choose_device
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ class Arguments:
     """Annotate this scene only."""
     skip_failed: bool = False
     """Write the layer of a traversal although frames failed; they have no boxes then."""
-    device: str = "cpu"
-    """Device of networks: cpu or cuda."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where networks run. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 
@@ -59,11 +59,13 @@ def run(argv: Sequence[str]) -> int:
     """Find the road users in all frames of a dataset."""
     arguments = parse_arguments(Arguments, argv, "mirror annotate", examples=_EXAMPLES)
 
-    from mirror.annotation.protocol import TrainableAnnotator
+    from mirror.annotation.protocol import TrainableAnnotator, takes_device
     from mirror.annotation.registry import installed_annotator, open_annotator
 
-    device = resolve_device(arguments.device).name
     installed = installed_annotator(arguments.annotator)
+    device = choose_device(arguments.device, f"annotator {arguments.annotator}", takes_device=takes_device(installed))
+    if not arguments.json:
+        print(device, flush=True)
 
     from mirror.annotation.run import annotate
     from mirror.dataset.writing import open_to_write
@@ -73,7 +75,7 @@ def run(argv: Sequence[str]) -> int:
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
     settings = parse_settings(arguments.set)
-    annotator = open_annotator(arguments.annotator, installed, dataset, settings, device)
+    annotator = open_annotator(arguments.annotator, installed, dataset, settings, device.name)
     try:
         with progress_bar(quiet=arguments.json) as bar:
             report = annotate(

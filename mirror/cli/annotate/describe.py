@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import tyro
 
 from mirror.command_line import help_text, parse_arguments, parse_settings
-from mirror.devices import resolve_device
+from mirror.devices import choose_device
 from mirror.errors import ExitCode
 
 _EXAMPLES: Final = (
@@ -38,8 +38,8 @@ class DescribeArguments:
     """A setting of the describer, such as command='python caption.py'."""
     scene: Annotated[str | None, help_text(default="all", metavar="ID")] = None
     """Describe this scene only."""
-    device: str = "cpu"
-    """Device of networks: cpu or cuda."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where networks run. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 
@@ -49,15 +49,18 @@ def run(argv: Sequence[str]) -> int:
     arguments = parse_arguments(DescribeArguments, argv, "mirror annotate describe", examples=_EXAMPLES)
 
     from mirror.annotation.descriptions import describe_frames, installed_describer
+    from mirror.annotation.protocol import takes_device
     from mirror.dataset import open as open_dataset
     from mirror.progress import progress_bar
 
-    device = resolve_device(arguments.device).name
     installed = installed_describer(arguments.describer)
+    device = choose_device(arguments.device, f"describer {arguments.describer}", takes_device=takes_device(installed))
+    if not arguments.json:
+        print(device, flush=True)
     dataset = open_dataset(arguments.dataset)
     if arguments.scene is not None:
         dataset = dataset.where(scene=arguments.scene)
-    describer = installed.open(dataset, parse_settings(arguments.set), device)
+    describer = installed.open(dataset, parse_settings(arguments.set), device.name)
     try:
         with progress_bar(quiet=arguments.json) as bar:
             report = describe_frames(dataset, describer, arguments.out, bar)

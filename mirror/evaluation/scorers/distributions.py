@@ -178,11 +178,13 @@ def load_network(metric: Metric, inputs: ScoringInputs) -> Extractor:
     if isinstance(metric, FidMetric | KidMetric):
         from mirror.metrics.features.fid import load_inception
 
-        return load_inception(metric.mode, inputs.resolver)
+        return load_inception(metric.mode, inputs.resolver, inputs.device)
     if isinstance(metric, FvdMetric):
         from mirror.metrics.features.fvd import load_i3d
 
-        return load_i3d("direct224" if metric.crop == "squeeze" else "centre-crop", inputs.resolver)
+        return load_i3d(
+            "direct224" if metric.crop == "squeeze" else "centre-crop", inputs.resolver, device=inputs.device
+        )
     raise TypeError(f"{metric.metric} is not a metric of sets")
 
 

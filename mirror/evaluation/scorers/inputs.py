@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mirror.arrays import Bool, UInt8
 from mirror.dataset.dataset import Dataset
+from mirror.devices import CPU
 from mirror.evaluation.submission.check import MAX_TABLE_BYTES
 from mirror.evaluation.submission.manifest import SubmissionManifest
 from mirror.evaluation.submission.untrusted import UntrustedError, UntrustedFiles, open_untrusted
@@ -39,6 +40,7 @@ class ScoringInputs:
         features: folder of cached features.
         extractor: extractor of edited regions, with its argument.
         measured: a method (name or ``FILE.py:OBJECT``) and the folder of its model, to measure its speed; None: not.
+        device: where networks run, as torch names it.
         made: objects made in this process by name, such as networks; they are not pickled.
     """
 
@@ -55,6 +57,7 @@ class ScoringInputs:
     features: Path
     extractor: str = "diff-grabcut"
     measured: tuple[str, Path] | None = None
+    device: str = CPU
     made: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, object]:

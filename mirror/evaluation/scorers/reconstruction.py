@@ -155,9 +155,9 @@ def _load_network(metric: LpipsMetric, inputs: ScoringInputs) -> PerceptualDista
         raise TypeError(f"{metric_name(metric)} is unavailable")
     if name not in inputs.made:
         if name == metric_name(metric) or metric.net == "squeeze":
-            inputs.made[name] = load_lpips(metric.net, inputs.resolver)
+            inputs.made[name] = load_lpips(metric.net, inputs.resolver, inputs.device)
         else:
-            inputs.made[name] = load_st_lpips(metric.net, inputs.resolver)
+            inputs.made[name] = load_st_lpips(metric.net, inputs.resolver, inputs.device)
     network: PerceptualDistance = inputs.made[name]  # type: ignore[assignment]
     return network
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mirror.dataset.dataset import Dataset
+from mirror.devices import CPU, hardware_name
 from mirror.errors import UsageError
 from mirror.evaluation.submission.manifest import LEAST_COSTS, Appearance, Runtime, SubmittedMethod
 from mirror.evaluation.submission.writing import Render, write_submission
@@ -35,6 +35,7 @@ class ModelSubmission:
         placed: these views with the lenses and mountings that are rendered, by path.
         layers: the layer of calibrations that placed them, by scene.
         appearance: appearance policy for views that were not trained on.
+        device: where the models render, see `ModelFolder.choose_device`.
     """
 
     dataset: Dataset
@@ -43,6 +44,7 @@ class ModelSubmission:
     placed: Mapping[str, RenderView]
     layers: Mapping[str, str]
     appearance: AppearancePolicy
+    device: str = CPU
 
     @property
     def method(self) -> str:
@@ -71,14 +73,14 @@ class ModelSubmission:
         )
         return write_submission(
             self.dataset, self.plan, self._render, about, describe_appearance(self.appearance), out, progress,
-            sum_costs(documents), of=hash_models(self.models.values()),
+            sum_costs(documents, self.device), of=hash_models(self.models.values()),
         )  # fmt: skip
 
     def _render(self, _: Dataset, requested: Plan) -> Iterator[Render]:
         for scene, model in self.models.items():
             missing = [view for view in requested.views if view.scene_id == scene]
             if missing:
-                render = model.open(self.appearance)
+                render = model.open(self.appearance, device=self.device)
                 yield from (([view], render(self.placed[view.path])) for view in missing)
 
 
@@ -90,6 +92,7 @@ def plan_model_submission(
     *,
     policy: str = "nearest",
     calibrations: str | None = None,
+    device: str = CPU,
 ) -> ModelSubmission:
     """Plan the submission of trained models; nothing is rendered.
 
@@ -100,6 +103,7 @@ def plan_model_submission(
         split: name of the split.
         policy: appearance of views that were not trained on; see `AppearancePolicy`.
         calibrations: layer of calibrations that places the cameras; None: that of each model's training.
+        device: where the models render, see `ModelFolder.choose_device`.
 
     Raises:
         UsageError: a model does not fit the split or was trained on images that the protocol scores, a scene of the
@@ -131,7 +135,7 @@ def plan_model_submission(
     }
     views = tuple(placed[view.path] for view in plan.views)
     appearance = AppearancePolicy(policy, views, truth=(dataset, replace(plan, views=views)))
-    return ModelSubmission(dataset, models, plan, placed, layers, appearance)
+    return ModelSubmission(dataset, models, plan, placed, layers, appearance, device)
 
 
 def hash_models(models: Iterable[ModelFolder]) -> str:
@@ -160,9 +164,9 @@ def describe_training(documents: Iterable[Reconstruction], rendered: Mapping[str
     return text
 
 
-def sum_costs(documents: Iterable[Reconstruction]) -> Runtime:
+def sum_costs(documents: Iterable[Reconstruction], rendered_on: str = CPU) -> Runtime:
     """Sum the costs of models for a manifest; those of a model without costs are not known, and then none is stated."""
-    device = f"{platform.machine()} CPU"
+    device = hardware_name(rendered_on)
     costs = [document.done for document in documents]
     known = [cost for cost in costs if cost is not None]
     if len(known) < len(costs):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mirror.arrays import Float32, UInt8
+from mirror.devices import CPU, hardware_name
 from mirror.errors import UsageError
 from mirror.metrics.features.cache import FeatureCache, feature_key
 from mirror.metrics.inputs import Pixels, as_array
@@ -79,6 +80,11 @@ def extract(extractor: Extractor, items: Iterable[Pixels], cache: FeatureCache |
     if not features:
         raise UsageError("there are no images to take features of")
     return np.stack([feature for feature in features if feature is not None])
+
+
+def identity_of_device(device: str) -> str:
+    """Return what a device adds to an extractor's identity: nothing for the CPU, whose features are the reference."""
+    return "" if device == CPU else f" on {hardware_name(device)}"
 
 
 def to_bytes(pixels: Pixels) -> UInt8:

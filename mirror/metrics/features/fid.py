@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mirror.arrays import AnyArray, Float32, UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.features.cache import FeatureCache
-from mirror.metrics.features.extractor import checked_name, extract
+from mirror.metrics.features.extractor import checked_name, extract, identity_of_device
 from mirror.metrics.features.frechet import FrechetDistance, frechet_distance
 from mirror.metrics.features.kid import KernelDistance, kid
 from mirror.metrics.inputs import Layout, Pixels, images_of
@@ -63,6 +64,7 @@ class InceptionFeatures:
         name: what figures are called; ``fid`` only with the published weights.
         weights: the file that the network came from.
         batch: images at once.
+        device: where the network runs, as torch names it; part of the identity, because its sums differ.
 
     Raises:
         UsageError: a published name with other weights, or no such mode.
@@ -76,6 +78,7 @@ class InceptionFeatures:
         name: str,
         weights: Sequence[ResolvedWeights] = (),
         batch: int = 8,
+        device: str = CPU,
     ) -> None:
         if mode not in ("clean", "tf1"):
             raise UsageError(f"mode is {mode!r}", expected="'clean' or 'tf1'")
@@ -83,9 +86,9 @@ class InceptionFeatures:
         self.name = checked_name(name, ("fid", "kid"), pinned=pinned)
         self.mode: FidResize = mode
         self.weights = {file.name: file.sha256 for file in weights}
-        self.identity = f"{name} {mode} {sorted(self.weights.items())}"
+        self.identity = f"{name} {mode} {sorted(self.weights.items())}{identity_of_device(device)}"
         self.batch, self.computed = batch, 0
-        self._network = network.fold()
+        self._network, self._device = network.fold().to(device), device
 
     def prepare(self, pixels: UInt8) -> Tensor:
         """Convert one image (h, w, 3) to the network's input (3, 299, 299): (grey - 128) / 128.
@@ -108,12 +111,16 @@ class InceptionFeatures:
         import torch
 
         with torch.inference_mode():
-            features: Float32 = self._network(prepared.contiguous(memory_format=torch.channels_last)).numpy()
+            features: Float32 = (
+                self._network(prepared.to(self._device).contiguous(memory_format=torch.channels_last)).cpu().numpy()
+            )
         return features
 
 
-def load_inception(mode: FidResize = "clean", resolver: WeightResolver | None = None) -> InceptionFeatures:
-    """Return the network behind FID, with its published weights.
+def load_inception(
+    mode: FidResize = "clean", resolver: WeightResolver | None = None, device: str = CPU
+) -> InceptionFeatures:
+    """Return the network behind FID, with its published weights, on a device.
 
     Raises:
         WeightsUnavailableError: the file is not there or is another one.
@@ -124,7 +131,7 @@ def load_inception(mode: FidResize = "clean", resolver: WeightResolver | None = 
     file = (resolver or WeightResolver()).resolve("inception-fid")
     network = FidInception()
     load_strictly(network, load_state_dict(file.path))
-    return InceptionFeatures(network, mode, name="fid", weights=[file])
+    return InceptionFeatures(network, mode, name="fid", weights=[file], device=device)
 
 
 def fid(

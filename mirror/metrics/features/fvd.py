@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mirror.arrays import AnyArray, Float32, UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.features.cache import FeatureCache
-from mirror.metrics.features.extractor import checked_name, extract
+from mirror.metrics.features.extractor import checked_name, extract, identity_of_device
 from mirror.metrics.features.frechet import FrechetDistance, frechet_distance
 from mirror.metrics.inputs import Pixels, as_array, channels_last
 from mirror.weights.errors import WeightsUnavailableError
@@ -64,6 +65,7 @@ class VideoFeatures:
         name: what figures are called; ``fvd`` only with published weights of a known hash.
         weights: the file that the network came from.
         batch: clips at once.
+        device: where the network is, as torch names it; part of the identity, because its sums differ.
 
     Attributes:
         frames: of every clip so far; all must have as many. None before the first.
@@ -80,6 +82,7 @@ class VideoFeatures:
         name: str,
         weights: Sequence[ResolvedWeights] = (),
         batch: int = 1,
+        device: str = CPU,
     ) -> None:
         if crop not in ("direct224", "centre-crop"):
             raise UsageError(f"crop is {crop!r}", expected="'direct224' or 'centre-crop'")
@@ -88,10 +91,10 @@ class VideoFeatures:
         self.name = checked_name(name, () if name == UNPINNED else ("fvd",), pinned=pinned)
         self.crop: VideoCrop = crop
         self.weights = {file.name: file.sha256 for file in weights}
-        self.identity = f"{name} {crop} {sorted(self.weights.items())}"
+        self.identity = f"{name} {crop} {sorted(self.weights.items())}{identity_of_device(device)}"
         self.batch, self.computed = batch, 0
         self.frames: int | None = None
-        self._network = network
+        self._network, self._device = network, device
 
     def prepare(self, pixels: UInt8) -> Tensor:
         """Convert one clip (t, h, w, 3) to the network's input (3, t, 224, 224), -1 to 1.
@@ -132,7 +135,7 @@ class VideoFeatures:
         import torch
 
         with torch.inference_mode():
-            features: Float32 = self._network(prepared).numpy()
+            features: Float32 = self._network(prepared.to(self._device)).cpu().numpy()
         return features
 
 
@@ -140,7 +143,10 @@ UNPINNED = "fvd-unpinned"
 
 
 def load_i3d(
-    crop: VideoCrop = "direct224", resolver: WeightResolver | None = None, file: I3dFile = "i3d-torchscript"
+    crop: VideoCrop = "direct224",
+    resolver: WeightResolver | None = None,
+    file: I3dFile = "i3d-torchscript",
+    device: str = CPU,
 ) -> VideoFeatures:
     """Return the network behind FVD.
 
@@ -149,22 +155,23 @@ def load_i3d(
         resolver: where to look for weights.
         file: ``i3d-torchscript``, whose hash is known; or ``i3d-state-dict``, for which none is published: its figures
             are called ``fvd-unpinned``.
+        device: where it runs, as torch names it.
 
     Raises:
         WeightsUnavailableError: the file is not there or is another one.
     """
     found = (resolver or WeightResolver()).resolve(file)
     if file == "i3d-torchscript":
-        return VideoFeatures(_scripted(found.path), crop, name="fvd", weights=[found])
+        return VideoFeatures(_scripted(found.path, device), crop, name="fvd", weights=[found], device=device)
     from mirror.metrics.networks.i3d import InflatedInception
     from mirror.metrics.networks.state import load_strictly
 
     network = InflatedInception()
     load_strictly(network, load_state_dict(found.path))
-    return VideoFeatures(network, crop, name=UNPINNED, weights=[found])
+    return VideoFeatures(network.to(device), crop, name=UNPINNED, weights=[found], device=device)
 
 
-def _scripted(path: Path) -> Callable[[Tensor], Tensor]:
+def _scripted(path: Path, device: str) -> Callable[[Tensor], Tensor]:
     """The published script, after its hash was verified; resizing and scaling are done here, by name."""
     import warnings
 
@@ -173,7 +180,7 @@ def _scripted(path: Path) -> Callable[[Tensor], Tensor]:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", category=DeprecationWarning, module="torch")
-            network = torch.jit.load(str(path), map_location="cpu").eval()
+            network = torch.jit.load(str(path), map_location=device).eval()
     except RuntimeError as error:
         raise WeightsUnavailableError(
             f"not a TorchScript file: {error}".splitlines()[0],

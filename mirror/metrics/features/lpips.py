@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels, as_images, as_masks, of_layout
 from mirror.metrics.score import Score
@@ -23,12 +24,13 @@ LpipsNet = Literal["alex", "vgg", "squeeze"]
 TRUNK_WEIGHTS: Mapping[LpipsNet, str] = {"alex": "alexnet", "vgg": "vgg16", "squeeze": "squeezenet1_1"}
 
 
-def load_lpips(net: LpipsNet = "alex", resolver: WeightResolver | None = None) -> PerceptualDistance:
+def load_lpips(net: LpipsNet = "alex", resolver: WeightResolver | None = None, device: str = CPU) -> PerceptualDistance:
     """Return the network behind LPIPS, from torchvision's trunk and the published heads.
 
     Args:
         net: ``alex`` as DriveStudio, MTGS and most of the field report; ``vgg`` as 3DGS does; ``squeeze``.
         resolver: where to look for weights.
+        device: where it runs, as torch names it.
 
     Raises:
         WeightsUnavailableError: a file is not there or is another one.
@@ -41,7 +43,7 @@ def load_lpips(net: LpipsNet = "alex", resolver: WeightResolver | None = None) -
     files = (resolver.resolve(TRUNK_WEIGHTS[net]), resolver.resolve(f"lpips-heads-{net}"))
     trunk_state, head_state = (load_state_dict(file.path) for file in files)
     heads = lpips_heads(head_state, len(trunk.channels))
-    return PerceptualDistance(f"lpips-{net}", filled(trunk, trunk_state, unused=("classifier.",)), heads, files)
+    return PerceptualDistance(f"lpips-{net}", filled(trunk, trunk_state, unused=("classifier.",)), heads, files, device)
 
 
 @overload

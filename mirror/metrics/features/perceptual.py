@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mirror.arrays import AnyArray, Bool, Float32
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.inputs import ImageLayout, Pixels, as_array, as_image
 from mirror.metrics.networks.state import load_strictly
@@ -39,6 +40,7 @@ class PerceptualDistance:
         trunk: filled.
         heads: for every tap the weights of its channels, (channels,).
         weights: the files that trunk and heads came from.
+        device: where the network runs, as torch names it.
 
     Attributes:
         name: as given.
@@ -52,7 +54,12 @@ class PerceptualDistance:
     """
 
     def __init__(
-        self, name: str, trunk: Trunk, heads: Sequence[Tensor], weights: Sequence[ResolvedWeights] = ()
+        self,
+        name: str,
+        trunk: Trunk,
+        heads: Sequence[Tensor],
+        weights: Sequence[ResolvedWeights] = (),
+        device: str = CPU,
     ) -> None:
         if name.startswith(_RESERVED) and not (weights and all(file.pinned for file in weights)):
             raise UsageError(
@@ -63,8 +70,9 @@ class PerceptualDistance:
         self.name = name
         self.weights: Mapping[str, str] = {file.name: file.sha256 for file in weights}
         self.compared = self.skipped = self.clamped = 0
-        self._trunk = trunk.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._heads = [head.detach().reshape(1, -1, 1, 1).clone() for head in heads]
+        self._device = device
+        self._trunk = trunk.to(memory_format=torch.channels_last).to(device)  # type: ignore[call-overload]
+        self._heads = [head.detach().reshape(1, -1, 1, 1).clone().to(device) for head in heads]
 
     def __call__(
         self,
@@ -142,8 +150,10 @@ class PerceptualDistance:
             images = images * mask[:, :, None].astype(np.float32)
             mask = None
         with torch.inference_mode():
-            batch = torch.from_numpy(images).permute(0, 3, 1, 2)
-            shift, scale = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
+            batch = torch.from_numpy(images).to(self._device).permute(0, 3, 1, 2)
+            shift, scale = (
+                torch.tensor(values, device=self._device).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE)
+            )
             batch = (2.0 * batch - 1.0 - shift) / scale
             maps = self._maps(batch)
             if mask is None:
@@ -153,7 +163,7 @@ class PerceptualDistance:
                 functional.interpolate(map_[:, None], (height, width), mode="bilinear", align_corners=False)
                 for map_ in maps
             )
-            chosen = wide[:, 0, torch.from_numpy(mask)]  # type: ignore[index]
+            chosen = wide[:, 0, torch.from_numpy(mask).to(self._device)]  # type: ignore[index]
             return chosen.double().mean(dim=1).tolist()
 
     def _maps(self, batch: Tensor) -> list[Tensor]:

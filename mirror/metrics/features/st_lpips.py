@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal, overload
 
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.features.lpips import lpips_heads, pair_distances
 from mirror.metrics.inputs import BatchLayout, ImageLayout, Layout, Pixels
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 StLpipsNet = Literal["alex", "vgg"]
 
 
-def load_st_lpips(net: StLpipsNet = "alex", resolver: WeightResolver | None = None) -> PerceptualDistance:
+def load_st_lpips(
+    net: StLpipsNet = "alex", resolver: WeightResolver | None = None, device: str = CPU
+) -> PerceptualDistance:
     """Return the network behind ST-LPIPS, from the weights in the ``stlpips-pytorch`` package; none of its code is run.
 
     Raises:
@@ -33,7 +36,9 @@ def load_st_lpips(net: StLpipsNet = "alex", resolver: WeightResolver | None = No
     trunk = st_lpips_trunk(net)
     file = (resolver or WeightResolver()).resolve(f"st-lpips-{net}")
     layers, heads = split_state(load_state_dict(file.path))
-    return PerceptualDistance(f"st_lpips-{net}", filled(trunk, layers), lpips_heads(heads, len(trunk.channels)), [file])
+    return PerceptualDistance(
+        f"st_lpips-{net}", filled(trunk, layers), lpips_heads(heads, len(trunk.channels)), [file], device
+    )
 
 
 @overload

@@ -12,6 +12,7 @@ import tyro
 
 from hybridworldsim.generation.commands.model_paths import describe_training, find_model_files
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode
 
 _EXAMPLES = (
@@ -60,8 +61,8 @@ class Distil:
     """Seed of all random choices."""
     threads: int = 1
     """Number of threads."""
-    device: str = "cpu"
-    """Where the student is trained: cpu, cuda, cuda:1."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where the student is trained. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 
@@ -77,6 +78,9 @@ def run_distil(argv: Sequence[str]) -> int:
     from mirror.progress import progress_bar
 
     generator, autoencoder = find_model_files(arguments.generator, arguments.autoencoder)
+    device = resolve_device(arguments.device)
+    if not arguments.json and leads_process():
+        print(device, flush=True)
     options = DistillationOptions(
         steps=arguments.steps,
         distillation=DistillationSettings(arguments.segments, arguments.teacher_steps),
@@ -91,7 +95,7 @@ def run_distil(argv: Sequence[str]) -> int:
         captions=arguments.captions,
         seed=arguments.seed,
         threads=arguments.threads,
-        device=arguments.device,
+        device=device.name,
     )
     with progress_bar(quiet=arguments.json or not leads_process()) as bar:
         model, outcome = distil_on_clips(arguments.clips, generator, autoencoder, arguments.out, options, bar)

@@ -12,6 +12,7 @@ import tyro
 
 from hybridworldsim.generation.commands.model_paths import find_model_files
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -97,8 +98,9 @@ class SceneArguments:
     """Seed of the noise."""
     threads: int = 1
     """Number of threads. Results repeat bit for bit at the same number."""
-    device: str = "cpu"
-    """Where the generator runs: cpu, cuda, cuda:1. Backgrounds are rendered on the processor."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where the generator runs. auto: a GPU that torch can use, else the CPU. The first line says which. Backgrounds
+    are rendered on the CPU."""
     json: bool = False
     """Print JSON."""
 
@@ -118,6 +120,10 @@ def run_scene(argv: Sequence[str]) -> int:
     from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
     from mirror.annotation.box_layer import with_box_layer
 
+    device = resolve_device(arguments.device)
+    if not arguments.json:
+        print(device, flush=True)
+    arguments = replace(arguments, device=device.name)
     dataset = with_box_layer(mirror.open(arguments.dataset), arguments.boxes)
     base = _base(arguments)
     sampler = _sampler(arguments, base)

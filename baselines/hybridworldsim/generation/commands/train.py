@@ -12,6 +12,7 @@ import tyro
 
 from hybridworldsim.generation.commands.model_paths import describe_training
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import resolve_device
 from mirror.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -76,8 +77,8 @@ class Train:
     """Seed of all random choices."""
     threads: int = 1
     """Number of threads."""
-    device: str = "cpu"
-    """Where the generator is trained: cpu, cuda, cuda:1."""
+    device: Annotated[str, help_text(metavar="auto|cpu|cuda[:N]")] = "auto"
+    """Where the generator is trained. auto: a GPU that torch can use, else the CPU. The first line says which."""
     json: bool = False
     """Print JSON."""
 
@@ -114,6 +115,9 @@ def run_train(argv: Sequence[str]) -> int:
     from hybridworldsim.training.run.processes import leads_process
     from mirror.progress import progress_bar
 
+    device = resolve_device(arguments.device)
+    if not arguments.json and leads_process():
+        print(device, flush=True)
     options = TrainingOptions(
         steps=arguments.steps,
         autoencoder_steps=arguments.autoencoder_steps,
@@ -122,7 +126,7 @@ def run_train(argv: Sequence[str]) -> int:
         settings=arguments.settings,
         seed=arguments.seed,
         threads=arguments.threads,
-        device=arguments.device,
+        device=device.name,
     )
     with progress_bar(quiet=arguments.json or not leads_process()) as bar:
         result = train_on_clips(arguments.clips, arguments.out, options, bar)

@@ -24,6 +24,7 @@ from hybridworldsim.generation.training.numbered import numbered_training
 from hybridworldsim.generation.training.run import captions_document, hash_clips, rates_of, read_clip_captions
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.document import describe_computation
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import join_processes
@@ -124,6 +125,7 @@ def distil_on_clips(
         run = GenerationRun(
             part="distilled", settings=document, seed=options.seed, steps=options.steps, threads=options.threads,
             processes=processes.count, clips_hash=clips_hash, autoencoder_hash=file_sha256(autoencoder),
+            computed=describe_computation(options.device, settings.precision),
         )  # fmt: skip
         outcome = folder.begin(run)
         if outcome is not None:

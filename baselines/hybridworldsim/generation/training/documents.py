@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from hybridworldsim.training.run.document import Computation
 from mirror.schema.documents import Document
 
 
@@ -21,6 +22,7 @@ class GenerationRun(Document):
         processes: number of processes.
         clips_hash: hash of the clips.
         autoencoder_hash: hash of the autoencoder's file, or None for an autoencoder.
+        computed: what it computes with; None in runs of version 0.1.0.
     """
 
     format: Literal["mirror-generation-run"] = "mirror-generation-run"
@@ -33,6 +35,7 @@ class GenerationRun(Document):
     processes: int
     clips_hash: str
     autoencoder_hash: str | None
+    computed: Computation | None = None
 
 
 class GenerationOutcome(Document):

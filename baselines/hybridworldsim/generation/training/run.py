@@ -34,10 +34,11 @@ from hybridworldsim.generation.training.generator_trainer import GeneratorSettin
 from hybridworldsim.generation.training.numbered import numbered_training
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
+from hybridworldsim.training.run.document import describe_computation
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes
-from mirror.devices import resolve_device
+from mirror.devices import CPU, resolve_device
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import ProgressReporter
 from mirror.weights.resolve import file_sha256
@@ -148,6 +149,7 @@ def _train_autoencoder(
     run = GenerationRun(
         part="autoencoder", settings=settings.document, seed=options.seed, steps=options.autoencoder_steps,
         threads=options.threads, processes=1, clips_hash=clips_hash, autoencoder_hash=None,
+        computed=describe_computation(CPU),
     )  # fmt: skip
     outcome = folder.begin(run)
     if outcome is None:
@@ -180,6 +182,7 @@ def _train_generator(
         part="generator", settings={**settings.document, **captions_document(options.captions)}, seed=options.seed,
         steps=options.steps, threads=options.threads, processes=processes.count, clips_hash=clips_hash,
         autoencoder_hash=file_sha256(autoencoder),
+        computed=describe_computation(options.device, settings.precision),
     )  # fmt: skip
     outcome = folder.begin(run)
     if outcome is not None:

@@ -16,6 +16,7 @@ from hybridworldsim.mvs.learned.images import (
     to_network_input,
     torch_inference,
 )
+from mirror.devices import CPU
 from mirror.errors import UsageError
 
 RunNetwork = Callable[[Tensor, Sequence[SourceImage]], tuple[Tensor, Tensor]]
@@ -78,6 +79,7 @@ def estimate_depth(
     memory: MemoryLimit,
     threads: int,
     run_network: RunNetwork,
+    device: str = CPU,
 ) -> DepthMap:
     """Estimate the depth of an image with a network.
 
@@ -93,6 +95,7 @@ def estimate_depth(
         memory: limit that is checked first.
         threads: torch's number of threads.
         run_network: runs the network on the prepared images.
+        device: where the network is.
 
     Raises:
         UsageError: not 0 < near_m < far_m, or images that need too much memory.
@@ -103,6 +106,8 @@ def estimate_depth(
         return make_unknown_depth(reference)
     memory.check(reference, used)
     with torch_inference(threads):
-        source_images = [make_source_image(reference, source, inputs.feature_strides) for source in used]
-        depth_m, confidence = run_network(to_network_input(reference, inputs.reference_stride), source_images)
+        source_images = [make_source_image(reference, source, inputs.feature_strides, device) for source in used]
+        depth_m, confidence = run_network(
+            to_network_input(reference, inputs.reference_stride).to(device), source_images
+        )
         return drop_unseen_depth(reference, used, depth_m, confidence)

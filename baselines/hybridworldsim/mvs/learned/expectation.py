@@ -30,7 +30,7 @@ def compute_window_probability(probability: Tensor) -> Tensor:
         (H, W) between 0 and 1.
     """
     depths = len(probability)
-    expected = soft_argmin(probability, torch.arange(depths, dtype=probability.dtype))
+    expected = soft_argmin(probability, torch.arange(depths, dtype=probability.dtype, device=probability.device))
     index = expected.long().clamp_(0, depths - 1)
     # The window is the expected hypothesis, the one before it and the two after it; zeros pad both ends.
     padded = functional.pad(probability, (0, 0, 0, 0, 1, 2))

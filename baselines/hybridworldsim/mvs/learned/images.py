@@ -20,6 +20,7 @@ from hybridworldsim.mvs.learned.warping import (
     project_to_source,
     sample,
 )
+from mirror.devices import CPU
 
 _MIN_BASELINE = 1e-6
 
@@ -44,21 +45,24 @@ class SourceImage:
         return SourceFeatures(feature, self.motions[stride], self.hidden.get(stride))
 
 
-def make_source_image(reference: StereoImage, source: StereoImage, strides: Sequence[int]) -> SourceImage:
+def make_source_image(
+    reference: StereoImage, source: StereoImage, strides: Sequence[int], device: str = CPU
+) -> SourceImage:
     """Prepare a source image.
 
     Args:
         reference: the image of which depth is estimated.
         source: the source.
         strides: feature strides of the network; the sides are padded to multiples of the largest.
+        device: where the network is.
     """
-    rgb = to_network_input(source, max(strides))
+    rgb = to_network_input(source, max(strides)).to(device)
     rows, columns = rgb.shape[1:]
     hidden = {stride: downsample_hidden(source, stride, rows // stride, columns // stride) for stride in strides}
     return SourceImage(
         rgb,
         {stride: compute_motion(reference, source, stride) for stride in strides},
-        {stride: mask for stride, mask in hidden.items() if mask is not None},
+        {stride: mask.to(device) for stride, mask in hidden.items() if mask is not None},
     )
 
 
@@ -100,7 +104,7 @@ def drop_unseen_depth(
         confidence: of the same shape.
     """
     height, width = reference.valid.shape
-    depth_m, confidence = depth_m[:height, :width], confidence[:height, :width]
+    depth_m, confidence = depth_m[:height, :width].cpu(), confidence[:height, :width].cpu()
     visible = torch.zeros((height, width), dtype=torch.bool)
     for source in sources:
         rows, columns = source.valid.shape

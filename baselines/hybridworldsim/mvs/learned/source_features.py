@@ -43,5 +43,5 @@ class SourceFeatures:
         positions = project_to_source(self.motion, depth_m, columns, rows)
         warped = sample(self.feature, positions)
         if self.hidden is None:
-            return warped, torch.ones(())
+            return warped, torch.ones((), device=warped.device)
         return warped, 1.0 - sample(self.hidden[None], positions)[0]

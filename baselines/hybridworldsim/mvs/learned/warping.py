@@ -63,18 +63,26 @@ def project_to_source(motion: SampleMotion, depth_m: Tensor, width: int, height:
         sample, 1 the outer edge of the last. Points behind the source get positions far outside.
     """
     depths, rows, columns = depth_m.shape
-    rotation = torch.from_numpy(motion.rotation).float()
+    rotation = torch.from_numpy(motion.rotation).float().to(depth_m.device)
     horizontal, vertical, forward = torch.from_numpy(motion.translation).float().tolist()
-    v, u = torch.meshgrid(torch.arange(rows).float(), torch.arange(columns).float(), indexing="ij")
+    v, u = sample_positions(rows, columns, depth_m.device)
     ray = torch.einsum("ij,jhw->ihw", rotation, torch.stack((u, v, torch.ones_like(u))))
     z = ray[2] * depth_m + forward
     in_front = z > _MIN_DEPTH_RATIO * depth_m
     scale = torch.where(in_front, z, 1.0).reciprocal_()
-    positions = torch.empty((depths, rows, columns, 2))
+    positions = torch.empty((depths, rows, columns, 2), device=depth_m.device)
     for axis, (start, size) in enumerate(((horizontal, width), (vertical, height))):
         at = (ray[axis] * depth_m).add_(start).mul_(scale).add_(0.5).mul_(2.0 / size).sub_(1.0)
         positions[..., axis] = torch.where(in_front, at, _OUTSIDE).clamp_(_OUTSIDE, -_OUTSIDE)
     return positions
+
+
+def sample_positions(rows: int, columns: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the row and the column (rows, columns) of each sample, float32."""
+    v, u = torch.meshgrid(
+        torch.arange(rows, device=device).float(), torch.arange(columns, device=device).float(), indexing="ij"
+    )
+    return v, u
 
 
 def sample(feature: Tensor, positions: Tensor) -> Tensor:

@@ -28,13 +28,13 @@ def compute_variance_volume(reference: Tensor, sources: Sequence[SourceFeatures]
         (C, D, H, W).
     """
     channels, rows, columns = reference.shape
-    volume = torch.empty((channels, len(depths_m), rows, columns))
+    volume = torch.empty((channels, len(depths_m), rows, columns), device=reference.device)
     for start in range(0, len(depths_m), _PLANE_BATCH):
         depths = depths_m[start : start + _PLANE_BATCH]
         planes = depths.view(-1, 1, 1).expand(-1, rows, columns)
         mean = reference[:, None].expand(-1, len(depths), -1, -1).clone()
         squares = torch.zeros_like(mean)
-        count = torch.ones((len(depths), rows, columns))
+        count = torch.ones((len(depths), rows, columns), device=reference.device)
         for source in sources:
             features, evidence = source.warp(planes)
             count = count + evidence

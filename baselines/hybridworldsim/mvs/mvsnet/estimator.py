@@ -16,6 +16,7 @@ from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.mvsnet.network import FEATURE_STRIDE, PLANES_STRIDE, STRIDE, MVSNet
 from hybridworldsim.mvs.mvsnet.planes import DepthPlanes, Spacing
 from hybridworldsim.mvs.mvsnet.upsampling import repeat_samples, upsample_depth
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.metrics.networks.state import load_strictly
 from mirror.weights.resolve import WeightResolver
@@ -29,7 +30,7 @@ _INPUTS: Final = InputFormat(reference_stride=STRIDE, feature_strides=(FEATURE_S
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MVSNetEstimator:
-    """Depth by MVSNet, on the CPU; its ``repr`` names everything that results depend on.
+    """Depth by MVSNet, on any device; its ``repr`` names everything that results depend on.
 
     Attributes:
         network: the network with its weights and folded normalisations.
@@ -38,6 +39,7 @@ class MVSNetEstimator:
         spacing: the quantity in which the planes are evenly spaced.
         threads: torch's number of threads; the same number gives the same bits.
         memory_bytes: images that need more memory are refused.
+        device: where the network is, as torch names it; results of a GPU differ in the last digits.
 
     Raises:
         UsageError: the number of planes is not a multiple of 8.
@@ -49,6 +51,7 @@ class MVSNetEstimator:
     spacing: Spacing = "inverse_depth"
     threads: int = 1
     memory_bytes: int = field(default=2 << 30, repr=False)
+    device: str = field(default=CPU, repr=False)
 
     def __post_init__(self) -> None:
         if self.planes < PLANES_STRIDE or self.planes % PLANES_STRIDE:
@@ -63,6 +66,7 @@ class MVSNetEstimator:
         spacing: Spacing = "inverse_depth",
         threads: int = 1,
         memory_bytes: int = 2 << 30,
+        device: str = CPU,
     ) -> MVSNetEstimator:
         """Load a public checkpoint, with the refinement network if the checkpoint has one.
 
@@ -74,8 +78,15 @@ class MVSNetEstimator:
         network = MVSNet(refine=any(key.startswith("refine_network.") for key in state))
         load_strictly(network, state)
         fold_norms(network)
+        network.to(device)
         return cls(
-            network=network, sha256=sha256, planes=planes, spacing=spacing, threads=threads, memory_bytes=memory_bytes
+            network=network,
+            sha256=sha256,
+            planes=planes,
+            spacing=spacing,
+            threads=threads,
+            memory_bytes=memory_bytes,
+            device=device,
         )
 
     def __call__(self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float) -> DepthMap:
@@ -100,5 +111,5 @@ class MVSNetEstimator:
         )
         return estimate_depth(
             reference, sources, near_m, far_m, inputs=_INPUTS, memory=memory, threads=self.threads,
-            run_network=run_network,
+            run_network=run_network, device=self.device,
         )  # fmt: skip

@@ -47,9 +47,11 @@ class MVSNet(nn.Module):
         """
         reference = self.feature(rgb)
         features = [source.with_features(FEATURE_STRIDE, self.feature(source.rgb)) for source in sources]
-        score = self.cost_regularization(compute_variance_volume(reference, features, planes.depths_m()))
+        score = self.cost_regularization(compute_variance_volume(reference, features, planes.depths_m().to(rgb.device)))
         probability = score.softmax(0)
-        depth = planes.depth_at(soft_argmin(probability, torch.arange(planes.count, dtype=probability.dtype)))
+        depth = planes.depth_at(
+            soft_argmin(probability, torch.arange(planes.count, dtype=probability.dtype, device=rgb.device))
+        )
         if self.refine_network is not None:
             extent = planes.far_m - planes.near_m
             residual = self.refine_network(rgb, (depth - planes.near_m) / extent)

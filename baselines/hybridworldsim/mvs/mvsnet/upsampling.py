@@ -24,8 +24,8 @@ def upsample_depth(depth_m: Tensor, stride: int) -> Tensor:
         (stride H, stride W); pixels after the last sample take its depth.
     """
     rows, columns = depth_m.shape
-    row = (torch.arange(rows * stride) / stride).clamp_(max=rows - 1)
-    column = (torch.arange(columns * stride) / stride).clamp_(max=columns - 1)
+    row = (torch.arange(rows * stride, device=depth_m.device) / stride).clamp_(max=rows - 1)
+    column = (torch.arange(columns * stride, device=depth_m.device) / stride).clamp_(max=columns - 1)
     top, left = row.floor().long(), column.floor().long()
     bottom, right = (top + 1).clamp_(max=rows - 1), (left + 1).clamp_(max=columns - 1)
     down, across = (row - top)[:, None], (column - left)[None]

@@ -16,6 +16,7 @@ from hybridworldsim.mvs.learned.images import SourceImage
 from hybridworldsim.mvs.learned.layers import fold_norms
 from hybridworldsim.mvs.patchmatchnet.network import STRIDE, PatchmatchNet
 from hybridworldsim.mvs.patchmatchnet.stage import LEVELS
+from mirror.devices import CPU
 from mirror.metrics.networks.state import load_strictly
 from mirror.weights.resolve import WeightResolver
 
@@ -27,7 +28,7 @@ _INPUTS: Final = InputFormat(reference_stride=STRIDE, feature_strides=tuple(leve
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PatchmatchNetEstimator:
-    """Depth by PatchmatchNet, on the CPU; its ``repr`` names everything that results depend on.
+    """Depth by PatchmatchNet, on any device; its ``repr`` names everything that results depend on.
 
     Attributes:
         network: the network with its weights and folded normalisations.
@@ -35,6 +36,7 @@ class PatchmatchNetEstimator:
         seed: seed of the first hypotheses; the generator starts from it for each image.
         threads: torch's number of threads; the same number gives the same bits.
         memory_bytes: images that need more memory are refused.
+        device: where the network is, as torch names it; results of a GPU differ in the last digits.
     """
 
     network: PatchmatchNet = field(repr=False)
@@ -42,6 +44,7 @@ class PatchmatchNetEstimator:
     seed: int = 0
     threads: int = 1
     memory_bytes: int = field(default=2 << 30, repr=False)
+    device: str = field(default=CPU, repr=False)
 
     @classmethod
     def load(
@@ -51,6 +54,7 @@ class PatchmatchNetEstimator:
         seed: int = 0,
         threads: int = 1,
         memory_bytes: int = 2 << 30,
+        device: str = CPU,
     ) -> PatchmatchNetEstimator:
         """Load the published weights.
 
@@ -61,7 +65,8 @@ class PatchmatchNetEstimator:
         network = PatchmatchNet()
         load_strictly(network, state)
         fold_norms(network)
-        return cls(network=network, sha256=sha256, seed=seed, threads=threads, memory_bytes=memory_bytes)
+        network.to(device)
+        return cls(network=network, sha256=sha256, seed=seed, threads=threads, memory_bytes=memory_bytes, device=device)
 
     def __call__(self, reference: StereoImage, sources: Sequence[StereoImage], near_m: float, far_m: float) -> DepthMap:
         """Estimate the depth of an image; see `estimate_depth`.
@@ -80,5 +85,5 @@ class PatchmatchNetEstimator:
         memory = MemoryLimit("PatchmatchNet", BYTES_PER_PIXEL, BYTES_PER_SOURCE_PIXEL, self.memory_bytes)
         return estimate_depth(
             reference, sources, near_m, far_m, inputs=_INPUTS, memory=memory, threads=self.threads,
-            run_network=run_network,
+            run_network=run_network, device=self.device,
         )  # fmt: skip

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from hybridworldsim.mvs.learned.warping import sample_positions
+
 Pattern = list[tuple[int, int]]
 
 
@@ -38,8 +40,8 @@ def compute_positions(pattern: Pattern, offsets: Tensor) -> Tensor:
         (N, H, W, 2) as `gather` takes them.
     """
     _, rows, columns = offsets.shape
-    v, u = torch.meshgrid(torch.arange(rows).float(), torch.arange(columns).float(), indexing="ij")
-    fixed = torch.tensor(pattern, dtype=torch.float32).view(-1, 2, 1, 1)
+    v, u = sample_positions(rows, columns, offsets.device)
+    fixed = torch.tensor(pattern, dtype=torch.float32, device=offsets.device).view(-1, 2, 1, 1)
     across = (u + fixed[:, 1] + offsets[0::2]) / max((columns - 1) / 2.0, 0.5) - 1.0
     down = (v + fixed[:, 0] + offsets[1::2]) / max((rows - 1) / 2.0, 0.5) - 1.0
     return torch.stack((across, down), dim=-1)

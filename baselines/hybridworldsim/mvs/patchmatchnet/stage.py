@@ -122,6 +122,7 @@ class PatchmatchStage(nn.Module):
         for iteration in range(self.level.iterations):
             if estimate is None:
                 depths = draw_first_hypotheses(inverse, reference.shape[1], reference.shape[2], generator)
+                depths = depths.to(reference.device)
             else:
                 depths = make_local_hypotheses(estimate.depth_m, inverse, self.level.hypotheses, self.level.interval)
             if donor_positions is not None:
@@ -151,7 +152,8 @@ class PatchmatchStage(nn.Module):
         self, reference: Tensor, sources: Sequence[SourceFeatures], depths: Tensor, known: StageEstimate | None
     ) -> tuple[Tensor, Tensor]:
         """Compute the weighted mean similarity (G, D, H, W) over the sources, and the sources' weights (V, H, W)."""
-        total, total_weight, weights = torch.zeros(()), torch.tensor(_MIN_WEIGHT), []
+        total, weights = torch.zeros((), device=depths.device), []
+        total_weight = torch.tensor(_MIN_WEIGHT, device=depths.device)
         for number, source in enumerate(sources):
             warped, evidence = source.warp(depths)
             similarity = compute_group_similarity(warped, reference, self.level.groups)
@@ -171,7 +173,9 @@ def draw_first_hypotheses(inverse: InverseDepthRange, rows: int, columns: int, g
 
 def make_local_hypotheses(depth_m: Tensor, inverse: InverseDepthRange, count: int, interval: float) -> Tensor:
     """Make depths (count, H, W) around known ones (H, W), evenly spaced in inverse depth, within the range."""
-    steps = torch.arange(-(count // 2), count - count // 2).view(-1, 1, 1) * (interval * inverse.extent)
+    steps = torch.arange(-(count // 2), count - count // 2, device=depth_m.device).view(-1, 1, 1) * (
+        interval * inverse.extent
+    )
     return (depth_m.reciprocal() + steps).clamp_(inverse.low, inverse.high).reciprocal_()
 
 
@@ -185,7 +189,7 @@ def compute_depth_proximity(depths: Tensor, inverse: InverseDepthRange, position
 def compute_inverse_expectation(probability: Tensor, depths: Tensor) -> Tensor:
     """Compute depth (H, W) at the expected index of hypotheses (D, H, W) that are evenly spaced in inverse depth."""
     last = len(depths) - 1
-    index = soft_argmin(probability, torch.arange(last + 1, dtype=probability.dtype))
+    index = soft_argmin(probability, torch.arange(last + 1, dtype=probability.dtype, device=depths.device))
     first = depths[0].reciprocal()
     return (first + index / last * (depths[-1].reciprocal() - first)).reciprocal_()
 

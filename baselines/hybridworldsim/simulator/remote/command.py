@@ -12,6 +12,7 @@ import tyro
 
 from mirror.addresses import require_listening
 from mirror.command_line import help_text, parse_arguments
+from mirror.devices import CPU
 from mirror.errors import UsageError
 
 _EXAMPLES = (
@@ -41,6 +42,8 @@ class Arguments:
     """What renders the images: wireframes, the synthetic street, a trained model."""
     method: Annotated[str | None, help_text(default="the installed one of the model", metavar="FILE.py:OBJECT")] = None
     """The file of MODEL's method, if that is not installed: that of the training."""
+    device: Annotated[str | None, help_text(default="auto", metavar="auto|cpu|cuda[:N]")] = None
+    """Where MODEL renders. auto: a GPU that torch and gsplat can use, else the CPU. The first line says which."""
     scene: Annotated[str | None, help_text(default="the only one", metavar="ID")] = None
     """Scene of the dataset."""
     host: str = "127.0.0.1"
@@ -62,14 +65,17 @@ def main(argv: Sequence[str]) -> int:
     from hybridworldsim.simulator.remote.scenes import open_scenes
     from hybridworldsim.simulator.remote.server import render_server
     from hybridworldsim.simulator.remote.service import Limits, SensorService
-    from hybridworldsim.simulator.renderers.registry import RendererFactory
+    from hybridworldsim.simulator.renderers.registry import RendererFactory, choose_renderer_device
     from hybridworldsim.simulator.street.of_synth import SCHEME
     from hybridworldsim.simulator.street.opening import open_street
 
     wire()
     is_synth = arguments.source.startswith(SCHEME)
     name = arguments.renderer or ("reconstructed" if arguments.model else "exact" if is_synth else "boxes")
-    factory = RendererFactory(name, arguments.model, arguments.method)
+    device = choose_renderer_device(arguments.device, arguments.model, arguments.method)
+    if device is not None:
+        print(device, flush=True)
+    factory = RendererFactory(name, arguments.model, arguments.method, device=CPU if device is None else device.name)
     street = open_street(arguments.source, scene=arguments.scene)
     factory.require_model_of(street)
     scenes = open_scenes(street, factory)

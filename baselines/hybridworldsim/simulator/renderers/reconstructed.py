@@ -24,6 +24,7 @@ from hybridworldsim.simulator.renderers.protocol import CameraView, Renderer
 from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
 from mirror.arrays import Bool, Float32, Float64, Int32, UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.geometry import matrix_from_quaternion
 from mirror.methods.model import ModelFolder, ModelRenderer
@@ -72,7 +73,9 @@ class OpenModel:
     renderer: ModelRenderer
 
     @classmethod
-    def read(cls, path: Path, street: Street, method: str | None = None, *, option: str = "--method ") -> OpenModel:
+    def read(
+        cls, path: Path, street: Street, method: str | None = None, *, option: str = "--method ", device: str = CPU
+    ) -> OpenModel:
         """Open the model of a street.
 
         Args:
@@ -80,13 +83,14 @@ class OpenModel:
             street: the street.
             method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
             option: how the user names the method, for messages.
+            device: where it renders, see `ModelFolder.choose_device`.
 
         Raises:
             DatasetError: the folder holds no complete model.
             UsageError: the model is of another scene, or its method cannot be loaded or does not render depth.
         """
         document, trained = require_model_of(path, street)
-        renderer = ModelFolder.read(path, method, option=option).open()
+        renderer = ModelFolder.read(path, method, option=option).open(device=device)
         if not renderer.capabilities.renders_depth:
             raise UsageError(
                 f"method {document.method} renders no depth, which places road users in its images", file=path,

@@ -11,7 +11,9 @@ from hybridworldsim.simulator.renderers.protocol import Renderer
 from hybridworldsim.simulator.simulation import Simulation
 from hybridworldsim.simulator.street.street import Street, StreetRecording
 from hybridworldsim.simulator.world import Snapshot
+from mirror.devices import AUTO, CPU, OPTION, Device
 from mirror.errors import UsageError
+from mirror.methods.model import ModelFolder
 from mirror.schema.scenario import Scenario
 
 RENDERERS: Final = ("boxes", "exact", "reconstructed")
@@ -25,13 +27,20 @@ class RendererFactory:
         model: folder of the trained model, for ``reconstructed``.
         method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
         option: how the user names the method, for messages.
+        device: where the model renders, see `mirror.methods.model.ModelFolder.choose_device`.
 
     Raises:
         UsageError: there is no such renderer, the model is missing, or a method is named without one.
     """
 
     def __init__(
-        self, name: str, model: Path | None = None, method: str | None = None, *, option: str = "--method "
+        self,
+        name: str,
+        model: Path | None = None,
+        method: str | None = None,
+        *,
+        option: str = "--method ",
+        device: str = CPU,
     ) -> None:
         if name not in RENDERERS:
             raise UsageError(f"no renderer {name!r}", expected=f"one of {', '.join(RENDERERS)}")
@@ -43,7 +52,7 @@ class RendererFactory:
         if method is not None and model is None:
             raise UsageError(method, place=option.strip(" ="), expected="none without a model: it renders one")
         self.name, self._model_path = name, model
-        self._method, self._option = method, option
+        self._method, self._option, self._device = method, option, device
         self._model: object = None
 
     def require_model_of(self, street: Street) -> None:
@@ -111,5 +120,29 @@ class RendererFactory:
         from hybridworldsim.simulator.renderers.reconstructed import OpenModel, ReconstructedRenderer
 
         if not isinstance(self._model, OpenModel):
-            self._model = OpenModel.read(self._model_path or Path(), street, self._method, option=self._option)
+            self._model = OpenModel.read(
+                self._model_path or Path(), street, self._method, option=self._option, device=self._device
+            )
         return ReconstructedRenderer(self._model, street, scenario, start, cameras, appearance)
+
+
+def choose_renderer_device(requested: str | None, model: Path | None, method: str | None = None) -> Device | None:
+    """Choose the device of a rollout's model; None without a model, because other renderers compute on the CPU.
+
+    Args:
+        requested: the value of ``--device``; None: it was not given.
+        model: folder of the model, or None.
+        method: ``FILE.py:OBJECT`` of the model's method; None: it is installed.
+
+    Raises:
+        UsageError: a device is requested without a model, or cannot be used.
+        DatasetError: the folder holds no model that is trained to the end.
+    """
+    if model is None:
+        if requested is not None:
+            raise UsageError(
+                requested, place=OPTION, expected="none without MODEL: a model is rendered",
+                remedy=f"name the folder of a model, or leave {OPTION} out",
+            )  # fmt: skip
+        return None
+    return ModelFolder.read(model, method).choose_device(requested or AUTO)

@@ -6,11 +6,33 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from mirror.devices import CPU, OPTION, library_versions
 from mirror.errors import UsageError
 from mirror.schema.documents import Document
 from mirror.schema.files import TEMPORARY, read_json, write_json
 
 RUN: Final = "run.json"
+
+_COMPUTED: Final = "computed"
+
+
+class Computation(Document):
+    """What a run computes with; results of the CPU and of GPUs differ in the last digits.
+
+    Attributes:
+        device: where it was begun, as torch names it.
+        precision: of the computation.
+        versions: versions of the libraries, and the name of a GPU.
+    """
+
+    device: str
+    precision: str
+    versions: dict[str, str]
+
+
+def describe_computation(device: str, precision: str = "float32", *, splats: bool = False) -> Computation:
+    """Describe what a run computes with; see `mirror.devices.library_versions`."""
+    return Computation(device=device, precision=precision, versions=library_versions(device, splats=splats))
 
 
 def begin_run(path: Path, run: Document, *, finished: bool, untrained: bool) -> None:
@@ -48,15 +70,19 @@ def require_same_run(path: Path, kind: type[Document], stated: Mapping[str, Any]
         UsageError: a value differs.
     """
     before = read_json(path / RUN, kind).model_dump(mode="json")
+    begun, now = (_kind_of_device(one.get(_COMPUTED)) for one in (before, stated))
+    stated = {key: value for key, value in stated.items() if key != _COMPUTED}
     compared = {key: before[key] for key in stated}
     differing = _differing(compared, {**stated, "threads": before["threads"]} if finished else stated)
+    if begun != now and not finished:
+        differing.append(f"device {begun}, now {now}")
     if differing:
         elsewhere = "name another folder with --out"
         same = before["threads"] == stated["threads"]
         raise UsageError(
             f"a run of other settings began here: {'; '.join(differing[:4])}", file=path,
             expected="the same dataset, method and settings",
-            remedy=elsewhere if same or finished else f"--threads {before['threads']}, or {elsewhere}",
+            remedy=_remedy(elsewhere, None if same or finished else before["threads"], None if begun == now else begun),
         )  # fmt: skip
 
 
@@ -65,6 +91,16 @@ def is_occupied(path: Path) -> bool:
     if not path.is_dir():
         return path.exists()
     return any(not (entry.name.startswith(".") and entry.name.endswith(TEMPORARY)) for entry in path.iterdir())
+
+
+def _kind_of_device(computed: Mapping[str, Any] | None) -> str:
+    """``cpu`` or ``cuda``; runs that state nothing were made on the CPU."""
+    return CPU if computed is None else str(computed["device"]).partition(":")[0]
+
+
+def _remedy(elsewhere: str, threads: int | None, device: str | None) -> str:
+    options = [f"--threads {threads}" if threads else "", f"{OPTION} {device}" if device else ""]
+    return ", or ".join(filter(None, (" ".join(filter(None, options)), elsewhere)))
 
 
 def _differing(before: Mapping[str, Any], current: Mapping[str, Any], under: str = "") -> list[str]:

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.report import Peer, Row, best_ms
-from benchmarks.street import reference_losses as plain
 from hybridworldsim.model.lazy_adam import BETA1, BETA2, LazyAdam
 from hybridworldsim.model.normal_loss import normal_loss
+from hybridworldsim.model.plain import losses as plain
 from hybridworldsim.model.ssim_loss import ssim
 
 WIDTH, HEIGHT = 480, 270

@@ -13,7 +13,7 @@ import torch
 from hybridworldsim.generation.autoencoder.tiny import TinyAutoencoder
 from hybridworldsim.generation.clips.clip import Clip
 from hybridworldsim.generation.clips.folder import ClipList, write_clip, write_list
-from hybridworldsim.generation.devices import Precision, exhausted_memory_named, repeating_exactly
+from hybridworldsim.generation.devices import Precision, repeating_exactly
 from hybridworldsim.generation.layout.boxes import OWN_STYLE
 from hybridworldsim.generation.layout.images import draw_layout
 from hybridworldsim.generation.model_files import read_autoencoder, read_generator, trained_rates, write_autoencoder
@@ -25,6 +25,7 @@ from hybridworldsim.generation.training.generator_trainer import GeneratorSettin
 from hybridworldsim.generation.training.run import TrainingOptions, train_on_clips
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, encode_clip
+from hybridworldsim.training.run.exhaustion import exhausted_memory_named
 from hybridworldsim.training.run.state import dump, load
 from mirror.errors import DatasetError, UsageError
 from mirror.progress import NullProgress

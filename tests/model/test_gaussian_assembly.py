@@ -2,24 +2,7 @@ import pytest
 import torch
 
 from hybridworldsim.model.nodes.gaussian_assembly import anchors_to_gaussians
-
-
-def plain(geometry, colours, means, offsets, log_scales):
-    """Reference in plain torch."""
-    k = offsets.shape[1]
-    numbers = geometry.view(-1, 8)
-    output = (numbers[:, 0] > 0).nonzero().squeeze(1)
-    parents = output // k
-    sizes = log_scales[parents].exp()
-    own = numbers[output]
-    return (
-        means[parents] + offsets[parents, output % k] * sizes[:, :3],
-        own[:, 4:],
-        sizes[:, 3:] * own[:, 1:4].sigmoid(),
-        own[:, 0].tanh(),
-        colours.view(-1, 3)[output].sigmoid(),
-        output,
-    )
+from hybridworldsim.model.plain.decoding import anchors_to_gaussians as plain
 
 
 def tables(anchors, k=4, seed=0):

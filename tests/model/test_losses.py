@@ -5,10 +5,10 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn import functional
 
-from benchmarks.street.reference_losses import compute_normals, curvature
-from benchmarks.street.reference_losses import normal_loss as plain_normal_loss
 from hybridworldsim.model.losses import colour_loss, depth_loss, structure_loss
 from hybridworldsim.model.normal_loss import normal_loss
+from hybridworldsim.model.plain.losses import compute_normals, curvature
+from hybridworldsim.model.plain.losses import normal_loss as plain_normal_loss
 
 K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 55.0, 24.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 

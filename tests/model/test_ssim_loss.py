@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from benchmarks.street.reference_losses import structural_similarity as plain_similarity
+from hybridworldsim.model.plain.losses import structural_similarity as plain_similarity
 from hybridworldsim.model.ssim_loss import ssim
 
 

@@ -79,14 +79,33 @@ def test_a_release_that_no_preset_follows_is_refused(gsplat):
 
 
 def test_what_gsplat_does_not_do_is_refused_before_it_is_called(gsplat):
-    with pytest.raises(UsageError, match="cull nothing"):
-        rasterization(**scene(), backend="cuda", nonfinite="cull")
     with pytest.raises(UsageError, match="not packed"):
         rasterization(**scene(), backend="cuda", with_ut=True)
     broken = scene()
     broken["colors"][5] = torch.nan
     with pytest.raises(UsageError, match="row 5"):
         rasterization(**broken, backend="cuda")
+
+
+def test_gaussians_that_are_not_finite_are_made_transparent_and_get_no_gradient(gsplat):
+    arguments = scene()
+    arguments["means"][3, 1], arguments["quats"][5, 0], arguments["colors"][7, 2] = torch.nan, torch.inf, torch.nan
+    leaves = {name: arguments[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "colors")}
+    _, _, received = rasterization(**arguments, backend="cuda", nonfinite="cull")
+    kept = torch.ones(40, dtype=torch.bool)
+    kept[[3, 5, 7]] = False
+    for name, leaf in leaves.items():
+        assert received[name].isfinite().all() and torch.equal(received[name][kept], leaf[kept])
+        (gradient,) = torch.autograd.grad(received[name].sum(), leaf)
+        assert not gradient[~kept].any() and (gradient[kept] == 1.0).all()
+    assert not received["opacities"][~kept].any()
+
+
+@pytest.mark.parametrize(("version", "preset"), [("1.5.3", "gsplat-1.5"), ("1.6.0+cu130", "gsplat-1.6")])
+def test_a_model_renders_as_the_installed_gsplat_does(gsplat, version, preset):
+    gsplat.__version__ = version
+    assert cuda.preset_on(torch.device("cuda", 0)) == preset
+    assert cuda.preset_on(torch.device("cpu")) == "gsplat-1.5"
 
 
 def test_a_missing_gsplat_is_said_with_what_to_install(monkeypatch):

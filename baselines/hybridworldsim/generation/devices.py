@@ -1,4 +1,4 @@
-"""Computation of networks on a device: precision, repetition bit for bit, and an error that names exhausted memory."""
+"""Computation of networks on a device: precision, repetition bit for bit, and what to lower without memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 import torch
 
-from mirror.errors import DatasetError, UsageError
+from mirror.errors import UsageError
 
 Precision: TypeAlias = Literal["float32", "bf16"]
 """Of the computation of a network, whose parameters are float32."""
@@ -64,29 +64,3 @@ def require_seed(seed: int) -> None:
     """
     if seed < 0:
         raise UsageError(f"seed {seed}", place="--seed", expected="0 or above")
-
-
-@contextmanager
-def exhausted_memory_named(device: str, remedy: str) -> Iterator[None]:
-    """Turn exhausted memory into an error that names the device and the remedy.
-
-    torch has an error of its own for the memory of accelerators, and a plain one for that of the processor.
-
-    Args:
-        device: where the networks are.
-        remedy: options that need less memory.
-
-    Raises:
-        DatasetError: memory is exhausted.
-    """
-    try:
-        yield
-    except (RuntimeError, MemoryError) as error:
-        if not isinstance(error, torch.OutOfMemoryError | MemoryError) and "DefaultCPUAllocator" not in str(error):
-            raise
-        raise DatasetError(
-            "the device has too little memory",
-            place=device,
-            expected="memory for all networks and one batch",
-            remedy=remedy,
-        ) from error

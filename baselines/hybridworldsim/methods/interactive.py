@@ -24,6 +24,7 @@ from hybridworldsim.training.documents import TrainedCamera
 from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.previews import pixels
 from mirror.arrays import UInt8
+from mirror.devices import CPU
 from mirror.methods.interactive import TrainedAppearance
 from mirror.protocols.views.view import RenderView
 
@@ -47,10 +48,11 @@ class InteractiveStreet:
 
     Args:
         blocks: each block with its street, and the traversals and cameras that it was trained on.
+        device: where it renders.
     """
 
-    def __init__(self, blocks: Sequence[tuple[Block, StreetModel, Sequence[TrainedCamera]]]) -> None:
-        self._composition = Composition([(block, street) for block, street, _ in blocks])
+    def __init__(self, blocks: Sequence[tuple[Block, StreetModel, Sequence[TrainedCamera]]], device: str = CPU) -> None:
+        self._composition = Composition([(block, street) for block, street, _ in blocks], device)
         self._cameras = [camera for _, _, cameras in blocks for camera in cameras]
         self._lines = DrivenLines(self._cameras, ())
         self._kept: _Kept | None = None

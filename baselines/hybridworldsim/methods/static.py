@@ -18,7 +18,7 @@ from hybridworldsim.methods.scene_preparation import BlockTraining, PreparedScen
 from hybridworldsim.model.blocks import SIZE_M, Block
 from hybridworldsim.model.initialization import InitialGeometry
 from hybridworldsim.model.scene_geometry import block_geometry
-from hybridworldsim.trainable.method import RenderableModel, TrainableMethod
+from hybridworldsim.trainable.method import MovableMethod, RenderableModel, TrainableMethod
 from hybridworldsim.trainable.viewpoint import Source
 from hybridworldsim.training.appearance import trained_cameras
 from hybridworldsim.training.block_training import Options, train_block
@@ -27,9 +27,11 @@ from hybridworldsim.training.documents import Run, TrainingOutcome
 from hybridworldsim.training.parameters import write_parameters
 from hybridworldsim.training.run.budget import Budget
 from hybridworldsim.training.run.document import RUN, describe_computation
+from hybridworldsim.training.run.exhaustion import STREET_REMEDY, exhausted_memory_named
 from hybridworldsim.training.run.folder import RunFolder
 from mirror.dataset.dataset import Dataset
-from mirror.errors import DatasetError
+from mirror.devices import CPU, OPTION
+from mirror.errors import DatasetError, UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities, find_capabilities
 from mirror.methods.hosting import describe_task, driven_length_m, require_own, write_costs
@@ -155,13 +157,15 @@ class StaticMethod:
         if finished is not None:
             reporter.message(f"{folder.path} is finished: {finished.psnr_db:.2f} dB after {finished.steps} steps")
             return finished
-        trainer = self.make(training.initial, self._settings(task))
+        trainer = self._make_on(task, training.initial)
         origin = np.array(training.block.origin_m)
         # The layer of the depth map also selects the mask of the sky.
         reads_depth = trainer.reads_depth or self.sky
         depth_traversals = training.layers.traversals_with("depth") if reads_depth else frozenset()
         plan = training.training.plan
-        with folder.claim(run):
+        # A width, or a --device, needs less memory; the checkpoint stays.
+        named = exhausted_memory_named(task.device, STREET_REMEDY, "memory for the tables, one image and its gradients")
+        with folder.claim(run), named:
             try:
                 return train_block(
                     trainer,
@@ -181,6 +185,19 @@ class StaticMethod:
                 # Remove it under the lock: without the lock, another run may have started in this folder.
                 shutil.rmtree(folder.path)
                 raise
+
+    def _make_on(self, task: ReconstructionTask, initial: InitialGeometry) -> TrainableMethod:
+        """Make an untrained model on the device of a task; it begins with the same numbers on every device.
+
+        Raises:
+            UsageError: the models of this method cannot be moved.
+        """
+        trainer = self.make(initial, self._settings(task))
+        if task.device == CPU:
+            return trainer
+        if not isinstance(trainer, MovableMethod):
+            raise UsageError(f"method {self.name} takes no device", place=OPTION, remedy=f"{OPTION} {CPU}")
+        return trainer.to(task.device)
 
     def _make_empty(self, run: Run, settings: Any) -> RenderableModel:
         """Make a model whose parameters those of a trained block replace."""

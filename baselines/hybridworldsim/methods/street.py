@@ -31,6 +31,7 @@ from hybridworldsim.training.driven_lines import DrivenLines
 from hybridworldsim.training.previews import pixels
 from hybridworldsim.training.run.folder import MODEL
 from mirror.arrays import Float32, UInt8
+from mirror.devices import CPU
 from mirror.errors import UsageError
 from mirror.methods.appearance import AppearancePolicy
 from mirror.methods.capabilities import Capabilities
@@ -39,7 +40,12 @@ from mirror.protocols.views.view import RenderView
 
 NAME: Final = "hybridworldsim"
 STRUCTURE_WEIGHT: Final = 0.1
-ALL: Final = Capabilities(renders_depth=True, renders_covers=True, opens_interactively=True, exports_ply=True)
+ALL: Final = Capabilities(
+    renders_depth=True,
+    renders_covers=True,
+    opens_interactively=True,
+    exports_ply=True,
+)
 
 
 @dataclass(frozen=True)
@@ -48,14 +54,20 @@ class StreetMethod(StaticMethod):
 
     capabilities: Capabilities | None = ALL
 
-    def open(self, model: Path, appearance: AppearancePolicy = AppearancePolicy()) -> StreetRenderer:  # noqa: B008 - immutable
-        """See `StaticMethod.open`."""
-        return StreetRenderer([_open(folder) for folder in block_folders(model)], appearance)
+    def open(
+        self,
+        model: Path,
+        appearance: AppearancePolicy = AppearancePolicy(),  # noqa: B008 - immutable
+        *,
+        device: str = CPU,
+    ) -> StreetRenderer:
+        """See `StaticMethod.open` and `mirror.methods.method_devices.DeviceMethod`."""
+        return StreetRenderer([_open(folder) for folder in block_folders(model)], appearance, device)
 
-    def open_interactive(self, model: Path) -> InteractiveStreet:
-        """See `mirror.methods.interactive.InteractiveMethod`."""
+    def open_interactive(self, model: Path, *, device: str = CPU) -> InteractiveStreet:
+        """See `mirror.methods.interactive.InteractiveDeviceMethod`."""
         opened = [_open(folder) for folder in block_folders(model)]
-        return InteractiveStreet([(block.block, block.street, block.run.sources) for block in opened])
+        return InteractiveStreet([(block.block, block.street, block.run.sources) for block in opened], device)
 
     def export_ply(
         self,
@@ -100,12 +112,13 @@ class StreetRenderer:
     Args:
         blocks: at least one block.
         appearance: policy for untrained traversals and cameras.
+        device: where views are rendered; appearances are fitted on the CPU.
 
     Raises:
         UsageError: no trained appearance matches the policy, or there is nothing to fit or no truth to fit to.
     """
 
-    def __init__(self, blocks: Sequence[OpenStreetBlock], appearance: AppearancePolicy) -> None:
+    def __init__(self, blocks: Sequence[OpenStreetBlock], appearance: AppearancePolicy, device: str = CPU) -> None:
         trained = [block.run.sources for block in blocks]
         if appearance.policy == FITTED:
             trained = [fit_appearances(block.street, block.block, block.run, appearance) for block in blocks]
@@ -123,7 +136,7 @@ class StreetRenderer:
             for block, cameras in zip(blocks, trained)
         }
         self.blocks = [(block.block, block.street) for block in blocks]
-        self._composition = Composition(self.blocks)
+        self._composition = Composition(self.blocks, device)
 
     def __call__(self, view: RenderView) -> UInt8:
         """Render the pixels (H, W, 3) of a view."""

@@ -16,6 +16,7 @@ from hybridworldsim.model.street import StreetModel, StreetOutput, render
 from hybridworldsim.model.visible import select_visible
 from hybridworldsim.trainable.viewpoint import Viewpoint, to_viewpoint
 from mirror.arrays import Float64
+from mirror.devices import CPU
 from mirror.protocols.views.view import RenderView
 
 
@@ -31,15 +32,16 @@ class Composition:
     behind it as one block would.
 
     Args:
-        blocks: blocks, each with its street in the block's frame.
+        blocks: blocks, each with its street in the block's frame, on the CPU.
+        device: where views are rendered; the streets' networks and latents are moved there.
 
     Raises:
         UsageError: there is no block, or the blocks differ in size or overlap.
     """
 
-    def __init__(self, blocks: Sequence[tuple[Block, StreetModel]]) -> None:
+    def __init__(self, blocks: Sequence[tuple[Block, StreetModel]], device: str = CPU) -> None:
         self._split = split_street(blocks)
-        self._parts = [_RenderablePart(part) for part in self._split.parts]
+        self._parts = [_RenderablePart(part.to(device)) for part in self._split.parts]
 
     def render(self, view: RenderView, select_latents: LatentSelector) -> tuple[StreetOutput, Mapping[str, int]]:
         """Render a view.

@@ -14,6 +14,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from hybridworldsim.kernels.dispatch import is_compiled
+from hybridworldsim.model.plain import losses as plain
+
 _NEAREST_M = 1e-3
 _LEAST = 1e-24
 
@@ -31,6 +34,8 @@ def normal_loss(rendered_m: Tensor, stereo_m: Tensor, known: Tensor, K: Tensor) 
         known: (H, W) bool: where stereo depth is known; a pixel counts if all 5 x 5 pixels around it are known.
         K: (3, 3) intrinsics, pixels.
     """
+    if not is_compiled(rendered_m):
+        return plain.normal_loss(rendered_m, stereo_m, known, K.to(rendered_m))
     loss: Tensor = _NormalLoss.apply(rendered_m, stereo_m, known, K)
     return loss
 

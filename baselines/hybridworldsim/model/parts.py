@@ -17,6 +17,7 @@ from hybridworldsim.model.partition import partition
 from hybridworldsim.model.splats import DecodedSplats
 from hybridworldsim.model.street import StreetModel
 from mirror.arrays import Float64
+from mirror.devices import CPU
 from mirror.errors import UsageError
 
 MIN_WEIGHT: Final = 1.0 / 255.0
@@ -49,6 +50,17 @@ class Part:
     background: Tensor
     ground: Tensor
     stored_count: int
+
+    def to(self, device: str) -> Part:
+        """Return the part on a device."""
+        if device == CPU:
+            return self
+        return replace(
+            self,
+            street=self.street.to(device),
+            background=self.background.to(device),
+            ground=self.ground.to(device),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,7 @@ def concatenate_splats(parts: Sequence[DecodedSplats]) -> DecodedSplats:
         torch.cat([part.scales for part in parts]),
         torch.cat([part.opacities for part in parts]),
         torch.cat([part.colours for part in parts]),
-        rows=torch.arange(sum(map(len, parts))),
+        rows=torch.arange(sum(map(len, parts)), device=parts[0].means.device),
         stored_count=sum(part.stored_count for part in parts),
         decoded_count=sum(part.decoded_count for part in parts),
     )

@@ -9,6 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybridworldsim.kernels.dispatch import is_compiled
+from hybridworldsim.model.plain.losses import structural_similarity
+
 _REACH: Final = 5
 _SIGMA: Final = 1.5
 _C1: Final = 0.01**2
@@ -28,6 +31,8 @@ def ssim(rendered: Tensor, recorded: Tensor) -> Tensor:
 
     Source: Wang et al. 2004, "Image quality assessment: from error visibility to structural similarity".
     """
+    if not is_compiled(rendered):
+        return structural_similarity(rendered, recorded)
     return _Ssim.apply(rendered, recorded)
 
 

@@ -12,6 +12,7 @@ from hybridworldsim.model.nodes.anchors import AnchorRows, Anchors
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians, CodeRows
 from hybridworldsim.model.splats import DecodedSplats, concatenate_splats
 from hybridworldsim.rasterizer import rasterization
+from hybridworldsim.rasterizer.cuda import preset_on
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
@@ -105,19 +106,21 @@ def render(viewpoint: Viewpoint, parts: tuple[DecodedSplats, ...], *, track_grad
         track_gradients: whether the backward pass computes the Gaussians' absolute image gradients.
     """
     splats = concatenate_splats(parts)
+    viewmat, K = viewpoint.on(splats.means.device)
     images, alphas, meta = rasterization(
         splats.means,
         splats.quats,
         splats.scales,
         splats.opacities,
         splats.colours,
-        viewpoint.viewmat[None],
-        viewpoint.K[None],
+        viewmat[None],
+        K[None],
         viewpoint.width_px,
         viewpoint.height_px,
         near_plane=0.2,
         render_mode="RGB+ED",
         absgrad=track_gradients,
+        preset=preset_on(splats.means.device),
         nonfinite="cull",
     )
     return StreetOutput(images[0, ..., :3], alphas[0, ..., 0], images[0, ..., 3], parts, meta)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from hybridworldsim.model.dense_adam import DenseAdam, TableAdam
 from hybridworldsim.model.densification.anchors import AnchorRefiner
 from hybridworldsim.model.densification.code_gaussians import CodeRefiner
 from hybridworldsim.model.densification.image_gradients import image_gradients
@@ -22,6 +23,7 @@ from hybridworldsim.trainable.method import Rendering, StepReport
 from hybridworldsim.trainable.training_image import TrainingImage
 from hybridworldsim.trainable.viewpoint import Viewpoint
 from hybridworldsim.training.run.state import dump, load
+from mirror.devices import CPU
 
 _SENSOR_RATE_SHARE = 0.1
 """Learning rate of a sensor's latent, as a share of the learning rate of its traversal's latent."""
@@ -33,13 +35,19 @@ class StreetTrainer:
     Args:
         street: the model, changed in place.
         settings: its settings.
+        dense: whether each step updates all rows (`DenseAdam`), or those that it uses (`LazyAdam`); None: all on a GPU,
+            where what the step uses would have to be read back.
     """
 
-    def __init__(self, street: StreetModel, settings: Settings) -> None:
+    def __init__(self, street: StreetModel, settings: Settings, *, dense: bool | None = None) -> None:
         self.street, self.settings = street, settings
+        self._device = street.background.means.device
         self._generator = torch.Generator().manual_seed(settings.seed)
         self._adam = torch.optim.Adam(_shared_parameters(street), lr=1e-3, betas=(BETA1, BETA2), eps=EPS, fused=True)
-        self._tables = [LazyAdam(node, node.TABLES) for node in street.nodes]
+        lazy = dense is not True and (dense is False or self._device.type == "cpu")
+        self._tables: list[TableAdam] = [
+            LazyAdam(node, node.TABLES) if lazy else DenseAdam(node, node.TABLES) for node in street.nodes
+        ]
         refinement = settings.refinement
         anchors, ground, sky = self._tables
         self._anchors = AnchorRefiner(street.background, anchors, refinement)
@@ -48,6 +56,10 @@ class StreetTrainer:
         self._visibility = VisibilityCache()
         self._steps, self._refined, self._last, self._progress = 0, 0, 0, 0.0
 
+    def to(self, device: str) -> StreetTrainer:
+        """Return a trainer of the same untrained street on a device."""
+        return self if device == CPU else StreetTrainer(self.street.to(device), self.settings)
+
     @property
     def model(self) -> StreetModel:
         """See `TrainableMethod`."""
@@ -55,6 +67,7 @@ class StreetTrainer:
 
     def step(self, image: TrainingImage, progress: float) -> StepReport:
         """Train on one image; see `TrainableMethod`."""
+        image = image.to(self._device)
         settings, street, viewpoint = self.settings, self.street, image.viewpoint
         self._progress = progress
         for group in self._adam.param_groups:
@@ -71,18 +84,22 @@ class StreetTrainer:
         }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
         self._adam.zero_grad(set_to_none=True)
-        for part in output.parts:
+        lazy = isinstance(self._tables[0], LazyAdam)
+        for part in output.parts if lazy else ():
             part.opacities.retain_grad()
         total.backward()
-        self._record_visibility(output, viewpoint)
+        if lazy:
+            self._record_visibility(output, viewpoint)
         self._adam.step()
         for tables in self._tables:
             tables.end_step()
         self._steps += 1
         if growing:
             self._refine(output, viewpoint, progress)
+        # Read together: each reading waits for the GPU.
+        values = torch.stack([loss.detach() for loss in losses.values()]).tolist()
         return StepReport(
-            {name: float(loss.detach()) for name, loss in losses.items()},
+            dict(zip(losses, values)),
             sum(part.stored_count for part in output.parts),
         )
 
@@ -111,19 +128,15 @@ class StreetTrainer:
     def visible_rows(self, viewpoint: Viewpoint) -> NodeRows:
         """Begin a step of the optimisers with the rows that the viewpoint may see."""
         street = self.street
+        if dense := [tables for tables in self._tables if isinstance(tables, DenseAdam)]:
+            every = [torch.arange(len(node), device=self._device) for node in street.nodes]
+            taken = [tables.begin_step(rates) for tables, rates in zip(dense, self._rates())]
+            return _rows_of(street, every, taken)
+        lazy = [tables for tables in self._tables if isinstance(tables, LazyAdam)]
         visible = [node.visible_ids(viewpoint) for node in street.nodes]
-        anchors, ground, sky = self._visibility.select_rows(
-            viewpoint, visible, [tables.numbers for tables in self._tables]
-        )
-        gathered = [
-            tables.begin_step(ids, rates)
-            for tables, ids, rates in zip(self._tables, (anchors, ground, sky), self._rates())
-        ]
-        return NodeRows(
-            street.background.rows(anchors, gathered[0]),
-            street.ground.rows(ground, gathered[1]),
-            street.sky.rows(sky, gathered[2]),
-        )
+        selected = self._visibility.select_rows(viewpoint, visible, [tables.numbers for tables in lazy])
+        gathered = [tables.begin_step(ids, rates) for tables, ids, rates in zip(lazy, selected, self._rates())]
+        return _rows_of(street, selected, gathered)
 
     def _record_visibility(self, output: StreetOutput, viewpoint: Viewpoint) -> None:
         """Record which rows the image shows: those with a gradient of the opacity."""
@@ -132,7 +145,9 @@ class StreetTrainer:
             for part in output.parts
         ]
         shown_rows[0] = shown_rows[0] // self.street.background.k
-        self._visibility.record(viewpoint, shown_rows, [tables.numbers for tables in self._tables])
+        self._visibility.record(
+            viewpoint, shown_rows, [tables.numbers for tables in self._tables if isinstance(tables, LazyAdam)]
+        )
 
     def _rate(self, name: str, factor: float = 1.0) -> float:
         rate: Rate = getattr(self.settings.rates, name)
@@ -191,7 +206,7 @@ class StreetTrainer:
         self._steps, self._refined, self._last = state["counters"].tolist()
         self._progress = float(state["progress"])
 
-    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | LazyAdam | VisibilityCache]:
+    def _parts(self) -> dict[str, AnchorRefiner | CodeRefiner | TableAdam | VisibilityCache]:
         return {
             "anchors": self._anchors,
             "ground": self._ground,
@@ -199,6 +214,14 @@ class StreetTrainer:
             "sightings": self._visibility,
             **{f"{name}.adam": tables for name, tables in zip(("anchors", "ground", "sky"), self._tables)},
         }
+
+
+def _rows_of(street: StreetModel, ids: Sequence[Tensor], tables: Sequence[Mapping[str, Tensor]]) -> NodeRows:
+    return NodeRows(
+        street.background.rows(ids[0], tables[0]),
+        street.ground.rows(ids[1], tables[1]),
+        street.sky.rows(ids[2], tables[2]),
+    )
 
 
 def _shared_parameters(street: StreetModel) -> list[dict[str, Any]]:

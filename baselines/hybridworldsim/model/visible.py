@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.dispatch import is_compiled
 from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
+from hybridworldsim.model.plain.decoding import visible_mask
 from hybridworldsim.trainable.viewpoint import Viewpoint
 
 
@@ -25,6 +27,8 @@ def select_visible(viewpoint: Viewpoint, means: Tensor, reach_m: Tensor) -> Tens
     Returns:
         (M,) int64 rows, ascending.
     """
+    if not is_compiled(means):
+        return visible_mask(viewpoint, means, reach_m).nonzero().squeeze(1)
     points, radii = (np.ascontiguousarray(table.detach().numpy(), np.float32) for table in (means, reach_m))
     view, rows = viewpoint.frustum, empty_aligned(len(points), np.int64)
     edges = spans(len(points))

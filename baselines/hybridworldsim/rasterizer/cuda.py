@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from hybridworldsim.rasterizer.inputs import NonFinite, refuse_nonfinite
-from hybridworldsim.rasterizer.presets import PRESETS, GsplatPreset
+from hybridworldsim.rasterizer.presets import DEFAULT_PRESET, PRESETS, GsplatPreset
 from mirror.errors import UsageError
 from mirror.installation import install_command
 
@@ -22,7 +24,7 @@ def rasterization(
 
     Args:
         preset: the generation whose rules gsplat must follow.
-        nonfinite: treatment of Gaussians that are not finite: only "raise".
+        nonfinite: treatment of Gaussians that are not finite.
         arguments: arguments of `gsplat.rasterization`, by name.
 
     Returns:
@@ -41,18 +43,50 @@ def rasterization(
             expected="gsplat " + " or ".join(preset.releases),
             remedy=f'preset="{same}"' if same else "install a release that a preset follows",
         )
-    if nonfinite != "raise":
-        raise UsageError("gsplat's CUDA kernels cull nothing that is not finite", place="nonfinite", expected="'raise'")
+    if nonfinite == "cull":
+        arguments |= _hide_nonfinite(arguments)
     if arguments["with_ut"] and arguments["packed"]:
         raise UsageError("gsplat's unscented transform is not packed", place="packed", remedy="packed=False")
-    if arguments["colors"] is not None:
+    if arguments["colors"] is not None and nonfinite == "raise":
         refuse_nonfinite("colors", arguments["colors"].flatten(0, -2), "row")
-    else:
+    elif arguments["colors"] is None:
         # gsplat needs colours even if only depth is rendered
         arguments["colors"] = arguments["opacities"].detach()[..., None]
     # releases before 1.5 lack some arguments, which are passed only if they differ from their defaults
     given = {name: value for name, value in arguments.items() if value is not None and value != _DEFAULTS.get(name)}
     return gsplat.rasterization(**given)
+
+
+def preset_on(device: torch.device) -> str:
+    """Return the preset that a model renders with on a device: on CUDA that of the installed gsplat.
+
+    Raises:
+        UsageError: on CUDA, gsplat is not installed.
+    """
+    if device.type != "cuda":
+        return DEFAULT_PRESET
+    release = ".".join(_import_gsplat().__version__.split(".")[:2])
+    return next((preset.name for preset in PRESETS.values() if release in preset.releases), DEFAULT_PRESET)
+
+
+def _hide_nonfinite(arguments: Mapping[str, Any]) -> dict[str, Tensor]:
+    """Make Gaussians that are not finite transparent, so that gsplat culls them; they get no gradients.
+
+    Nothing is read back from the GPU. Colours for each camera, (..., C, N, D), are not looked at.
+    """
+    names = ["means", "quats", "scales", "opacities"]
+    colours = arguments["colors"]
+    if colours is not None and colours.shape[-2 if arguments["sh_degree"] is None else -3] == len(arguments["means"]):
+        names.append("colors")
+    tables = {name: arguments[name] for name in names}
+    count = len(tables["means"])
+    kept = torch.stack([table.detach().reshape(count, -1).isfinite().all(1) for table in tables.values()]).all(0)
+    hidden = {}
+    for name, table in tables.items():
+        # A quaternion of zeros has no direction.
+        instead = torch.ones_like(table) if name == "quats" else torch.zeros_like(table)
+        hidden[name] = torch.where(kept.view(-1, *[1] * (table.ndim - 1)), table, instead)
+    return hidden
 
 
 def _import_gsplat() -> ModuleType:

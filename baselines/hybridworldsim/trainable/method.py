@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor, nn
 
@@ -79,6 +79,15 @@ class TrainableMethod(RenderableModel, Protocol):
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """Restore what `state` returned."""
+        ...
+
+
+@runtime_checkable
+class MovableMethod(TrainableMethod, Protocol):
+    """A `TrainableMethod` that computes on any device: for the capability `takes_device` of its method."""
+
+    def to(self, device: str) -> TrainableMethod:
+        """Return the untrained model on a device, as torch names it; its optimisers are made there."""
         ...
 
 

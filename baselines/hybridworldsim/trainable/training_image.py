@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
 from hybridworldsim.trainable.viewpoint import Viewpoint
@@ -28,6 +29,17 @@ class TrainingImage:
     sky: Tensor | None
     depth_m: Tensor | None
     name: str = ""
+
+    def to(self, device: torch.device) -> TrainingImage:
+        """Return the image on a device; the camera stays on the CPU, and the copy to a GPU does not wait."""
+        if device.type == "cpu":
+            return self
+        names = ("rgb", "scored", "sky", "depth_m")
+        tensors = {name: getattr(self, name) for name in names}
+        return replace(
+            self,
+            **{name: one.to(device, non_blocking=True) for name, one in tensors.items() if one is not None},
+        )
 
     @property
     def bytes(self) -> int:

@@ -69,6 +69,10 @@ class Viewpoint:
         lengths = [(1.0 + slope * slope) ** 0.5 for slope in slopes]
         return np.array((*matrix[:3, :3].ravel(), *matrix[:3, 3], NEAREST_M, *slopes, *lengths), np.float32)
 
+    def on(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Return `viewmat` and `K` on a device; the copy to a GPU does not wait."""
+        return self.viewmat.to(device, non_blocking=True), self.K.to(device, non_blocking=True)
+
     def with_source(self, source: Source) -> Viewpoint:
         """Return the camera with another appearance."""
         return replace(self, source=source)

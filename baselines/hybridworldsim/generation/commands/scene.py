@@ -115,9 +115,10 @@ def run_scene(argv: Sequence[str]) -> int:
         raise UsageError("the protocol decides it", place="--edit", expected="no such option beside --split")
 
     import mirror
-    from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
+    from hybridworldsim.generation.devices import GENERATION_REMEDY
     from hybridworldsim.generation.inference.clip_rollout import ClipRolloutOptions
     from hybridworldsim.generation.scenes.generator_files import GeneratorFiles
+    from hybridworldsim.training.run.exhaustion import exhausted_memory_named
     from mirror.annotation.box_layer import with_box_layer
 
     device = resolve_device(arguments.device)
@@ -172,9 +173,10 @@ def run_scene(argv: Sequence[str]) -> int:
 def _write_submission(
     arguments: SceneArguments, dataset: Dataset, files: GeneratorFiles, rollout: ClipRolloutOptions, split: str
 ) -> int:
-    from hybridworldsim.generation.devices import GENERATION_REMEDY, exhausted_memory_named
+    from hybridworldsim.generation.devices import GENERATION_REMEDY
     from hybridworldsim.generation.scenes.released import NO_BACKGROUND
     from hybridworldsim.generation.scenes.submission import SubmissionRequest, generate_submission
+    from hybridworldsim.training.run.exhaustion import exhausted_memory_named
     from mirror.progress import progress_bar
     from mirror.protocols.document import format_file_option
 

@@ -14,7 +14,6 @@ from hybridworldsim.generation.clips.captions import CachedCaptions, embedding_w
 from hybridworldsim.generation.clips.folder import ClipFiles, ClipHeader, clip_path, read_list
 from hybridworldsim.generation.devices import (
     TRAINING_REMEDY,
-    exhausted_memory_named,
     repeating_exactly,
     require_counts,
     require_seed,
@@ -35,6 +34,7 @@ from hybridworldsim.generation.training.numbered import numbered_training
 from hybridworldsim.generation.training.samples import write_samples
 from hybridworldsim.generation.training.windows import ClipWindows, require_clips, require_fit, require_maps
 from hybridworldsim.training.run.document import describe_computation
+from hybridworldsim.training.run.exhaustion import exhausted_memory_named
 from hybridworldsim.training.run.folder import RunFolder
 from hybridworldsim.training.run.loop import train
 from hybridworldsim.training.run.processes import Processes, join_processes

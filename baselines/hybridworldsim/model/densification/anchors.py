@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from hybridworldsim.model.dense_adam import TableAdam
 from hybridworldsim.model.densification.cells import grow_anchors
 from hybridworldsim.model.densification.schedule import target_count
-from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.anchors import Anchors
 from hybridworldsim.model.settings import AnchorRefinement
 from hybridworldsim.model.splats import DecodedSplats
@@ -29,9 +29,9 @@ class AnchorRefiner:
         refinement: how many anchors there may be, and in which cells.
     """
 
-    def __init__(self, node: Anchors, tables: LazyAdam, refinement: AnchorRefinement) -> None:
+    def __init__(self, node: Anchors, tables: TableAdam, refinement: AnchorRefinement) -> None:
         self._node, self._tables, self._refinement, self._initial_count = node, tables, refinement, len(node)
-        self._nearest_m = torch.full((len(node),), torch.inf)
+        self._nearest_m = torch.full((len(node),), torch.inf, device=node.means.device)
         self._clear()
 
     def accumulate(self, part: DecodedSplats, rows: Tensor, gradients: Tensor, viewpoint: Viewpoint) -> None:
@@ -49,7 +49,9 @@ class AnchorRefiner:
         self._opacity_sum.index_add_(0, part.rows // self._node.k, part.opacities.detach())
         if part.anchor_ids is not None:
             self._visit_count[part.anchor_ids] += 1.0
-            distance = (self._node.means[part.anchor_ids] - viewpoint.centre).norm(dim=1)
+            distance = (
+                self._node.means[part.anchor_ids] - viewpoint.centre.to(self._nearest_m.device, non_blocking=True)
+            ).norm(dim=1)
             self._nearest_m[part.anchor_ids] = torch.minimum(self._nearest_m[part.anchor_ids], distance)
 
     @torch.no_grad()
@@ -91,7 +93,7 @@ class AnchorRefiner:
         centres, sizes, chosen = grow_anchors(
             points, mean[rows], min_cell_m, node.means, refinement.cells_m, free_count
         )
-        offsets = 2.0 * torch.rand(len(centres), node.k, 3, generator=generator) - 1.0
+        offsets = (2.0 * torch.rand(len(centres), node.k, 3, generator=generator) - 1.0).to(centres.device)
         tables = {
             "means": centres,
             "offsets": _SPREAD * offsets,
@@ -101,9 +103,9 @@ class AnchorRefiner:
         return tables, self._nearest_m[parents[chosen]]
 
     def _clear(self) -> None:
-        count, k = len(self._node), self._node.k
-        self._gradient_sum, self._render_count = torch.zeros(count, k), torch.zeros(count, k)
-        self._opacity_sum, self._visit_count = torch.zeros(count), torch.zeros(count)
+        count, k, device = len(self._node), self._node.k, self._node.means.device
+        self._gradient_sum, self._render_count = (torch.zeros(count, k, device=device) for _ in range(2))
+        self._opacity_sum, self._visit_count = (torch.zeros(count, device=device) for _ in range(2))
 
     def state(self) -> dict[str, Tensor]:
         """Return the statistics as tensors, for a checkpoint."""
@@ -118,6 +120,7 @@ class AnchorRefiner:
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """Restore what `state` returned."""
-        self._gradient_sum, self._render_count = state["pull"].clone(), state["drawn"].clone()
-        self._opacity_sum, self._visit_count = state["opacity"].clone(), state["seen"].clone()
-        self._nearest_m, self._initial_count = state["nearest"].clone(), int(state["first"])
+        device = self._node.means.device
+        self._gradient_sum, self._render_count = state["pull"].clone().to(device), state["drawn"].clone().to(device)
+        self._opacity_sum, self._visit_count = state["opacity"].clone().to(device), state["seen"].clone().to(device)
+        self._nearest_m, self._initial_count = state["nearest"].clone().to(device), int(state["first"])

@@ -25,8 +25,10 @@ def best_per_cell(keys: Tensor, scores: Tensor) -> Tensor:
     """
     ranked_rows = torch.argsort(scores, descending=True, stable=True)
     _, group = torch.unique(keys[ranked_rows], return_inverse=True)
-    best_ranks = torch.full((int(group.max()) + 1 if len(group) else 0,), len(keys), dtype=torch.int64)
-    best_ranks.scatter_reduce_(0, group, torch.arange(len(keys)), "amin")
+    best_ranks = torch.full(
+        (int(group.max()) + 1 if len(group) else 0,), len(keys), dtype=torch.int64, device=keys.device
+    )
+    best_ranks.scatter_reduce_(0, group, torch.arange(len(keys), device=keys.device), "amin")
     return ranked_rows[best_ranks.sort().values]
 
 
@@ -48,7 +50,8 @@ def grow_anchors(
     Returns:
         (M, 3) centres of the new anchors' cells, (M,) their sizes, (M,) int64 rows of the candidates.
     """
-    centres, widths, parents = [occupied.new_empty(0, 3)], [occupied.new_empty(0)], [torch.empty(0, dtype=torch.int64)]
+    centres, widths = [occupied.new_empty(0, 3)], [occupied.new_empty(0)]
+    parents = [torch.empty(0, dtype=torch.int64, device=occupied.device)]
     for remaining_sizes, size_m in zip(range(len(sizes_m), 0, -1), sizes_m):
         anchors = torch.cat([occupied, *centres])
         is_occupied = torch.isin(cell_keys(points, size_m), cell_keys(anchors, size_m))

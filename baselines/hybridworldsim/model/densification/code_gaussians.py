@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from hybridworldsim.model.dense_adam import TableAdam
 from hybridworldsim.model.densification.schedule import target_count
-from hybridworldsim.model.lazy_adam import LazyAdam
 from hybridworldsim.model.nodes.code_gaussians import CodeGaussians
 from hybridworldsim.model.settings import AnchorRefinement
 from hybridworldsim.model.splats import DecodedSplats
@@ -30,7 +30,7 @@ class CodeRefiner:
         max_count: largest number of Gaussians.
     """
 
-    def __init__(self, node: CodeGaussians, tables: LazyAdam, refinement: AnchorRefinement, max_count: int) -> None:
+    def __init__(self, node: CodeGaussians, tables: TableAdam, refinement: AnchorRefinement, max_count: int) -> None:
         self._node, self._tables, self._refinement = node, tables, refinement
         self._initial_count, self._max_count = len(node), max_count
         self._clear()
@@ -83,7 +83,9 @@ class CodeRefiner:
         }
 
     def _clear(self) -> None:
-        self._gradient_sum, self._render_count = torch.zeros(len(self._node)), torch.zeros(len(self._node))
+        self._gradient_sum, self._render_count = (
+            torch.zeros(len(self._node), device=self._node.means.device) for _ in range(2)
+        )
 
     def state(self) -> dict[str, Tensor]:
         """Return the statistics as tensors, for a checkpoint."""
@@ -92,8 +94,8 @@ class CodeRefiner:
     def restore(self, state: Mapping[str, Tensor]) -> None:
         """Restore what `state` returned."""
         self._gradient_sum, self._render_count, self._initial_count = (
-            state["pull"].clone(),
-            state["drawn"].clone(),
+            state["pull"].clone().to(self._node.means.device),
+            state["drawn"].clone().to(self._node.means.device),
             int(state["first"]),
         )
 

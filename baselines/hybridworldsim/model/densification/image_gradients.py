@@ -26,10 +26,11 @@ def image_gradients(output: StreetOutput, viewpoint: Viewpoint) -> Iterator[tupl
     ids = output.meta["gaussian_ids"]
     # Summed over pixels without their signs (AbsGS): opposite gradients must not cancel.
     gradient = getattr(output.meta["means2d"], "absgrad", None)
-    size = torch.tensor((viewpoint.width_px / 2.0, viewpoint.height_px / 2.0))
-    lengths = torch.zeros(len(ids)) if gradient is None else (gradient * size).norm(dim=1)
-    ends = torch.tensor([len(part) for part in output.parts]).cumsum(0)
+    size = torch.tensor((viewpoint.width_px / 2.0, viewpoint.height_px / 2.0)).to(ids.device, non_blocking=True)
+    lengths = torch.zeros(len(ids), device=ids.device) if gradient is None else (gradient * size).norm(dim=1)
+    counts = torch.tensor([len(part) for part in output.parts]).cumsum(0)
+    ends = counts.to(ids.device, non_blocking=True)
     # The ids ascend.
     bounds = [0, *torch.searchsorted(ids, ends).tolist()]
-    for start, stop, end, part in zip(bounds, bounds[1:], ends.tolist(), output.parts):
+    for start, stop, end, part in zip(bounds, bounds[1:], counts.tolist(), output.parts):
         yield ids[start:stop] - (end - len(part)), lengths[start:stop]

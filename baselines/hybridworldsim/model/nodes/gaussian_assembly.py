@@ -14,8 +14,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.dispatch import is_compiled
 from hybridworldsim.kernels.memory import empty_aligned, full_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
+from hybridworldsim.model.plain import decoding as plain
 from mirror.arrays import AnyArray, Float32
 
 GEOMETRY: Final = 8
@@ -54,6 +56,8 @@ def anchors_to_gaussians(
         offsets: (M, k, 3) in units of the first three scales.
         log_scales: (M, 6) logarithms of the size of the offsets and of the Gaussians.
     """
+    if not is_compiled(geometry):
+        return AnchorGaussians(*plain.anchors_to_gaussians(geometry, colours, means, offsets, log_scales))
     return AnchorGaussians(*_AnchorsToGaussians.apply(geometry, colours, means, offsets, log_scales))
 
 
@@ -62,6 +66,8 @@ def rows_of_slots(slots: Tensor, ids: Tensor, k: int) -> Tensor:
 
     The slots are those of the anchors ``ids`` (M,).
     """
+    if not is_compiled(slots):
+        return plain.rows_of_slots(slots, ids, k)
     rows: AnyArray = empty_aligned(len(slots), np.int64)
     write_rows(slots.numpy(), ids.numpy(), k, rows)
     return torch.from_numpy(rows)

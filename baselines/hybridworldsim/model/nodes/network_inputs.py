@@ -12,8 +12,10 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from hybridworldsim.kernels.compilation import kernel
+from hybridworldsim.kernels.dispatch import is_compiled
 from hybridworldsim.kernels.memory import empty_aligned
 from hybridworldsim.kernels.threads import in_parallel, spans
+from hybridworldsim.model.plain import decoding as plain
 from mirror.arrays import AnyArray
 
 _MULTIPLE: Final = 4
@@ -41,6 +43,8 @@ def network_inputs(codes: Tensor, means: Tensor, eye: Tensor, radius_m: float | 
         (M, D): the code, three numbers of direction, three of place unless `radius_m` is None, a one, and zeros up to a
         multiple of four, which is faster in matrix products.
     """
+    if not is_compiled(codes):
+        return plain.network_inputs(codes, means, eye, radius_m)
     rows: Tensor = _NetworkInputs.apply(codes, means, eye, radius_m)
     return rows
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from hybridworldsim.kernels.dispatch import is_compiled
 from hybridworldsim.model.decoders import ModulatedMLP, run_mlps
 from hybridworldsim.model.nodes.fused_networks import run_fused
 from hybridworldsim.model.nodes.network_inputs import network_inputs
@@ -27,6 +28,6 @@ def run_networks(
     Returns:
         The output (M, outputs) of each network.
     """
-    if torch.is_grad_enabled():
+    if torch.is_grad_enabled() or not is_compiled(codes):
         return run_mlps(network_inputs(codes, means, eye, radius_m), *networks)
     return run_fused(codes, means, eye, radius_m, *networks)

@@ -1,10 +1,12 @@
-"""Losses in plain torch, on complete images of any precision: the reference of the fast losses."""
+"""Losses in plain torch, on complete images of any precision and on any device."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 from torch.nn import functional
+
+from hybridworldsim.model.plain.decoding import blur
 
 
 def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
@@ -15,8 +17,8 @@ def compute_normals(depth_m: Tensor, K: Tensor) -> Tensor:
         K: (3, 3).
     """
     height, width = depth_m.shape
-    x = (torch.arange(width, dtype=depth_m.dtype) + 0.5 - K[0, 2]) / K[0, 0]
-    y = (torch.arange(height, dtype=depth_m.dtype) + 0.5 - K[1, 2]) / K[1, 1]
+    x = (torch.arange(width, dtype=depth_m.dtype, device=depth_m.device) + 0.5 - K[0, 2]) / K[0, 0]
+    y = (torch.arange(height, dtype=depth_m.dtype, device=depth_m.device) + 0.5 - K[1, 2]) / K[1, 1]
     points = torch.stack((x * depth_m, y[:, None] * depth_m, depth_m))
     padded = functional.pad(points, (1, 1, 1, 1), mode="replicate")
     right = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
@@ -69,15 +71,10 @@ def structural_similarity(x: Tensor, y: Tensor) -> Tensor:
 
     Source: Wang et al. 2004, windows of 11 x 11, sigma 1.5.
     """
-    steps = torch.arange(-5, 6, dtype=x.dtype)
+    steps = torch.arange(-5, 6, dtype=x.dtype, device=x.device)
     window = torch.exp(-(steps**2) / (2.0 * 1.5**2))
     window = window / window.sum()
-
-    def blurred(render_image: Tensor) -> Tensor:
-        down = functional.conv2d(render_image.permute(2, 0, 1)[:, None], window[None, None, :, None], padding=(5, 0))
-        return functional.conv2d(down, window[None, None, None], padding=(0, 5))[:, 0].permute(1, 2, 0)
-
-    mean_x, mean_y = blurred(x), blurred(y)
-    xx, yy, xy = blurred(x * x) - mean_x**2, blurred(y * y) - mean_y**2, blurred(x * y) - mean_x * mean_y
+    mean_x, mean_y = blur(x, window), blur(y, window)
+    xx, yy, xy = blur(x * x, window) - mean_x**2, blur(y * y, window) - mean_y**2, blur(x * y, window) - mean_x * mean_y
     ssim = (2 * mean_x * mean_y + 1e-4) * (2 * xy + 9e-4) / ((mean_x**2 + mean_y**2 + 1e-4) * (xx + yy + 9e-4))
     return ssim.mean(2)

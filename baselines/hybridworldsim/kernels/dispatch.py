@@ -1,0 +1,30 @@
+"""Decides which form of a computation runs: the compiled kernel, or plain torch, which runs on any device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Final
+
+from torch import Tensor
+
+_PLAIN: Final = ContextVar("plain", default=False)
+
+
+def is_compiled(tensor: Tensor) -> bool:
+    """Return whether the compiled kernels compute with a tensor: it is on the CPU, and plain torch is not asked for."""
+    return tensor.device.type == "cpu" and not _PLAIN.get()
+
+
+@contextmanager
+def plain_torch() -> Iterator[None]:
+    """Compute in plain torch on the CPU too, as a GPU does, to compare both forms.
+
+    Only what has both forms changes: the rasterizer of the CPU stays compiled.
+    """
+    token = _PLAIN.set(True)
+    try:
+        yield
+    finally:
+        _PLAIN.reset(token)

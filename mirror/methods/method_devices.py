@@ -1,4 +1,4 @@
-"""The interface of a method that computes on the device that it is told."""
+"""The interface of a method that computes on the device that it is given."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _COMPUTED: Final = "computed"
 
 
 class Computation(Document):
-    """What a run computes with; results of the CPU and of GPUs differ in the last digits.
+    """Device, precision and libraries of a run; results of the CPU and of GPUs differ in the last digits.
 
     Attributes:
         device: where it was begun, as torch names it.

@@ -15,7 +15,7 @@ from mirror.protocols.ranking import Ranking
 from mirror.protocols.rectangle import Rectangle
 from mirror.schema.documents import Document, Identifier, Role
 from mirror.schema.hashing import HashStyle, hash_document
-from mirror.schema.problems import describe_problem_and_value
+from mirror.schema.problems import describe_problems
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 ScoringTask = Literal[
@@ -306,10 +306,10 @@ def parse_protocol(data: bytes, file: str) -> Protocol:
     except TomlError as error:
         raise SchemaError(f"not TOML ({error})", file=file, expected="a protocol") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        problem, place = describe_problems(error.errors(), "the whole protocol")
         raise SchemaError(
-            describe_problem_and_value(first),
+            problem,
             file=file,
-            place=".".join(str(part) for part in first["loc"]) or "the whole protocol",
+            place=place,
             expected="a protocol as docs/evaluation.md describes it",
         ) from error

@@ -47,16 +47,17 @@ def describe_expected(details: ErrorDetails) -> str:
     return f"a number {expected}" if expected.startswith(("greater", "less")) else expected
 
 
-def describe_problems(every: Sequence[ErrorDetails]) -> tuple[str, str]:
+def describe_problems(every: Sequence[ErrorDetails], whole: str = "the whole document") -> tuple[str, str]:
     """Describe all faults of a document at once, each with its place.
 
     Args:
         every: `pydantic.ValidationError.errors`.
+        whole: place of a fault of the document itself.
 
     Returns:
         The problem and its place; of several problems the text names the place of each, and the place lists all.
     """
-    places = [".".join(str(part) for part in details["loc"]) or "the whole document" for details in every]
+    places = [".".join(str(part) for part in details["loc"]) or whole for details in every]
     texts = [describe_problem_and_value(details) for details in every]
     if len(texts) == 1:
         return texts[0], places[0]

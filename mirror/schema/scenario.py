@@ -17,7 +17,7 @@ from mirror.errors import SchemaError, UsageError
 from mirror.schema.behaviours import Behaviour, CrossingPedestrian, Idm, Replay, StoppedQueue
 from mirror.schema.documents import Document, Identifier
 from mirror.schema.files import write_bytes
-from mirror.schema.problems import describe_problem_and_value
+from mirror.schema.problems import describe_problems
 from mirror.schema.strict_toml import TomlError, decode_toml
 
 SCENARIO_VERSION: Final = "1.0"
@@ -231,11 +231,11 @@ def parse_scenario(data: bytes, file: str) -> Scenario:
     except TomlError as error:
         raise SchemaError(f"not TOML ({error})", file=file, expected="a scenario") from error
     except ValidationError as error:
-        first = error.errors()[0]
+        problem, place = describe_problems(error.errors(), "the whole scenario")
         raise SchemaError(
-            describe_problem_and_value(first),
+            problem,
             file=file,
-            place=".".join(str(part) for part in first["loc"]) or "the whole scenario",
+            place=place,
             expected="a scenario as docs/schema.md describes it",
         ) from error
 

@@ -52,6 +52,7 @@ def test_hash_ignores_description_and_layout() -> None:
     ("old", "new", "place"),
     [
         ("every = 5", "every = 0", "frames.every"),
+        ("every = 5", "evry = 5", "frames.every, frames.evry"),
         ('space = "undistorted"', 'space = "flat"', "pixels.space"),
         ("[masks]", "[masks]\ncolour = 1", "masks.colour"),
         ('metric = "psnr"', 'metric = "psn"', "metrics.1"),

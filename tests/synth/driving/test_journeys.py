@@ -4,8 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from shapely import STRtree, affinity
-from shapely.geometry import Polygon, box
+from shapely import STRtree, polygons
 
 from mirror.geometry import matrix_from_quaternion
 from mirror.geometry.geodesy import TangentFrame
@@ -28,9 +27,12 @@ def journey_of(route: str, seed: int = 1) -> Journey:
     return simulate_journey(SITE, route, EGO, seed, fastest_mps=14.0, aside_m=0.1)
 
 
-def footprint(length, width, x, y, yaw) -> Polygon:
-    turned = affinity.rotate(box(-length / 2, -width / 2, length / 2, width / 2), yaw, (0, 0), use_radians=True)
-    return affinity.translate(turned, x, y)
+def footprints(boxes: list[tuple[float, ...]]) -> np.ndarray:
+    """Polygons (N,) of boxes (length, width, x, y, yaw), made in one call of shapely."""
+    length, width, x, y, yaw = np.array(boxes).T[..., None]
+    along, left = length / 2 * (1, -1, -1, 1), width / 2 * (1, 1, -1, -1)
+    corners = x + np.cos(yaw) * along - np.sin(yaw) * left, y + np.sin(yaw) * along + np.cos(yaw) * left
+    return polygons(np.stack(corners, axis=-1))
 
 
 @pytest.mark.parametrize("route", ["along", "turn", "left"])
@@ -40,11 +42,12 @@ def test_road_users_do_not_overlap(route) -> None:
     for time_s in np.arange(0.0, journey.drive.duration_s, 0.5):
         along, _ = journey.drive.schedule.at(np.array([time_s]))
         (x, y, _, yaw, _, _), ahead = journey.drive.trace.at(along)[0][0], 0.5 * EGO.length_m - EGO.rear_overhang_m
-        shapes = [footprint(EGO.length_m, EGO.width_m, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw)]
+        boxes = [(EGO.length_m, EGO.width_m, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw)]
         for user in journey.road_users:
             at = user.motion.at(float(time_s))
             if np.hypot(at.x_m, at.y_m) < street.RADIUS + 50.0:
-                shapes.append(footprint(*user.body.size_m[:2], at.x_m, at.y_m, at.yaw_rad))
+                boxes.append((*user.body.size_m[:2], at.x_m, at.y_m, at.yaw_rad))
+        shapes = footprints(boxes)
         pairs = STRtree(shapes).query(shapes, predicate="intersects").T
         assert all(a == b for a, b in pairs), (route, time_s)
 

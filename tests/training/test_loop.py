@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import signal
 import time
 from dataclasses import replace
@@ -60,11 +61,24 @@ def test_training_improves_psnr_and_writes_a_complete_folder(tmp_path: Path) -> 
     assert not list((tmp_path / "run").glob(".*"))
 
 
-def test_stored_model_renders_as_the_trainer(tmp_path: Path) -> None:
-    trained = trainer()
-    run(tmp_path / "run", trainer=trained)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StreetTrainer]:
+    """The folder of a run that nobody disturbs, and its trainer."""
+    folder, trained = tmp_path_factory.mktemp("whole") / "run", trainer()
+    run(folder, trainer=trained)
+    return folder, trained
+
+
+@pytest.fixture
+def finished(whole: tuple[Path, StreetTrainer], tmp_path: Path) -> Path:
+    """A copy of the folder."""
+    return Path(shutil.copytree(whole[0], tmp_path / "run"))
+
+
+def test_stored_model_renders_as_the_trainer(whole: tuple[Path, StreetTrainer]) -> None:
+    folder, trained = whole
     fresh = initial_street(replace_points(), SETTINGS)
-    set_parameters(fresh, read_parameters(tmp_path / "run" / "model.safetensors"))
+    set_parameters(fresh, read_parameters(folder / "model.safetensors"))
     viewpoint = Painted()(view("s.night.0", 3)).viewpoint
     with torch.no_grad():
         drawn = fresh(viewpoint, fresh.appearance(viewpoint.source))
@@ -76,14 +90,15 @@ def replace_points():
     return replace(initial(), points_m=initial().points_m[:7])
 
 
-def test_half_precision_halves_tables_and_hardly_changes_renders(tmp_path: Path) -> None:
-    trained = trainer()
-    whole = run(tmp_path / "whole", trainer=trained)
+def test_half_precision_halves_tables_and_hardly_changes_renders(
+    whole: tuple[Path, StreetTrainer], tmp_path: Path
+) -> None:
+    folder, trained = whole
     half = run(tmp_path / "half", half=True)
     tables = ("offsets", "codes", "log_scales", "quats", "logits")
     numbers = sum(table.numel() for name, table in trained.street.named_parameters() if name.endswith(tables))
     # The header's offsets differ in their number of digits.
-    assert whole.model_bytes - half.model_bytes == pytest.approx(2 * numbers, abs=100)
+    assert (folder / "model.safetensors").stat().st_size - half.model_bytes == pytest.approx(2 * numbers, abs=100)
     fresh = initial_street(initial(), SETTINGS)
     set_parameters(fresh, read_parameters(tmp_path / "half" / "model.safetensors"))
     viewpoint = Painted()(view("s.day.0", 3)).viewpoint
@@ -144,7 +159,7 @@ def test_equal_streets_have_equal_bytes(tmp_path: Path) -> None:
 
 def train_with_checkpoints(folder: str, threads: str) -> None:
     torch.set_num_threads(int(threads))
-    run(Path(folder), 80, options=Options(checkpoint_s=0.1))
+    run(Path(folder), 40, options=Options(checkpoint_s=0.05))
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -153,8 +168,8 @@ def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, thread
     kill_before("checkpoint.safetensors", 2, train_with_checkpoints, tmp_path / "killed", str(threads))
     assert (tmp_path / "killed" / "checkpoint.safetensors").exists()
     assert not (tmp_path / "killed" / "outcome.json").exists()
-    run(tmp_path / "killed", 80)
-    run(tmp_path / "whole", 80)
+    run(tmp_path / "killed", 40)
+    run(tmp_path / "whole", 40)
     ours, theirs = (load_file(tmp_path / name / "checkpoint.safetensors") for name in ("killed", "whole"))
     assert ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
     assert (tmp_path / "killed" / "model.safetensors").read_bytes() == (
@@ -167,21 +182,17 @@ def test_killed_and_resumed_training_gives_the_same_model(tmp_path: Path, thread
     ]
 
 
-def test_ctrl_c_leaves_a_checkpoint_between_steps(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_checkpoint_between_steps(whole: tuple[Path, StreetTrainer], tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "run", images=stopping_at(25))
     assert signal.getsignal(signal.SIGINT) is before
     run(tmp_path / "run")
-    run(tmp_path / "whole")
-    assert (tmp_path / "run" / "model.safetensors").read_bytes() == (
-        tmp_path / "whole" / "model.safetensors"
-    ).read_bytes()
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == (whole[0] / "model.safetensors").read_bytes()
 
 
-def test_finished_run_is_returned_and_another_is_refused(tmp_path: Path) -> None:
-    run(tmp_path / "run")
-    folder = block_folder(tmp_path / "run")
+def test_finished_run_is_returned_and_another_is_refused(finished: Path, tmp_path: Path) -> None:
+    folder = block_folder(finished)
     assert folder.begin(RUN) == folder.outcome is not None
     with pytest.raises(UsageError, match=r"settings\.latent 16, now 8; steps 60, now 90"):
         folder.begin(RUN.model_copy(update={"steps": 90, "settings": {"latent": 8}}))
@@ -201,13 +212,12 @@ def test_lock_allows_one_process(tmp_path: Path) -> None:
         pass
 
 
-def test_broken_checkpoint_is_named_in_the_error(tmp_path: Path) -> None:
-    run(tmp_path / "run")
-    path = tmp_path / "run" / "checkpoint.safetensors"
+def test_broken_checkpoint_is_named_in_the_error(finished: Path) -> None:
+    path = finished / "checkpoint.safetensors"
     state = {name: table.clone() for name, table in load_file(path).items()}
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(DatasetError, match=r"checkpoint\.safetensors"):
-        run(tmp_path / "run")
+        run(finished)
     for position in ("", "[" * 50_000, "[]", '{"steps": "many"}', '{"sums": {"losses": {"rgb": 1}}}'):
         save_file(state, path, {"format": FORMAT, "position": position})
         with pytest.raises(SchemaError, match=r"checkpoint\.safetensors"):
@@ -307,7 +317,7 @@ def test_masked_pixels_do_not_affect_the_model(tmp_path: Path) -> None:
 
     models = {}
     for name, images in (("plain", plain), ("painted", Painted(painted)), ("unmasked", Painted())):
-        run(tmp_path / name, 40, images=images)
+        run(tmp_path / name, 20, images=images)
         models[name] = (tmp_path / name / "model.safetensors").read_bytes()
     assert models["plain"] == models["painted"] != models["unmasked"]
 

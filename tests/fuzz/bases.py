@@ -30,6 +30,7 @@ from tests.recordings.formats.kitti360 import write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
 from tests.recordings.formats.street import straight_drive
+from tests.recordings.formats.video_gps import Fixes, camm6, gps5, write_video
 from tests.recordings.formats.waymo import write_waymo
 
 SECONDS = np.arange(0.0, 12.05, 0.1)
@@ -308,6 +309,21 @@ def kitti_raw(root: Path) -> Base:
     return Base("kitti_raw", path.parent, _roi_around(path, "kitti_raw"), path.name)
 
 
+def video_gps(root: Path) -> Base:
+    """A video with fixes of GPMF."""
+    (root / "videos" / "day").mkdir(parents=True)
+    path = write_video(root / "videos" / "day" / "drive.mp4", "gpmd", gps5(Fixes(seconds=15)), 1000)
+    return Base("video_gps", path.parents[1], _roi_around(path, "video_gps"), f"day/{path.name}")
+
+
+def video_camm(root: Path) -> Base:
+    """A video with fixes of CAMM."""
+    (root / "videos" / "day").mkdir(parents=True)
+    fixes = Fixes(seconds=15)
+    path = write_video(root / "videos" / "day" / "drive.mov", "camm", camm6(fixes), 62, created_ns=fixes.start_ns)
+    return Base("video_gps", path.parents[1], _roi_around(path, "video_gps"), f"day/{path.name}")
+
+
 def ncore(root: Path) -> Base:
     """One sequence in a file, with boxes."""
     from tests.recordings.formats.ncore import write_ncore
@@ -379,4 +395,6 @@ BASES: dict[str, Callable[[Path], Base]] = {
     "rosbag2": rosbag2,
     "kitti_odometry": kitti_odometry,
     "kitti_raw": kitti_raw,
+    "video_gps": video_gps,
+    "video_camm": video_camm,
 }

@@ -71,6 +71,7 @@ DEPENDENT_TABLES: dict[str, dict[str, frozenset[str]]] = {
         "sequences/03/calib": frozenset({CAMERAS}),
         "sequences/03/image_": frozenset({SHOTS, CAMERAS}),
     },
+    "video_gps": {"": frozenset({POSES})},
     "kitti_raw": {
         "calib_imu_to_velo": frozenset({CAMERAS, OBJECTS}),
         "calib_": frozenset({CAMERAS}),
@@ -228,6 +229,7 @@ def pose_files(base: Base) -> list[str]:
         "kitti360": [],
         "kitti_odometry": [],
         "kitti_raw": [],
+        "video_gps": [],
         "ncore": [],
         "comma2k19": [f"{number}/global_pose/frame_positions" for number in range(2)],
     }

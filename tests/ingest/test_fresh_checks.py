@@ -60,7 +60,7 @@ def test_a_fresh_dataset_passes_its_own_check(reader: str, tmp_path: Path) -> No
         options = IngestOptions(reader=reader, workers=1, write=WriteOptions(videos=storage))
         report = ingest_recordings([path], [scene], tmp_path / storage, options)
         assert not report.failures and len(report.traversals) == 1
-        assert report.traversals[0].images > 0 or reader in ("csv", "gpx", "nmea")
+        assert report.traversals[0].images > 0 or reader in ("csv", "gpx", "nmea", "video_gps")
         findings = [
             (rule.rule_id, finding)
             for rule, finding in check(tmp_path / storage, cost=Cost.IMAGES).findings

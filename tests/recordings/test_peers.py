@@ -29,6 +29,7 @@ from tests.recordings.formats.kitti360 import MEI
 from tests.recordings.formats.peers import (
     argoverse2_input,
     kitti360_input,
+    mapillary_tools_input,
     nuplan_input,
     nuscenes_input,
     py123d_input,
@@ -461,3 +462,21 @@ def test_pykitti_reads_the_same_raw_drive(tmp_path: Path) -> None:
     table = boxes.to_pandas()
     upright = lidar @ Poses.from_columns(table)
     assert np.abs(rotate(upright.rotation, (0.0, 0.0, 1.0)) - (0.0, 0.0, 1.0)).max() < 1e-9
+
+
+def test_mapillary_tools_reads_the_same_fixes(tmp_path: Path) -> None:
+    """Of GPS5, mapillary_tools keeps the time of the payload for all its fixes; of CAMM, the seconds of GPS."""
+    theirs = result("mapillary_tools")
+    files = sorted(mapillary_tools_input(tmp_path / "m").iterdir())
+    assert [file.stem for file in files] == sorted(theirs)
+    for file in files:
+        track, peer = open_recording(file).track(), theirs[file.stem]
+        found = np.column_stack([track.longitude_deg, track.latitude_deg, track.height_m])
+        assert len(found) == 48 and np.abs(found - peer["degrees"]).max() < 1e-9
+        media_s = (track.timestamp_ns - track.timestamp_ns[0]) * 1e-9
+        if file.stem in ("gps5", "camm5"):
+            assert np.abs(media_s - np.array(peer["media_s"])).max() < 1e-6
+        if file.stem == "gps9":
+            assert np.abs(track.timestamp_ns * 1e-9 - peer["unix_s"]).max() < 1e-6
+        if file.stem == "camm6":
+            assert np.abs(track.timestamp_ns * 1e-9 - 315_964_800 + 18 - peer["unix_s"]).max() < 1e-6

@@ -301,6 +301,13 @@ def _kitti_raw(root: Path) -> Path:
     return write_kitti_raw(root, as_raw(replace(drive, box_ns=drive.image_ns["front_wide"], objects=())))
 
 
+def _video_gps(root: Path) -> Path:
+    from tests.recordings.formats.video_gps import Fixes, gps9, write_video
+
+    root.mkdir(parents=True)
+    return write_video(root / "drive.mp4", "gpmd", gps9(Fixes()), 1000)
+
+
 def _ncore(root: Path) -> Path:
     from mirror.recordings.discovery import find_recordings
     from tests.recordings.formats.ncore import write_ncore
@@ -327,6 +334,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "kitti360": _kitti360,
     "kitti_odometry": _kitti_odometry,
     "kitti_raw": _kitti_raw,
+    "video_gps": _video_gps,
     "ncore": _ncore,
 }
 """Writes the drive into a folder and returns the recording's path, by the name of the reader."""

@@ -20,6 +20,7 @@ from tests.recordings.formats.kitti360 import FISHEYES, write_kitti360
 from tests.recordings.formats.nuplan import write_nuplan
 from tests.recordings.formats.nuscenes import write_nuscenes
 from tests.recordings.formats.street import StreetDrive, StreetObject, synth_drives
+from tests.recordings.formats.video_gps import Fixes, camm5, camm6, gps5, gps9, write_video
 from tests.recordings.formats.waymo import write_waymo
 
 RESULTS = Path(__file__).resolve().parents[2] / "peers"
@@ -108,10 +109,23 @@ def pykitti_input(folder: Path) -> Path:
     return folder
 
 
+def mapillary_tools_input(folder: Path) -> Path:
+    """A folder with videos of four kinds of fixes, three seconds each."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    fixes = Fixes(seconds=3)
+    write_video(folder / "gps5.mp4", "gpmd", gps5(fixes), 1000)
+    write_video(folder / "gps9.mp4", "gpmd", gps9(fixes, beside=False), 1000)
+    write_video(folder / "camm5.mp4", "camm", camm5(fixes), 62, created_ns=fixes.start_ns)
+    write_video(folder / "camm6.mp4", "camm", camm6(fixes), 31, created_ns=fixes.start_ns)
+    return folder
+
+
 INPUTS: dict[str, Callable[[Path], Path]] = {
     "nuscenes": nuscenes_input,
     "argoverse2": argoverse2_input,
     "kitti360": kitti360_input,
+    "mapillary_tools": mapillary_tools_input,
     "nuplan": nuplan_input,
     "py123d": py123d_input,
     "pykitti": pykitti_input,
